@@ -75,4 +75,4 @@ def is_free(kb):
             done.set()
 
     threading.Thread(target=ask, daemon=True).start()
-    return done.wait(5.0)
+    return done.wait(60.0)

@@ -57,7 +57,7 @@ def survives_a_kill(folder, number):
         again.clock.now = expected.clock.now
         assert answers(again.kb) == answers(expected.kb, ended=True)
         again.kb.measure("load", 0.5)
-        assert again.kb.flush(10.0)
+        assert again.kb.flush(120.0)
         assert again.kb.saved == again.kb.log.last > saved
         again.kb.close()
         expected.kb.close()
@@ -78,8 +78,8 @@ class Damages:
         for name, steps in (("early", 150 + 100 * seed), ("late", 150 + 300 * seed)):
             for _ in zip(range(steps), moves, strict=False):
                 if self.chance.random() < 0.2:
-                    life.kb.flush(10.0)
-            assert life.kb.flush(10.0)
+                    life.kb.flush(120.0)
+            assert life.kb.flush(120.0)
             copies.append(self._copied(life.kb.store.path, f"{name} {seed}", life.kb.saved))
         events = life.kb.store.events()
         life.kb.close()

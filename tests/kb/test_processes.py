@@ -20,7 +20,7 @@ from kb.processes.components import PARAMETERS, Program
 from kb.processes.guardian import MARK, new_mark
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 
 SLEEP = "import time; time.sleep(600)"
 STUBBORN = """
@@ -404,7 +404,8 @@ def test_what_runs_already_goes_on_when_another_knowledge_base_looks(tmp_path):
 
 
 SCRIPT = """
-import os, sys, time
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell starts in the background ignores it
 from kb.processes import ProcessComponents
 from kb.processes import Program
 
@@ -449,7 +450,10 @@ def test_nothing_is_left_behind_however_this_process_ends(ending, tmp_path):
         if ending.startswith("SIG"):
             assert all(is_alive(pid) for pid in pids)
             script.send_signal(getattr(signal, ending))
-        _, complaint = script.communicate(timeout=PATIENCE_S)
+        try:
+            _, complaint = script.communicate(timeout=PATIENCE_S)
+        finally:
+            script.kill()
         assert "AssertionError" not in complaint
         for pid in pids:
             wait_for(lambda: not is_alive(pid), f"{pid} of {pids} is left behind")  # noqa: B023  # used at once

@@ -81,7 +81,7 @@ def test_base_goes_on_from_what_a_kill_leaves(story, folder):
     twins.kb = KnowledgeBase(model, clock=twins.clock, store=path)
     for event in events[: len(events) // 2]:
         twins.happen(event)
-    assert twins.kb.flush(10.0)
+    assert twins.kb.flush(120.0)
     assert twins.kb.saved == twins.kb.log.last
     before = answers(twins.kb, ended=True)
     copy = dead(path, folder)
@@ -128,13 +128,13 @@ def test_open_plans_are_abandoned_when_the_base_goes_on(tmp_path):
 def test_what_changes_nothing_writes_nothing(tmp_path):
     with kept(robot(), tmp_path / "m.sqlite3") as kb:
         kb.component_active("camera", True)
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
         saved, size = kb.log.last, (tmp_path / "m.sqlite3-wal").stat()
         kb.component_active("camera", True)
         kb.component_recovered("camera")
         kb.cancel_action("rest")
         kb.is_feasible("explore")
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
         assert (kb.saved, kb.log.last) == (saved, saved)
         assert (tmp_path / "m.sqlite3-wal").stat().st_mtime_ns == size.st_mtime_ns
 
@@ -148,7 +148,7 @@ def test_store_holds_the_newest_measurements_and_does_not_grow_beyond_them(tmp_p
             clock.now += 0.1
             kb.measure("load", clock.now)
             if number % 200 == 199:  # what is written at once is in the file for a moment, before the old is dropped
-                assert kb.flush(30.0)
+                assert kb.flush(120.0)
 
     with kept(robot(), path, clock=clock, keep=100) as kb:
         measure(kb, 2000)
@@ -286,7 +286,7 @@ def test_empty_file_becomes_a_store(tmp_path):
     (tmp_path / "m.sqlite3").touch()
     with kept(robot(), tmp_path / "m.sqlite3") as kb:
         kb.measure("load", 1.0)
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
 
 
 def test_store_has_one_user_at_a_time(tmp_path):
@@ -303,7 +303,7 @@ KnowledgeBase(robot(), store={str(path)!r})"""
         assert "StoreError" in done.stderr
         assert "in use by another knowledge base or process" in done.stderr
         kb.measure("load", 2.0)
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
     with kept(robot(), path) as kb:
         assert kb.attributes["load"].value == 2.0
 
@@ -372,7 +372,7 @@ def files_no_longer_than(size):
 
 def soon(condition):
     """Wait until something is so that another thread does."""
-    deadline = time.monotonic() + 30.0
+    deadline = time.monotonic() + 120.0
     while not condition() and time.monotonic() < deadline:
         time.sleep(0.005)
     return condition()
@@ -382,7 +382,7 @@ def fill(kb):
     for number in range(3000):
         kb.measure("load", float(number))
     kb.assert_required("see", True)
-    assert not kb.flush(10.0)
+    assert not kb.flush(120.0)
 
 
 def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
@@ -391,11 +391,11 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
     with caplog.at_level(logging.ERROR), kept(robot(), path) as kb:
         kb.subscribe(lambda event: told.append(event.text))
         kb.component_failed("camera")
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
         saved = kb.saved
         assert kb.query(failures) == [(5.0,)]
         kb.component_failed("lidar")
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
         with files_no_longer_than(100_000):
             fill(kb)
             assert kb.query(failures) == [(5.0,), (5.0,)]
@@ -440,7 +440,7 @@ def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path
         assert soon(lambda: any(text.endswith("all is saved again") for text in told))
         kb.component_recovered("lidar")
         untroubled.component_recovered("lidar")
-        assert kb.flush(10.0)
+        assert kb.flush(120.0)
         count = "SELECT (COUNT(?m) AS ?n) (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }"
         ((measured, most),) = kb.query(count)
         assert 100 <= measured <= 400
@@ -551,7 +551,7 @@ def test_log_beside_the_file_stays_small(tmp_path):
     with kept(robot(), path) as kb:
         for number in range(400):  # each in a commit of its own
             kb.measure("load", float(number))
-            assert kb.flush(10.0)
+            assert kb.flush(120.0)
             sizes.append(path.with_name("m.sqlite3-wal").stat().st_size)
     assert 500_000 < max(sizes) < 1_500_000
 
@@ -570,7 +570,9 @@ def test_facts_of_many_threads_are_all_saved(tmp_path):
                     kb.component_recovered("lidar")
 
         def ask():
-            while not done.is_set():
+            is_last = False
+            while not is_last:
+                is_last = done.is_set()
                 asked.append(kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")[0][0])
 
         tellers = [threading.Thread(target=tell, args=(number,)) for number in range(8)]
@@ -582,10 +584,9 @@ def test_facts_of_many_threads_are_all_saved(tmp_path):
         done.set()
         for thread in askers:
             thread.join()
-        assert kb.flush(30.0)
+        assert kb.flush(120.0)
         before = answers(kb)
-    assert asked
-    assert asked[-1] <= 8 * each
+    assert asked[-1] == 8 * each
     with kept(robot(), path, clock=time.time) as kb:
         assert sum(len(one.history) for one in kb.attributes.values()) == 8 * each
         after = answers(kb)
@@ -617,7 +618,7 @@ def test_store_is_opened_from_its_last_snapshot_and_goes_on_with_the_tail(tmp_pa
             clock.now += 0.1
             kb.measure(("light", "energy", "load")[number % 3], number % 10 / 10)
         kb.request_action("explore")
-        assert kb.flush(30.0)
+        assert kb.flush(120.0)
         kb.component_failed("lidar", "rain")
         expected, last = answers(kb), kb.log.last
     database = sqlite3.connect(path)
@@ -675,7 +676,7 @@ for number in range(8):
     assert os.waitstatus_to_exitcode(status) == 4, status
 done.set()
 kb.measure("load", 2.0)
-print(kb.flush(20.0), kb.saved == kb.log.last, kb.store.check() > 0)
+print(kb.flush(120.0), kb.saved == kb.log.last, kb.store.check() > 0)
 kb.close()
 """
 
@@ -696,7 +697,7 @@ def test_history_that_is_too_long_to_be_checked_at_once_is_checked_while_it_is_u
         kb.component_failed("camera", "rain")
         for number in range(12_000):
             kb.measure("load", float(number))
-        assert kb.flush(30.0)
+        assert kb.flush(120.0)
         kb.measure("load", 7.0)
     content = path.read_bytes()
     place = content.index(b'["load",700.0]')

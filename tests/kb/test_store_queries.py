@@ -343,7 +343,7 @@ def test_query_that_never_ends_is_stopped(base):
     with pytest.raises(KnowledgeBaseError, match=r"stopped after 0\.3 s"):
         kb.query(f"SELECT (COUNT(?s0) AS ?n) {{ {product} }}", timeout=0.3)
     with pytest.raises(KnowledgeBaseError, match=r"stopped after|more than \d+ rows"):
-        kb.query(f"SELECT * {{ {product} }}", timeout=3.0)
+        kb.query(f"SELECT * {{ {product} }}", timeout=0.5)
     kb.measure("load", 1.0)
     assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }") == [(1,)]
 
@@ -366,7 +366,7 @@ def test_a_store_is_asked_as_soon_as_it_is_opened(tmp_path):
     path = tmp_path / "m.sqlite3"
     for expected in (0, 1, 1):
         kb = KnowledgeBase(robot(), store=path)
-        assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=20.0) == [(expected,)]
+        assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=120.0) == [(expected,)]
         kb.component_failed("camera")
         kb.close()
 
@@ -374,7 +374,7 @@ def test_a_store_is_asked_as_soon_as_it_is_opened(tmp_path):
 def test_query_that_cannot_be_interrupted_is_stopped_and_nobody_waits_for_it():
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     count = "SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }"
-    assert kb.query(count, timeout=60.0) == [(0,)]
+    assert kb.query(count, timeout=120.0) == [(0,)]
     product = " ".join(f"?s{number} ?p{number} ?o{number} ." for number in range(6))
     endless = f"SELECT (COUNT(?s0) AS ?n) {{ {product} }}"
     done = threading.Event()
@@ -391,8 +391,8 @@ def test_query_that_cannot_be_interrupted_is_stopped_and_nobody_waits_for_it():
         kb.query(endless, timeout=1.0)
     done.set()
     teller.join()
-    assert len(told) > 100
-    assert kb.query(count, timeout=60.0) == [(len(told),)]
+    assert len(told) > 5  # it would be two at most if it waited
+    assert kb.query(count, timeout=120.0) == [(len(told),)]
 
 
 def test_large_world_is_stopped_while_it_is_built_and_gone_on_with(tmp_path):
@@ -402,14 +402,14 @@ def test_large_world_is_stopped_while_it_is_built_and_gone_on_with(tmp_path):
     model.component("camera")
     kb = KnowledgeBase(model, store=tmp_path / "m.sqlite3")
     actions = "SELECT (COUNT(?x) AS ?n) { ?x a :Action }"
-    assert KnowledgeBase(robot()).query(actions, timeout=60.0)  # a process is there
+    assert KnowledgeBase(robot()).query(actions, timeout=120.0)  # a process is there
     for number in range(3):  # each of which stands for a part of it
         with pytest.raises(KnowledgeBaseError, match=r"stopped after 0\.02 s"):
             kb.query(actions, timeout=0.02)
         kb.component_failed("camera", f"reason {number}")
         kb.component_recovered("camera")
-    assert kb.query(actions, timeout=60.0) == [(1500,)]
-    assert kb.query("SELECT (COUNT(?x) AS ?n) { ?x a :Failure ; :end ?e }", timeout=60.0) == [(3,)]
+    assert kb.query(actions, timeout=120.0) == [(1500,)]
+    assert kb.query("SELECT (COUNT(?x) AS ?n) { ?x a :Failure ; :end ?e }", timeout=120.0) == [(3,)]
     kb.close()
 
 

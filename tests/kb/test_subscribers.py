@@ -95,7 +95,7 @@ def test_bases_whose_subscribers_ask_each_other_never_wait_for_each_other():
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(60.0)
+        thread.join(120.0)
     assert not any(thread.is_alive() for thread in threads)
 
 
@@ -108,7 +108,7 @@ def test_no_lock_is_held_while_the_code_of_others_runs(where):
             answered.append(None)
             thread = threading.Thread(target=lambda: answered.append(kb.is_feasible("explore")), daemon=True)
             thread.start()
-            thread.join(20.0)
+            thread.join(60.0)
         return 1.0
 
     if where == "clock":
@@ -154,7 +154,7 @@ def test_child_of_fork_is_told_to_open_a_store_of_its_own(tmp_path):
 
     assert in_a_fork(child) == 0
     kb.measure("light", 0.8)
-    assert kb.flush(20.0)
+    assert kb.flush(120.0)
     kb.close()
 
 

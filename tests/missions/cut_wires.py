@@ -23,9 +23,9 @@ class Outcome(NamedTuple):
 class Wire:
     """Passes on bytes between a port of its own and another, until it is cut; then it passes on anew."""
 
-    def __init__(self, port):
+    def __init__(self, port, own=0):
         self._to, self._pairs = port, []
-        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._listening = socket.create_server(("127.0.0.1", own))
         self.port = self._listening.getsockname()[1]
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -57,6 +57,8 @@ class Wire:
                     one.shutdown(socket.SHUT_RDWR)
 
     def close(self):
+        with suppress(OSError):
+            self._listening.shutdown(socket.SHUT_RDWR)  # who waits for the next is woken, and lets go of the port
         self._listening.close()
         self.cut()
 
@@ -75,7 +77,7 @@ def requests_through_cuts(seed, *, cuts):
         while not stop.is_set():
             number += 1
             try:
-                acknowledged.append(node.call("/do", "x", {"number": number}).result(10)["number"])
+                acknowledged.append(node.call("/do", "x", {"number": number}).result(60)["number"])
             except RosError:
                 time.sleep(0.01)  # it is not known whether it was done: it is told as failed and never sent again
             node.publish("/events", "x", {"number": number})
@@ -84,7 +86,7 @@ def requests_through_cuts(seed, *, cuts):
     thread.start()
     try:
         for _ in range(cuts):
-            is_back, after = time.monotonic() + 10, len(acknowledged)
+            is_back, after = time.monotonic() + 60, len(acknowledged)
             while len(acknowledged) < after + 3 and time.monotonic() < is_back:
                 time.sleep(0.005)
             time.sleep(rng.uniform(0.0, 0.05))

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from running import text
@@ -34,25 +34,28 @@ def opened(name, task, seed=0, listeners=()):
 
 @contextmanager
 def interrupted_after(seconds):
-    """Interrupt what is done in this block after that time, as Ctrl-C does, wherever the program is then."""
+    """Interrupt what is done in this block, as Ctrl-C does, once it has taken that time of the processor."""
 
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGALRM, interrupt)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    before = signal.signal(signal.SIGPROF, interrupt)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def children():
     """Return the processes that this one has started and that have not ended."""
-    me = str(os.getpid())
-    stats = (path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat") if path.exists())
-    return sum(one[1] == me and one[0] != "Z" for one in stats)
+    me, count = str(os.getpid()), 0
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):  # it has ended meanwhile
+            state, parent, *_ = path.read_text().rpartition(")")[2].split()
+            count += parent == me and state != "Z"
+    return count
 
 
 def told(run):
@@ -65,7 +68,7 @@ def interrupted(name, task, seconds, whole):
     Args:
         name: of the mission.
         task: the kind of its task layer.
-        seconds: when it is interrupted.
+        seconds: of the processor, when it is interrupted.
         whole: what the run without an interrupt has told, see `told`.
     """
     threads, processes = threading.active_count(), children()
@@ -88,9 +91,9 @@ def interrupted(name, task, seconds, whole):
         lies.append("the world is not closed")
     done = threading.Event()
     threading.Thread(target=lambda: (run.kb.is_feasible(next(iter(run.kb.actions))), done.set()), daemon=True).start()
-    if not done.wait(5.0):
+    if not done.wait(60.0):
         lies.append("another thread waits for the knowledge base")
-    end = time.monotonic() + 5.0
+    end = time.monotonic() + 60.0
     while (threading.active_count() > threads or children() > processes) and time.monotonic() < end:
         time.sleep(0.01)
     if threading.active_count() > threads or children() > processes:
@@ -182,7 +185,7 @@ def gone_on_with(folder, file, whole):
     begun = (folder / "campaign.json").exists()
     before = read_store(folder).records if begun else {}
     running = campaign(folder, file, "--workers", 2, *(["--resume"] if begun else []))
-    said, _ = running.communicate(timeout=120)
+    said, _ = running.communicate(timeout=300)
     if running.returncode:
         return [said]
     lies = [] if tables(folder) == whole else ["the tables are others"]

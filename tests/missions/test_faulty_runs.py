@@ -16,14 +16,14 @@ from missions.engine.controller import TASK_KINDS
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_mission_that_is_interrupted_leaves_nothing_open_and_has_told_what_its_twin_tells(task):
     run = opened("suave_extended", task)
-    started = time.perf_counter()
+    started = time.process_time()
     run.run()
-    took, chance, count = time.perf_counter() - started, Random(task), 0
-    for _ in range(4):
+    took, chance, count = time.process_time() - started, Random(task), 0
+    while count < 3:
         lies, was = interrupted("suave_extended", task, chance.uniform(0.01, 0.9) * took, told(run))
         assert lies == []
         count += was
-    assert count > 0
+        took *= 0.9  # a run that was done before may be quicker
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
@@ -39,7 +39,7 @@ def whole(tmp_path_factory):
     file = folder / "small.toml"
     file.write_text(CAMPAIGN)
     running = campaign(folder / "c", file, "--workers", 2)
-    assert running.wait(120) == 0
+    assert running.wait(300) == 0
     running.stdout.close()
     return file, tables(folder / "c")
 
@@ -47,7 +47,7 @@ def whole(tmp_path_factory):
 def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(whole, tmp_path):
     file, tables_of_whole = whole
     running = campaign(tmp_path / "c", file, "--workers", 2, most_bytes=3000)
-    said, _ = running.communicate(timeout=120)
+    said, _ = running.communicate(timeout=300)
     assert running.returncode == 2
     assert "make room, then go on with --resume" in said
     assert "Traceback" not in said
@@ -57,9 +57,9 @@ def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(whole, t
 def test_campaign_that_is_killed_is_gone_on_with(whole, tmp_path):
     file, tables_of_whole = whole
     running = campaign(tmp_path / "c", file, "--workers", 2)
-    while not (tmp_path / "c" / "runs.jsonl").exists():
+    runs = tmp_path / "c" / "runs.jsonl"
+    while running.poll() is None and not (runs.exists() and runs.read_bytes().count(b"\n") > 2):
         time.sleep(0.02)
-    time.sleep(2.0)
     os.killpg(running.pid, signal.SIGKILL)
     running.communicate()
     assert gone_on_with(tmp_path / "c", file, tables_of_whole) == []

@@ -14,15 +14,12 @@ pytestmark = needs_browser
 
 
 def test_battery_fault_injected_from_the_page_stands_there_with_its_chain():
-    with mission(Steering(speed=1.0), duration=60) as (view, run, _), visiting(view.url) as visit:
+    with mission(Steering(speed=0.5), duration=60) as (view, run, _), visiting(view.url) as visit:
         page = visit.page
         page.get_by_text("search_pipeline").first.wait_for()
         battery = page.locator("label", has_text="battery_level").locator("input[type=range]")
         battery.evaluate("one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }")
         page.get_by_role("button", name="Measure this from now on").click()
-        clicked = time.monotonic()
-        page.get_by_text(re.compile(r"search_pipeline (→|->) recharge")).first.wait_for()
-        took_s = time.monotonic() - clicked
         page.get_by_text(re.compile(r"search_pipeline (→|->) recharge")).first.click()
         for words in ("battery_level 0.", "search_pipeline stopped", "recharge requested", "in force"):
             page.get_by_text(words).first.wait_for()
@@ -30,7 +27,6 @@ def test_battery_fault_injected_from_the_page_stands_there_with_its_chain():
         assert run.adaptations[0].action == "recharge"
         assert visit.elsewhere(view.url, view.url.replace("http", "ws")) == []
         assert visit.said == []
-    print(f"the adaptation stood there {took_s:.2f} s after the click")
 
 
 def test_link_opens_the_same_instant_of_a_report_and_asks_nothing_of_any_network(tmp_path):

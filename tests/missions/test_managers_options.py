@@ -1,5 +1,6 @@
 """Options of managers, and the time that they take: in the sea, and on this machine."""
 
+from itertools import count
 from time import perf_counter
 
 import numpy
@@ -77,16 +78,20 @@ def test_thinking_takes_no_simulated_time():
     assert took_s == pytest.approx(SWITCHING_S)
 
 
-class Idle(Listener):
-    def tick(self, run):
-        spend(0.002)
+def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_listeners_is_none(monkeypatch):
+    now = count()  # each look at this clock takes a second
 
+    class Idle(Listener):
+        def tick(self, run):
+            for _ in range(1000):
+                next(now)
 
-def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_listeners_is_none():
+    for place in ("engine.controller", "engine.runner", "baselines.controller"):
+        monkeypatch.setattr(f"missions.{place}.perf_counter", lambda: next(now))
     run = open_run(SUAVE, seed=1, settings={"duration_s": "40"}, listeners=(Idle(),))
     run.run()
     assert run.reactions
-    assert all(0 < took_s < 0.1 for _, took_s in run.reactions)
+    assert all(0 < took_s < 1000 for _, took_s in run.reactions)
 
 
 @pytest.mark.parametrize("service_s", [0.05, 0.17, 0.3])

@@ -78,7 +78,7 @@ BACKENDS = {
 }
 
 
-def until(holds, *, seconds=30.0, turn=lambda: None):
+def until(holds, *, seconds=120.0, turn=lambda: None):
     end = time.monotonic() + seconds
     while not holds():
         assert time.monotonic() < end, "it never came true"
@@ -142,7 +142,7 @@ def test_services_are_called_both_ways(node):
 def asked(node, service, **request):
     """Return the answer to a call; None while nobody serves it yet."""
     try:
-        return node.call(service, ASK, request).result(20)
+        return node.call(service, ASK, request).result(60)
     except RosError as error:
         if "nobody serves" in str(error) or "no connection" in str(error):
             return None
@@ -158,7 +158,7 @@ def test_what_is_refused_or_fails_never_reads_as_success(node, service):
 
 def test_call_of_what_nobody_serves_fails_in_words(node):
     with pytest.raises(RosError, match="nobody serves /nowhere"):
-        node.call("/nowhere", ASK, {}).result(20)
+        node.call("/nowhere", ASK, {}).result(60)
 
 
 def test_many_threads_get_their_own_answers(node):

@@ -1,13 +1,13 @@
 """The page in a real browser: a report of a real run, clicked through; and a mission watched while it runs."""
 
 import re
-import shutil
 import subprocess
 import sys
 from functools import cache
 from pathlib import Path
 
 import pytest
+from browsing import CHROMIUM, QUIET, WAIT_MS, needs_browser
 
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
@@ -15,17 +15,13 @@ from missions.views.report import page_of, report
 from missions.views.run_recorder import RunRecorder
 
 sync_api = pytest.importorskip("playwright.sync_api")
-CHROMIUM = shutil.which("chromium")
 AXE = Path(__file__).parents[2] / "missions" / "views" / "page" / "node_modules" / "axe-core" / "axe.min.js"
-FLAGS = [
-    *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-]
 WIDTHS = (375, 768, 1440)
 VIEWS = ("#scene", "#timelines", "#tree", "#knowledge")
 MISSIONS = (("suave_extended", "bt"), ("uav", "bt"), ("agv", "pddl"))
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium on this machine: apt-get install chromium")
+sync_api.expect.set_options(timeout=WAIT_MS)
+pytestmark = needs_browser
 
 
 @cache
@@ -40,7 +36,7 @@ def recorded(mission, task="bt", seed=0):
 @pytest.fixture(scope="module")
 def browser():
     with sync_api.sync_playwright() as playwright:
-        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
         yield opened
         opened.close()
 
@@ -60,6 +56,7 @@ class Visits:
     def show(self, url, width=1440, height=900, scheme="light"):
         context = self._browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
         self._contexts.append(context)
+        context.set_default_timeout(WAIT_MS)
         page = context.new_page()
         page.on("console", lambda said: self.wrong.append(said.text) if said.type in ("error", "warning") else None)
         page.on("pageerror", lambda error: self.wrong.append(str(error)))
@@ -67,6 +64,7 @@ class Visits:
         page.on("websocket", lambda opened: self.requests.append(opened.url))
         page.goto(url)
         page.wait_for_selector(".transport")
+        settle(page)
         return page
 
     def close(self):
@@ -387,7 +385,7 @@ def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
 @pytest.fixture
 def running(tmp_path):
     """The extended mission, while it runs."""
-    command = ["run", "suave_extended", "--live", "0", "--allow-control", "--speed", "2", "--no-progress"]
+    command = ["run", "suave_extended", "--live", "0", "--allow-control", "--speed", "0.5", "--no-progress"]
     program = [sys.executable, "-m", "missions", *command]
     process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     yield process

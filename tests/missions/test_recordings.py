@@ -139,7 +139,7 @@ for await (const message of reader.readMessages()) {{
 }}
 console.log(JSON.stringify(counts));
 """)
-    done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=90, check=False)
+    done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=200, check=False)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout) == {topic: count for topic, (_, count) in read_bag(drop).topics.items()}
 

@@ -55,7 +55,7 @@ class SimulatedRover:
         publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"header": {}, "status": [status]})
 
     def until(self, holds, **said):
-        end = time.monotonic() + 40
+        end = time.monotonic() + 120
         while not holds():
             assert time.monotonic() < end, (self.states, self.parameters)
             self.say(**said)
@@ -126,11 +126,11 @@ ros.on('connection', () => {{
   setInterval(() => battery.publish({{ percentage: 0.8 }}), 100);
   ask();
 }});
-setTimeout(() => process.exit(3), 60000);
+setTimeout(() => process.exit(3), 180000);
 """)
     with start(rover, "--answer") as program:
         try:
-            done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=90, check=False)
+            done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=200, check=False)
         finally:
             program.terminate()
             program.stdout.read()
@@ -166,7 +166,7 @@ def test_rover_is_managed_over_dds_by_types_that_are_not_ours():
             robot.stdin.write(f"{text}\n")
             robot.stdin.flush()
 
-        watchdog = Timer(60, robot.kill)
+        watchdog = Timer(180, robot.kill)
         watchdog.start()
         try:
             until("/front/camera 3", "/navigator 3", "/front/camera gain 1.0")

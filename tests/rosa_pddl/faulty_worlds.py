@@ -84,7 +84,7 @@ class Doing(Behaviour):
 class Faulty:
     """Plans, or has trouble by chance."""
 
-    timeout_s = 5.0
+    timeout_s = 120.0
 
     def __init__(self, planner):
         self.planner, self.world = planner, None

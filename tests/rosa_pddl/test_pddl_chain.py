@@ -101,7 +101,7 @@ class Quits(Naughty):
 
 class Swells(Naughty):
     def act(self):
-        self.fat = [bytearray(1 << 24) for _ in range(1000)]
+        self.fat = [bytearray(1 << 24) for _ in range(12_000)]
 
 
 class GivesUp(Naughty):
@@ -157,7 +157,7 @@ def told(result):
     ],
 )
 def test_whatever_an_engine_does_has_a_name(naughty, engine, outcome, words):
-    result = Planner(engine, timeout_s=60.0, memory_mb=2048).plan(feasible(naughty))
+    result = Planner(engine, timeout_s=300.0, memory_mb=2048).plan(feasible(naughty))
     assert (result.outcome, result.steps) == (outcome, ())
     assert words in result.message
 
@@ -173,7 +173,7 @@ def test_an_engine_that_hangs_is_killed_with_its_children(naughty, tmp_path):
         if note.read_text():
             break
     child = int(note.read_text())
-    for _ in range(1000):
+    for _ in range(12_000):
         try:
             if "State:\tZ" in Path(f"/proc/{child}/status").read_text():
                 break
@@ -195,7 +195,7 @@ def broken_search(monkeypatch, tmp_path):
 def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
     # aries now and then recharges on the way, as it does not look for the shortest plan: here it cannot
     state = feasible(extended).state - {extended.feasible_atom("recharge")}
-    result = Planner(moves=0, timeout_s=120.0, fallback=("aries",)).plan(Problem(extended, state))
+    result = Planner(moves=0, timeout_s=300.0, fallback=("aries",)).plan(Problem(extended, state))
     crashed = Outcome.ENGINE_CRASHED
     assert told(result) == [("warm", crashed), ("cold", crashed), ("aries", Outcome.SOLVED)]
     assert result.engine == "aries"
@@ -205,7 +205,7 @@ def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
 
 
 def test_a_fallback_that_is_not_installed_is_passed_over_and_told(naughty, broken_search):
-    result = Planner(moves=0, fallback=("tamer", "givesup"), timeout_s=60.0).plan(feasible(naughty))
+    result = Planner(moves=0, fallback=("tamer", "givesup"), timeout_s=300.0).plan(feasible(naughty))
     assert told(result)[2:] == [
         ("tamer", Outcome.ENGINE_MISSING),
         ("givesup", Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN),
@@ -224,7 +224,7 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
     slow.write_text("#!/bin/sh\nexec sleep 1000\n")
     slow.chmod(0o755)
     monkeypatch.setattr(downward, "program", lambda: slow)
-    planner = Planner(moves=0, timeout_s=60.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
+    planner = Planner(moves=0, timeout_s=300.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
     result = planner.plan(feasible(extended))
     late = Outcome.OUT_OF_TIME
     assert told(result) == [("warm", late), ("cold", late), ("aries", Outcome.SOLVED)]
@@ -273,7 +273,7 @@ def test_a_safe_step_that_is_none_of_the_domain_is_refused(extended, step):
 
 
 def test_in_lock_step_an_answer_is_waited_for(extended):
-    result = awaited(Planner().start(feasible(extended)), 60.0)
+    result = awaited(Planner().start(feasible(extended)), 300.0)
     assert result.outcome is Outcome.SOLVED_OPTIMALLY
 
 
@@ -351,7 +351,7 @@ def test_a_temporal_engine_lets_steps_overlap(tmp_path):
     """One match burns too briefly for one errand after the other."""
     domain = load_text(tmp_path, ERRANDS, ERRANDS_PROBLEM)
     problem = Problem(domain, initial_state(domain))
-    result = Planner("aries", overlapping=True, timeout_s=60.0).plan(problem)
+    result = Planner("aries", overlapping=True, timeout_s=300.0).plan(problem)
     assert result.outcome.is_solved, result.message
     assert schedule_flaw(domain, result.schedule, problem.state) is None
     starts = {str(timed.step): timed for timed in result.schedule}

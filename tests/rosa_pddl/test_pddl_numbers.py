@@ -81,7 +81,7 @@ def test_beyond_the_cap_enhsp_is_asked():
       (:action b :precondition (>= (x) 3) :effect (and (p) (assign (x) 0))))"""
     domain = parse_domain(pump, "(define (problem p) (:domain d) (:init (= (x) 0)) (:goal (p)))")
     state = initial_state(domain)
-    result = Planner(moves=1, timeout_s=120.0).plan(Problem(domain, state))
+    result = Planner(moves=1, timeout_s=300.0).plan(Problem(domain, state))
     assert [one.way for one in result.attempts] == ["warm", "enhsp"]
     assert (result.outcome, flaw(domain, result.steps, state)) == (Outcome.SOLVED, None)
 
@@ -161,7 +161,7 @@ def test_what_is_planned_in_random_worlds_is_what_brute_force_finds(texts):
     domain = parse_domain(*texts)
     state = initial_state(domain)
     fewest = brute_force(domain, state)
-    result = Planner(cached=0, timeout_s=60.0).plan(Problem(domain, state))
+    result = Planner(cached=0, timeout_s=300.0).plan(Problem(domain, state))
     if fewest == -1:
         return
     assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if fewest is None else Outcome.SOLVED_OPTIMALLY), result

@@ -1,5 +1,6 @@
 """Programs of others are started, read and ended, and leave nothing behind."""
 
+import gc
 import os
 import sys
 import threading
@@ -15,18 +16,27 @@ from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 
 
 def run(script, **settings):
-    return ProcessHandle().run(["/bin/sh", "-c", script], **{"limit_s": 60.0, **settings})
+    return ProcessHandle().run(["/bin/sh", "-c", script], **{"limit_s": 300.0, **settings})
 
 
 def programs_running():
     """The programs of the children of this process."""
     pids = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
-    return [str(link.readlink()) for link in (Path(f"/proc/{pid}/exe") for pid in pids) if link.exists()]
+    return [target for pid in pids if (target := target_of(Path(f"/proc/{pid}/exe")))]
+
+
+def target_of(link):
+    """Of what may be gone at any moment."""
+    try:
+        return str(link.readlink())
+    except OSError:
+        return ""
 
 
 def files():
-    links = list(Path("/proc/self/fd").iterdir())
-    return sorted(str(link.readlink()) for link in links if link.is_symlink())
+    """The files that are open, once what other tests have left to be collected is closed."""
+    gc.collect()
+    return {target_of(link) for link in Path("/proc/self/fd").iterdir()}
 
 
 def test_a_program_is_given_its_input_and_its_output_is_read():
@@ -58,8 +68,8 @@ def test_a_late_program_is_killed():
 
 def test_a_program_may_hold_so_much_and_no_more():
     fat = [sys.executable, "-c", "x = bytearray(1 << 29)"]
-    assert ProcessHandle().run(fat, limit_s=60.0).code == 0
-    assert b"MemoryError" in ProcessHandle(1 << 27).run(fat, limit_s=60.0).complaints
+    assert ProcessHandle().run(fat, limit_s=300.0).code == 0
+    assert b"MemoryError" in ProcessHandle(1 << 27).run(fat, limit_s=300.0).complaints
 
 
 def test_a_cancelled_handle_lets_nothing_run():
@@ -82,7 +92,7 @@ def test_what_cannot_be_started_says_so_and_leaves_nothing():
     before = files()
     with pytest.raises(FileNotFoundError):
         ProcessHandle().run(["/no/such/program"], limit_s=1.0)
-    assert files() == before
+    assert files() <= before
 
 
 def test_many_replans_leave_no_process_file_or_thread(monkeypatch, tmp_path):
@@ -98,10 +108,10 @@ def test_many_replans_leave_no_process_file_or_thread(monkeypatch, tmp_path):
         if number % 3 == 0:
             future.cancel()
         else:
-            assert not future.result(60.0).outcome.is_trouble
+            assert not future.result(120.0).outcome.is_trouble
     while threading.active_count() > threads:
         threading.Event().wait(0.01)
-    assert files() == before
+    assert files() <= before
     assert list(tmp_path.iterdir()) == []
     assert [program for program in programs_running() if "downward" in program] == []
 
@@ -132,7 +142,7 @@ def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(m
     monkeypatch.setattr(fast_downward, "program", lambda: search)
     count.write_text("")
     world = World(extended, planner, delay_s=None)
-    for _ in range(3000):
+    for _ in range(12_000):
         if world.root.status is Status.SUCCESS:
             break
         world.executor.tick_once()
@@ -143,5 +153,5 @@ def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(m
     world.executor.shutdown()
     while threading.active_count() > threads:
         threading.Event().wait(0.01)
-    assert files() == before
+    assert files() <= before
     assert [program for program in programs_running() if "sleep" in program or "downward" in program] == []

@@ -101,7 +101,7 @@ def test_what_cannot_matter_is_no_news_for_an_eager_executor(ways):
 class Troubled:
     """Has so many troubles before it plans."""
 
-    timeout_s = 5.0
+    timeout_s = 120.0
 
     def __init__(self, troubles, outcome=Outcome.ENGINE_CRASHED, safe=None):
         self.left, self.outcome, self.safe, self.planner = troubles, outcome, safe, Planner()
