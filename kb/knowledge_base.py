@@ -188,10 +188,13 @@ class KnowledgeBase:
 
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
-        known = self._knowledge
+        known, network = self._knowledge, self._knowledge.network
+        revision, statuses = network.revision, known.state.status
         if self.model.pending is None and known.pending is None and known.measurements.alarms.next == math.inf:
-            node = named(known.network.actions, "action", action)
-            return known.state.status[node.index] is not Status.UNFEASIBLE  # one reading needs no lock
+            place = named(network.actions, "action", action).index
+            status = statuses[place] if network.revision == revision else None  # one reading needs no lock,
+            if network.revision == revision:  # unless the model is changed meanwhile
+                return status is not Status.UNFEASIBLE
         return questions.is_feasible(self, action)
 
     selectable_actions = questions.selectable_actions

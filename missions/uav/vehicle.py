@@ -225,14 +225,12 @@ class Quadrotor:
         self._touch_down(thrusts)
 
     def _touch_down(self, thrusts: list[float]) -> None:
-        is_low = self.altitude < TOUCH_M
-        if self._lands and is_low and math.hypot(*self.velocity) < TOUCH_M_S and self._is_above():
+        is_low, here = self.altitude < TOUCH_M, self.position[:2]
+        is_above = math.dist(here, (self._target or here)[:2]) < STRAIGHT_M
+        if self._lands and is_low and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
             self._target, self._lands = None, False
             self._trim = (0.0, 0.0, 0.0)
         self.is_landed = is_low and self._target is None and not any(thrusts)
-
-    def _is_above(self) -> bool:
-        return math.dist(self.position[:2], (self._target or self.position)[:2]) < STRAIGHT_M
 
     def _thrusts(self, step_s: float) -> list[float]:
         settings = self._settings

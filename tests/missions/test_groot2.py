@@ -3,7 +3,7 @@
 import socket
 import struct
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import pytest
 import zmq
@@ -59,9 +59,12 @@ def free_port():
 
 @contextmanager
 def watched(root):
-    tree, port = BehaviourTree(root), free_port()
-    publisher = Groot2Publisher(tree, port)
-    client = Groot2Client(port=port, timeout_ms=10_000)
+    tree, publisher = BehaviourTree(root), None
+    while publisher is None:
+        port = free_port()
+        with suppress(MissionError):  # somebody else has taken it meanwhile
+            publisher = Groot2Publisher(tree, port)
+    client = Groot2Client(port=port, timeout_ms=120_000)
     try:
         yield tree, client
     finally:
@@ -76,7 +79,7 @@ def statuses(client):
 
 def ask(client, *frames):
     with zmq.Context() as context, context.socket(zmq.REQ) as one:
-        one.setsockopt(zmq.RCVTIMEO, 10_000)
+        one.setsockopt(zmq.RCVTIMEO, 120_000)
         one.connect(f"tcp://127.0.0.1:{client.port}")
         one.send_multipart(frames)
         return one.recv_multipart()

@@ -205,7 +205,7 @@ model.action("rest")
 kb = KnowledgeBase(model, store=sys.argv[1])
 action = Act("rest", kb, "rest")
 action.tick_once()
-assert kb.flush(10.0)
+assert kb.flush(300.0)
 print([one.action for one in kb.required_actions], flush=True)
 if sys.argv[2] == "killed":
     import os, signal
@@ -219,7 +219,7 @@ if sys.argv[2] == "killed":
 def test_request_of_a_program_that_has_ended_is_settled_with_that_reason(tmp_path, how, reason):
     store = tmp_path / "rover.sqlite3"
     command = [sys.executable, "-c", PROGRAM, str(store), how]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.stdout == "['rest']\n", done.stderr
     model = Model("rover")
     model.action("rest")
