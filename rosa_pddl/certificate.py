@@ -3,16 +3,19 @@
 Each entry is a planning of its own from there, so it is as exact as the planner is.
 """
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from math import comb
+from pathlib import Path
+from typing import Any, Protocol
 
 from rosa_pddl.domain import Domain
-from rosa_pddl.exceptions import PlannerSettingError
-from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.planner import Planner
+from rosa_pddl.exceptions import PlannerSettingError, UnknownNameError
+from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.problem import Problem
+from rosa_pddl.validate import flaw
 
 _MOST_ENTRIES = 1 << 14
 
@@ -27,6 +30,27 @@ class Certificate:
 
     entries: dict[tuple[str, ...], PlanningResult]
 
+    @classmethod
+    def load(cls, path: str | Path, domain: Domain) -> "Certificate":
+        """Read what `rosa plan --certificate --json` wrote; PlannerSettingError if it is none of this domain."""
+        try:
+            entries = json.loads(Path(path).read_text())["entries"]
+            return cls({_actions(domain, one["unfeasible"]): _result(domain, one) for one in entries})
+        except (OSError, ValueError, KeyError, TypeError, UnknownNameError) as error:
+            message = f"{path} is no certificate of {domain.file} ({type(error).__name__}: {error})"
+            raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
+
+    def prepared(self, problem: Problem) -> PlanningResult | None:
+        """Return the plan for what is unfeasible in a problem, or as little of its end as works there; None if none."""
+        feasible, out = problem.domain.feasible_atom, problem.weights.items()
+        actions = tuple(one for one in problem.domain.rosa_actions if feasible(one) not in problem.state)
+        found, left_out = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED)), {s for s, n in out if not n}
+        for count in range(1, 1 + len(found.steps)):
+            rest = found.steps[-count:]
+            if left_out.isdisjoint(rest) and flaw(problem.domain, rest, problem.state, problem.wanted) is None:
+                return replace(found, outcome=Outcome.SOLVED, steps=rest, schedule=())
+        return None
+
     @property
     def fatal(self) -> tuple[str, ...]:
         """The actions whose failure alone ends a mission that could be done."""
@@ -36,8 +60,14 @@ class Certificate:
         return tuple(action for action, outcome in alone.items() if not outcome.is_solved and not outcome.is_trouble)
 
 
+class Plans(Protocol):
+    """What a certificate needs of a planner."""
+
+    def plan(self, problem: Problem) -> PlanningResult: ...
+
+
 def certificate(
-    domain: Domain, supposing: Callable[[Iterable[str]], Problem], planner: Planner, failures: int | None = None
+    domain: Domain, supposing: Callable[[Iterable[str]], Problem], planner: Plans, failures: int | None = None
 ) -> Certificate:
     """Find out what can be reached with every combination of feasible actions.
 
@@ -60,3 +90,16 @@ def certificate(
         raise PlannerSettingError(f"{message}; look at fewer failures at once, such as failures=2")
     chosen = chain.from_iterable(combinations(actions, count) for count in range(most + 1))
     return Certificate({out: planner.plan(supposing(out)) for out in chosen})
+
+
+def _actions(domain: Domain, names: Iterable[str]) -> tuple[str, ...]:
+    unfeasible = {domain.spelling("object", name, "unfeasible") for name in names}
+    return tuple(one for one in domain.rosa_actions if one in unfeasible)
+
+
+def _result(domain: Domain, written: Mapping[str, Any]) -> PlanningResult:
+    steps = []
+    for one in written["steps"]:
+        things = [domain.spelling("object", name, one["action"]) for name in one["arguments"]]
+        steps.append(domain.step(domain.spelling("action", one["action"], one["action"]), things))
+    return PlanningResult(Outcome(written["outcome"]), tuple(steps), written["engine"], cost=written["cost"])

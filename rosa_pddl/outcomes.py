@@ -62,7 +62,7 @@ class Attempt:
     """One way of planning that was tried.
 
     Args:
-        way: `warm`, `cold`, `cache`, or the name of an engine of unified-planning.
+        way: `warm`, `cold`, `cache`, `certificate`, or the name of an engine of unified-planning.
         outcome: how it ended.
         message: what went wrong and what to do about it; empty when solved.
         took_s: how long it took by the wall clock [s]; not compared, as it is never the same twice.

@@ -14,6 +14,7 @@ from math import inf, isinf
 from typing import NamedTuple
 
 from rosa_pddl import search
+from rosa_pddl.certificate import Certificate
 from rosa_pddl.domain import Domain, Schema, Step, UpThing
 from rosa_pddl.engines import fast_downward
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
@@ -45,6 +46,8 @@ _MOVES_FOR_AN_OPERATOR = 5
 # A state of a large domain has tens of thousands of atoms: their number counts too.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
+CERTIFIED = "certificate"
+"""The way by which an answer was made before the mission."""
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
 # Of several troubles, the first of these that was met is the outcome of all.
 _WORST_FIRST = (
@@ -87,6 +90,8 @@ class Planner:
         translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on in the
             background when a planning that waited for it is out of time.
         cached: how many answers are remembered; 0 for none.
+        certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
+            the tick of the question.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -106,9 +111,11 @@ class Planner:
         memory_mb: int = 4096,
         translate_s: float = 60.0,
         cached: int = 256,
+        certificate: Certificate | None = None,
     ) -> None:
         self.engine = engine
         self.timeout_s = timeout_s
+        self.certificate = certificate
         own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
         memory_bytes = memory_mb << 20
         self._settings = _Settings(
@@ -152,6 +159,11 @@ class Planner:
         """
         return self._portfolio(problem).at_once()
 
+    def prepared(self, problem: Problem) -> PlanningResult | None:
+        """Return the plan that the certificate has for it, or the rest of that, if it works. Never waits."""
+        found = None if self.certificate is None else self.certificate.prepared(problem)
+        return None if found is None else self._portfolio(problem).confirmed(found)
+
     def plan(self, problem: Problem) -> PlanningResult:
         """Plan now and wait for the answer; trouble with an engine is an outcome, never an exception."""
         return self._portfolio(problem).result()
@@ -160,7 +172,7 @@ class Planner:
         """Plan in a thread of its own, unless a tick is enough. Cancelling the future kills the engine's processes."""
         future: Future[PlanningResult] = Future()
         portfolio = self._portfolio(problem)
-        at_once = portfolio.at_once()
+        at_once = self.prepared(problem) or portfolio.at_once()
         if at_once is not None:
             future.set_result(at_once)
             return future
@@ -297,6 +309,14 @@ class _Portfolio:
             return None
         attempt = Attempt("warm", answer.outcome, took_s=time.monotonic() - began)
         return self._kept(self._report(answer, "warm", [attempt]))
+
+    def confirmed(self, prepared: PlanningResult) -> PlanningResult | None:
+        """Return a plan that was made before, if it keeps all limits."""
+        try:
+            answer = self._checked(CERTIFIED, prepared)
+        except Trouble:
+            return None
+        return self._report(answer, CERTIFIED, [Attempt(CERTIFIED, answer.outcome)])
 
     def result(self) -> PlanningResult:
         """Try one way after the other until there is a plan, or none is possible."""

@@ -4,6 +4,7 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
+from functools import partial
 from html import escape
 from math import inf
 from typing import Literal, Protocol, TypeAlias
@@ -15,7 +16,7 @@ from rosa_pddl.formulas import Condition
 from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
-from rosa_pddl.planner import awaited
+from rosa_pddl.planner import Planner, awaited
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import missing_at_start
 
@@ -172,6 +173,7 @@ class _Question:
     problem: Problem
     decision: Decision | None
     at_s: float
+    delay_s: float
     future: "Future[PlanningResult]"
 
 
@@ -198,8 +200,16 @@ class PlannerClient:
         except Exception as error:  # a planner must not stop the tree; what it raises is its answer
             future = Future()
             future.set_exception(error)
-        self._question = _Question(problem, decision, at_s, future)
-        self.was_answered_at_once = self._delay_s is None and future.done()
+        is_prepared = self.is_prepared(lambda: problem)
+        self._question = _Question(problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future)
+        self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
+
+    def is_prepared(self, problem: Callable[[], Problem]) -> bool:
+        """Whether the planner answers with a plan that was made before, so that no time passes."""
+        planner = self._planner
+        if not isinstance(planner, Planner) or planner.certificate is None:
+            return False
+        return planner.prepared(problem()) is not None
 
     @property
     def has_answer(self) -> bool:
@@ -233,7 +243,7 @@ class PlannerClient:
         self._question, self.was_answered_at_once = None, False
 
     def _is_due(self, question: _Question) -> bool:
-        return self._clock() - question.at_s >= (self._delay_s or 0.0) - _CLOCK_RESOLUTION_S
+        return self._clock() - question.at_s >= question.delay_s - _CLOCK_RESOLUTION_S
 
     def _is_late(self, question: _Question) -> bool:
         """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
@@ -443,11 +453,12 @@ class Replanning:
             return None
         now_s = self._clock()
         left_s = max(wait_s(self._policy, now_s, self._last_asked_s), self.setbacks.wait_s(None))
-        if left_s > 0.0:
+        problem = partial(self._task.problem, state, self._goals, self.setbacks.weights)
+        if left_s > 0.0 and not self._client.is_prepared(problem):
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
         self._asked_in = self._effects.domain
-        self._client.ask(self._task.problem(state, self._goals, self.setbacks.weights), decision)
+        self._client.ask(problem(), decision)
         self._last_asked_s, self._dead_end = now_s, None
         return f"planning: {decision.reason}"
 

@@ -17,6 +17,7 @@ import whole_worlds
 from faulty_worlds import Ground, episode
 from interrupts import check, instructions, stop, tick, world_of
 from pddl_world import load_mission
+from test_pddl_certificate import agv_and_other_plannings
 
 from rosa_pddl import Planner, Problem, initial_state
 
@@ -72,3 +73,13 @@ def test_a_thousand_worlds_that_grow_end_where_brute_force_says():
     missed = [seed for seed, (reached, could, _) in enumerate(ended) if reached != could]
     print(f"\n{sum(one[0] for one in ended)} of 1000 goals reached, {sum(one[2] for one in ended)} with steps at once")
     assert missed == []
+
+
+def test_each_entry_of_the_ground_vehicles_certificate_is_what_planning_from_there_says():
+    found, others = agv_and_other_plannings(every=1)
+    assert len(others) == 16  # none, one and two of five actions fail
+    assert [
+        out
+        for out, one in others.items()
+        if (one.outcome, one.cost) != (found.entries[out].outcome, found.entries[out].cost)
+    ] == []

@@ -4,7 +4,8 @@ import pytest
 from pddl_world import World
 from py_trees.common import Status
 
-from rosa_pddl import UnknownNameError, parse_domain
+from rosa_pddl import Problem, UnknownNameError, parse_domain
+from rosa_pddl.problem import with_object, without_object
 
 DOMAIN = """(define (domain rocks) (:types action place sample - object)
   (:predicates (action_feasible ?a - action) (drive_action ?a - action) (at ?p - place) (lies ?s - sample ?p - place)
@@ -83,3 +84,24 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
         world.executor.remove_object("drive")
     assert world.executor.objects("place") == ("base", "crater")
     assert world.run() is Status.SUCCESS
+
+
+def test_engines_of_unified_planning_get_what_is_there_and_numbers_as_they_are_sensed():
+    domain = with_object(without_object(parse_domain(*TANKS), "b"), "c", "tank")
+    problem = Problem(domain, frozenset({"(ready a)", "(ready c)"}), costs={"(level a)": 2.5, "(level c)": 1.0})
+    made = problem.build(overlapping=True)
+    assert sorted(one.name for one in made.all_objects) == ["a", "c"]
+    values = {str(one): str(value) for one, value in made.explicit_initial_values.items()}
+    assert values == {"ready(a)": "true", "ready(c)": "true", "level(a)": "5/2", "level(c)": "1"}
+    assert [str(goal) for goal in made.goals] == ["(full(a) and full(c))"]
+
+
+TANKS = (
+    """(define (domain tanks) (:types tank) (:predicates (ready ?t - tank) (full ?t - tank))
+  (:functions (level ?t - tank))
+  (:durative-action fill :parameters (?t - tank) :duration (= ?duration (level ?t))
+    :condition (over all (ready ?t)) :effect (at end (full ?t))))""",
+    """(define (problem p) (:domain tanks)
+  (:objects a b - tank) (:init (ready a) (ready b) (= (level a) 7) (= (level b) 7))
+  (:goal (forall (?t - tank) (full ?t))))""",
+)
