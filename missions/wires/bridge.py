@@ -18,10 +18,9 @@ from typing import Final
 from kb import ComponentKind, Event, EventKind, KnowledgeBase, KnowledgeBaseError
 from kb.elements import Parameters
 from missions.engine.mission import MissionError, Percepts
+from missions.wires import ros
 from missions.wires.node import Message, Node, Refusals, RosError
-from missions.wires.ros import INFO
-from missions.wires.ros import LOG as LOG_TYPE
-from missions.wires.rosa_services import LOG, RosaServices, log_message, parameter_messages
+from missions.wires.rosa_services import LOG, RosaServices, parameter_messages
 
 _log = logging.getLogger(__name__)
 _KINDS: Final = {
@@ -34,7 +33,6 @@ _UNCONFIGURED, _INACTIVE, _ACTIVE = 1, 2, 3
 """States of lifecycle_msgs/State."""
 _CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
 """Transitions of lifecycle_msgs/Transition."""
-_STRING: Final = "std_msgs/msg/String"
 Calls = Generator[Future[Message], Message, None]
 
 
@@ -118,7 +116,7 @@ class Bridge:
             topic, path, kind = _place(name, place)
             node.subscribe(topic, kind, partial(self._measure, name, path))
         if chosen.diagnostics:
-            node.subscribe(chosen.diagnostics, "diagnostic_msgs/msg/DiagnosticArray", self._receive)
+            node.subscribe(chosen.diagnostics, ros.DIAGNOSTICS, self._receive)
         RosaServices(kb, node)
         self._stop = kb.subscribe(self._publish)
         node.watch(self._changed)
@@ -150,11 +148,11 @@ class Bridge:
         kind = _KINDS.get(event.kind)
         if kind is None:
             return
-        self._node.publish("/rosa_kb/events", _STRING, {"data": kind})
+        self._node.publish("/rosa_kb/events", ros.STRING, {"data": kind})
         if event.kind is not EventKind.MONITORING_DATA or event.changes:
             changes = "".join(f"; {one.name} is {one.new}" for one in event.changes)
             why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-            self._node.publish(LOG, LOG_TYPE, log_message(event.time, INFO, f"{event.text}{why}{changes}"))
+            self._node.publish(LOG, ros.LOG, ros.log(event.time, ros.INFO, f"{event.text}{why}{changes}"))
 
     def _changed(self, is_connected: bool, text: str) -> None:
         _log.log(logging.INFO if is_connected else logging.WARNING, "%s", text)

@@ -4,15 +4,15 @@ Services are those of rmw_cyclonedds: a request and its answer begin with 16 byt
 """
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from threading import Event, Thread
 from time import monotonic
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-from missions.wires import ros
 from missions.wires.node import LOOPBACK, QUEUED, Message, Outbox, RosError
+from missions.wires.ros import NOTHING, Types, types
 from missions.wires.typed import Client, Ear, Field, TypedNode, made
 
 _LOOK_S: Final = 0.05
@@ -26,73 +26,50 @@ _FAST_DDS: Final = b"\x01\x0f"
 _CONFIGURATION: Final = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="{0}" multicast="true"/>
 </Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>99
 </MaxAutoParticipantIndex><Peers><Peer address="{0}"/></Peers></Discovery></Domain></CycloneDDS>"""
-_NOTHING: Final = "structure_needs_at_least_one_member"
-"""What a message without fields has on the wire."""
 _domains: dict[int, tuple[str, Any]] = {}
 """What this process has opened, which is done once: by number, the address and the domain."""
 
 
-class Structs:
+class Structs(Types):
     """Types of ROS 2 as classes of cyclonedds, made of the definitions of `rosbags`."""
 
     def __init__(self) -> None:
+        super().__init__(types().store)
         self._made: dict[tuple[str, bool], Any] = {}
-        self._fields: dict[str, Mapping[str, Field]] = {}
-
-    def fields(self, kind: str) -> Mapping[str, Field]:
-        if kind not in self._fields:
-            known = ros.types().store.fielddefs
-            if kind not in known:
-                what = f"the type {kind!r} is not known" if kind else "no type is named"
-                raise RosError(f"{what}; over DDS name one of ROS 2's, PACKAGE/msg/TYPE")
-            self._fields[kind] = {name: _field(*one) for name, one in known[kind][1] if name != _NOTHING}
-        return self._fields[kind]
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # a class is made here
-        whole: Message = {} if self.fields(kind) else {_NOTHING: 0}
+        one = super().new(kind, values)
         for name, field in self.fields(kind).items():
-            value = values[name] if name in values else self._empty(field)
-            is_bytes = bool(field.length) and field.kind in ("byte", "char", "uint8")
-            whole[name] = bytes(value) if is_bytes else value
-        return self.find(kind)(**whole)
+            if field.length and field.kind in ("byte", "char", "uint8"):
+                setattr(one, name, bytes(getattr(one, name)))
+        return one
 
     def with_header(self, kind: str, whose: int, number: int, message: Any) -> Any:  # noqa: ANN401  # classes are made here
         """Return a request or an answer with the header of rmw_cyclonedds."""
         return self.find(kind, has_header=True)(whose, number, *vars(message).values())
 
     def find(self, kind: str, *, has_header: bool = False) -> Any:  # noqa: ANN401  # a class is made here
-        from cyclonedds.idl import make_idl_struct, types
+        from cyclonedds.idl import make_idl_struct
+        from cyclonedds.idl.types import int64, uint8, uint64
 
         if (kind, has_header) not in self._made:
             named = self.fields(kind)
             package, folder, name = kind.split("/")
-            header = {"rmw_guid": types.uint64, "rmw_seq": types.int64} if has_header else {}
-            fields = {name: self._type(field) for name, field in named.items()} or {_NOTHING: types.uint8}
+            header = {"rmw_guid": uint64, "rmw_seq": int64} if has_header else {}
+            fields = {name: self._type(field) for name, field in named.items()} or {NOTHING: uint8}
             full = f"{package}.{folder}.dds_.{name}_"
             self._made[kind, has_header] = make_idl_struct(f"{name}_", full, header | fields)
         return self._made[kind, has_header]
 
     def _type(self, field: Field) -> Any:  # noqa: ANN401  # a type of cyclonedds
-        from cyclonedds.idl import types
+        from cyclonedds.idl import types as idl
 
-        named = {"bool": bool, "string": str, "byte": types.uint8, "char": types.uint8}
-        one = self.find(field.kind) if "/" in field.kind else named.get(field.kind) or getattr(types, field.kind)
+        named = {"bool": bool, "string": str, "byte": idl.uint8, "char": idl.uint8}
+        one = self.find(field.kind) if "/" in field.kind else named.get(field.kind) or getattr(idl, field.kind)
         if field.length is None:
             return one
-        make: Any = types.array[one, field.length] if field.length else types.sequence[one]  # type: ignore[misc]  # as cyclonedds has it
+        make: Any = idl.array[one, field.length] if field.length else idl.sequence[one]  # type: ignore[misc]  # as cyclonedds has it
         return make
-
-    def _empty(self, field: Field) -> Any:  # noqa: ANN401  # of whatever type
-        if field.length == 0:
-            return []
-        one = self.new(field.kind, {}) if "/" in field.kind else "" if field.kind == "string" else 0
-        return one if field.length is None else [one] * field.length
-
-
-def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has it
-    if node.name in ("ARRAY", "SEQUENCE"):
-        return Field(_field(*what[0]).kind, what[1] if node.name == "ARRAY" else 0)
-    return Field(what if node.name == "NAME" else what[0])
 
 
 class DdsNode(TypedNode):

@@ -1,6 +1,5 @@
 """A run as an MCAP file, written as it happens, in ROS 2's own messages; docs/recordings.md has its topics."""
 
-import json
 import logging
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -57,17 +56,22 @@ class McapFile:
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._error: Exception | None = None
-        self._queue: SimpleQueue[tuple[str, str, float, Callable[..., ros.Ros], tuple[Any, ...]] | None] = SimpleQueue()
+        self._queue: SimpleQueue[tuple[str, str, float, Callable[..., dict[str, Any]], Any] | None] = SimpleQueue()
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
         self._thread.start()
 
-    def write(self, topic: str, kind: str, time_s: float, make: Callable[..., ros.Ros], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
-        """Have a message written: what `make(*arguments)` returns, of a type of ROS 2, at a time [s]."""
+    def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
+        """Have a message written: what `make(*arguments)` returns, as a type of ROS 2, at a time [s]."""
         self._queue.put((topic, kind, time_s, make, arguments))
 
     def copy(self, topic: str, kind: str, definition: str, stamp: int, data: bytes) -> None:
         """Write a message as it stands in another recording, at its time [ns]."""
-        self._add(topic, kind, definition, stamp, data)
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                text = definition or self.types.definition(kind)
+                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+        self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
     def close(self) -> None:
         """Write what there is, and put the file in its final form.
@@ -94,26 +98,13 @@ class McapFile:
         while (item := self._queue.get()) is not _STOP:
             try:
                 if self._error is None:
-                    self._write(*item)
+                    topic, kind, time_s, make, arguments = item
+                    self.copy(topic, kind, "", ros.nanoseconds(time_s), self.types.encode(kind, make(*arguments)))
                     if self._queue.empty():
                         self._file.flush()
             except Exception as error:  # told when it is closed; the mission goes on
                 self._error = error
                 _log.warning("%s is recorded no further: %s", self.path, error)
-
-    def _write(
-        self, topic: str, kind: str, time_s: float, make: Callable[..., ros.Ros], values: tuple[Any, ...]
-    ) -> None:
-        data = self.types.encode(kind, make(*values))
-        self._add(topic, kind, "", ros.nanoseconds(time_s), data)
-
-    def _add(self, topic: str, kind: str, definition: str, stamp: int, data: bytes) -> None:
-        if topic not in self._channels:
-            if kind not in self._schemas:
-                text = definition or self.types.definition(kind)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
     def __enter__(self) -> Self:
         return self
@@ -185,7 +176,7 @@ class McapRecorder(Listener):
         self._page = page or self._own_page
         assert self._page is not None
         header = {"rosa": VERSION, "model": kb.model.name, "typeql": typeql_text(kb.model), **(run or {})}
-        self._file.write(RUN, ros.STRING, kb.now, _json, {**header, "page": self._page.header})
+        self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": self._page.header})
         for event in kb.log:
             self._event(event)
         for row in self._page.rows.since(0)[1]:
@@ -198,7 +189,7 @@ class McapRecorder(Listener):
     def message(self, message: Message) -> None:
         """Record what was heard: a message with its time [s] and statuses, each with name, message and values."""
         time_s = float(message["time"])
-        self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, self._file.types.diagnostics, time_s, message["status"])
+        self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message["status"])
 
     def close(self) -> None:
         """Record no more, and complete the file.
@@ -222,33 +213,30 @@ class McapRecorder(Listener):
         self.close()
 
     def _event(self, event: Event) -> None:
-        write, types = self._file.write, self._file.types
-        write(EVENTS, ros.STRING, event.time, _json, event.to_json())
+        write = self._file.write
+        write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
-            write(
-                f"/attributes/{event.subject}", ros.FLOAT, event.time, types.make, ros.FLOAT, float(event.arguments[1])
-            )
+            write(f"/attributes/{event.subject}", ros.FLOAT, event.time, lambda: {"data": float(event.arguments[1])})
         elif event.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN):
             why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-            write(LOG, ros.LOG, event.time, types.log, event.time, ros.INFO, f"{event.text}{why}")
+            write(LOG, ros.LOG, event.time, ros.log, event.time, ros.INFO, f"{event.text}{why}")
         elif event.verb == "component_failed":
-            write(LOG, ros.LOG, event.time, types.log, event.time, ros.WARN, event.text)
+            write(LOG, ros.LOG, event.time, ros.log, event.time, ros.WARN, event.text)
 
     def _row(self, row: Row) -> None:
         time_s, track, _, value = row
         if track not in VERBATIM:
             return
-        self._file.write(ROWS, ros.STRING, time_s, _json, row)
+        self._file.write(ROWS, ros.STRING, time_s, ros.json_text, row)
         if track == "pose":
-            types = self._file.types
-            self._file.write("/pose", ros.POSE, time_s, types.pose, time_s, value)
-            self._file.write("/tf", ros.TF, time_s, types.transform, time_s, value)
+            self._file.write("/pose", ros.POSE, time_s, ros.pose, time_s, value)
+            self._file.write("/tf", ros.TF, time_s, ros.transform, time_s, value)
 
     def _tick(self, tree: BehaviourTree) -> None:
-        now, types = float(self._kb.now), self._file.types
+        now = float(self._kb.now)
         if self._numbered is None or not self._numbered.shows(tree.root):
             self._numbered, self._statuses = NumberedTree(tree.root), {}
-            self._file.write(TREE, ros.STRING, now, types.make, ros.STRING, self._numbered.xml)
+            self._file.write(TREE, ros.STRING, now, dict, {"data": self._numbered.xml})
         changes = []
         for node, uid in self._numbered.numbers.items():
             before, status = self._statuses.get(uid, "IDLE"), _NAMES.get(node.status, node.status.name)
@@ -256,14 +244,10 @@ class McapRecorder(Listener):
                 changes.append((node.name, uid, before, status))
                 self._statuses[uid] = status
         if changes:
-            self._file.write(TREE_LOG, ros.TREE_LOG, now, types.tree_log, now, changes)
+            self._file.write(TREE_LOG, ros.TREE_LOG, now, ros.tree_log, now, changes)
 
 
 def record_run(path: Path, run: MissionRun, seed: int, page: Recorder) -> McapRecorder:
     """Return the recorder of a run that is opened, to be told its messages."""
     tree = run.controller.tree if isinstance(run.controller, RosaController) else None
     return McapRecorder(path, run.kb, tree, page=page, run=header(run, seed)["run"])
-
-
-def _json(value: object) -> ros.Ros:
-    return ros.types().make(ros.STRING, json.dumps(value, separators=(",", ":")))

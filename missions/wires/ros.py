@@ -1,5 +1,6 @@
-"""ROS 2's messages without ROS: their types, and what we say in them."""
+"""ROS 2's messages without ROS: their types, and what we say in them, written as dicts in the shape of ROS 2's JSON."""
 
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -7,12 +8,11 @@ from struct import Struct
 from typing import TYPE_CHECKING, Any, Final
 
 from missions.extras import needs
+from missions.wires.node import Message, RosError
+from missions.wires.typed import Field, made
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-Ros = Any
-"""A message of ROS 2, as `rosbags` makes and reads it."""
 
 DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
 FLOAT: Final = "std_msgs/msg/Float64"
@@ -27,77 +27,56 @@ FRAME, BODY = "map", "base_link"
 """The world frame, z up, and the robot's, by REP 105."""
 _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
 """Messages and services that ROS 2's core, as `rosbags` has it, lacks."""
+NOTHING: Final = "structure_needs_at_least_one_member"
+"""What a message without fields has on the wire."""
+_UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 class Types:
-    """Makes, writes and reads messages as the CDR of ROS 2."""
+    """Types of ROS 2 as `rosbags` has them; makes, writes and reads messages as the CDR of ROS 2."""
 
-    def __init__(self) -> None:
-        with needs("mcap", "recordings as MCAP and rosbag2"):
-            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-        self.store: Typestore = get_typestore(Stores.ROS2_HUMBLE)
-        for line in _DEFINITIONS.read_text(encoding="utf-8").splitlines():
-            if line.startswith("#"):
-                continue
-            name, text = line.split(":", 1)
-            package, base = name.split("/")
-            parts = text.split("->")
-            for ending, part in zip(("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True):
-                fields = part.strip().replace(", ", "\n") or "uint8 structure_needs_at_least_one_member"
-                (made,) = get_types_from_msg(fields, f"{package}/msg/{base}").values()
-                self.store.register({f"{package}/{'srv' if ending else 'msg'}/{base}{ending}": made})
+    def __init__(self, store: "Typestore") -> None:
+        self.store = store
+        self._fields: dict[str, Mapping[str, Field]] = {}
+
+    def fields(self, kind: str) -> Mapping[str, Field]:
+        if kind not in self._fields:
+            known = self.store.fielddefs
+            if kind not in known:
+                what = f"the type {kind!r} is not known" if kind else "no type is named"
+                raise RosError(f"{what}; name one of ROS 2's, PACKAGE/msg/TYPE")
+            self._fields[kind] = {name: _field(*one) for name, one in known[kind][1] if name != NOTHING}
+        return self._fields[kind]
+
+    def find(self, kind: str) -> Any:  # noqa: ANN401  # `rosbags` makes classes
+        return self.store.types[kind]
+
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a class that is made
+        fields = self.fields(kind)
+        whole = {name: values[name] if name in values else self._empty(field) for name, field in fields.items()}
+        return self.find(kind)(**whole or {NOTHING: 0})
 
     def definition(self, kind: str) -> str:
         """Return the definition of a type with those that it is made of, as files of recordings hold it."""
         return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
-    def encode(self, kind: str, message: Ros) -> bytes:
-        return bytes(self.store.serialize_cdr(message, kind))
+    def encode(self, kind: str, message: Message) -> bytes:
+        return bytes(self.store.serialize_cdr(made(self, kind, message), kind))
 
-    def decode(self, kind: str, data: bytes) -> Ros:
+    def decode(self, kind: str, data: bytes) -> Any:  # noqa: ANN401  # of a class that is made
         return self.store.deserialize_cdr(data, kind)
 
-    def time(self, time_s: float) -> Ros:
-        return self.make("builtin_interfaces/msg/Time", *divmod(nanoseconds(time_s), 10**9))
+    def _empty(self, field: Field) -> Any:  # noqa: ANN401  # of whatever type
+        if field.length == 0:
+            return []
+        one = self.new(field.kind, {}) if "/" in field.kind else "" if field.kind == "string" else 0
+        return one if field.length is None else [one] * field.length
 
-    def diagnostics(self, time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Ros:
-        """Return an array of what a message of ours says; each status has `name`, `message` and `values`."""
-        kinds = "diagnostic_msgs/msg/DiagnosticStatus", "diagnostic_msgs/msg/KeyValue"
-        made = []
-        for one in statuses:
-            values = [self.make(kinds[1], str(key), str(value)) for key, value in one["values"].items()]
-            made.append(self.make(kinds[0], 0, str(one.get("name", "")), str(one["message"]), "", values))
-        return self.make(DIAGNOSTICS, self._header(time_s, ""), made)
 
-    def log(self, time_s: float, level: int, text: str) -> Ros:
-        return self.make(LOG, self.time(time_s), level, "rosa", text, "", "", 0)
-
-    def tree_log(self, time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Ros:
-        """Return Nav2's message of status changes: (node name, uid, previous status, current status) of each."""
-        now = self.time(time_s)
-        kind = "nav2_msgs/msg/BehaviorTreeStatusChange"
-        return self.make(TREE_LOG, now, [self.make(kind, now, *change) for change in changes])
-
-    def pose(self, time_s: float, position: Sequence[float]) -> Ros:
-        """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not told."""
-        pose = self.make("geometry_msgs/msg/Pose", self.make("geometry_msgs/msg/Point", *position), self._upright())
-        return self.make(POSE, self._header(time_s, FRAME), pose)
-
-    def transform(self, time_s: float, position: Sequence[float]) -> Ros:
-        """Return the same as a transform from the world frame to the robot's."""
-        moved = self.make("geometry_msgs/msg/Vector3", *position)
-        turned = self.make("geometry_msgs/msg/Transform", moved, self._upright())
-        stamped = self.make("geometry_msgs/msg/TransformStamped", self._header(time_s, FRAME), BODY, turned)
-        return self.make(TF, [stamped])
-
-    def _upright(self) -> Ros:
-        return self.make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
-
-    def _header(self, time_s: float, frame: str) -> Ros:
-        return self.make("std_msgs/msg/Header", self.time(time_s), frame)
-
-    def make(self, kind: str, *values: Any) -> Ros:  # noqa: ANN401  # the fields of a message
-        return self.store.types[kind](*values)
+def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has it
+    if node.name in ("ARRAY", "SEQUENCE"):
+        return Field(_field(*what[0]).kind, what[1] if node.name == "ARRAY" else 0)
+    return Field(what if node.name == "NAME" else what[0])
 
 
 @cache
@@ -107,11 +86,73 @@ def types() -> Types:
     Raises:
         MissionError: the extra `mcap` is missing.
     """
-    return Types()
+    with needs("mcap", "recordings as MCAP and rosbag2"):
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for line in _DEFINITIONS.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            continue
+        name, text = line.split(":", 1)
+        package, base = name.split("/")
+        parts = text.split("->")
+        for ending, part in zip(("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True):
+            fields = part.strip().replace(", ", "\n") or f"uint8 {NOTHING}"
+            (found,) = get_types_from_msg(fields, f"{package}/msg/{base}").values()
+            store.register({f"{package}/{'srv' if ending else 'msg'}/{base}{ending}": found})
+    return Types(store)
 
 
 def nanoseconds(time_s: float) -> int:
     return round(time_s * 1e9)
+
+
+def stamp(time_s: float) -> Message:
+    return dict(zip(("sec", "nanosec"), divmod(nanoseconds(time_s), 10**9), strict=True))
+
+
+def _header(time_s: float, frame: str) -> Message:
+    return {"stamp": stamp(time_s), "frame_id": frame}
+
+
+def json_text(value: object) -> Message:
+    return {"data": json.dumps(value, separators=(",", ":"))}
+
+
+def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message:
+    """Return an array of what a message of ours says; each status has `name`, `message` and `values`."""
+    told = [
+        {
+            "name": str(one.get("name", "")),
+            "message": str(one["message"]),
+            "values": [{"key": str(key), "value": str(value)} for key, value in one["values"].items()],
+        }
+        for one in statuses
+    ]
+    return {"header": _header(time_s, ""), "status": told}
+
+
+def log(time_s: float, level: int, text: str) -> Message:
+    told = {"stamp": stamp(time_s), "level": level, "name": "rosa_kb", "msg": text}
+    return {**told, "file": "", "function": "", "line": 0}
+
+
+def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Message:
+    """Return Nav2's message of status changes: (node name, uid, previous status, current status) of each."""
+    now, names = stamp(time_s), ("node_name", "uid", "previous_status", "current_status")
+    told = [{"timestamp": now, **dict(zip(names, change, strict=True))} for change in changes]
+    return {"timestamp": now, "event_log": told}
+
+
+def pose(time_s: float, position: Sequence[float]) -> Message:
+    """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not told."""
+    where = dict(zip("xyz", position, strict=True))
+    return {"header": _header(time_s, FRAME), "pose": {"position": where, "orientation": _UPRIGHT}}
+
+
+def transform(time_s: float, position: Sequence[float]) -> Message:
+    """Return the same as a transform from the world frame to the robot's."""
+    moved = {"translation": dict(zip("xyz", position, strict=True)), "rotation": _UPRIGHT}
+    return {"transforms": [{"header": _header(time_s, FRAME), "child_frame_id": BODY, "transform": moved}]}
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:

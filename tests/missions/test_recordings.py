@@ -26,6 +26,7 @@ from missions.testing.recorded import replay
 from missions.wires import ros
 from missions.wires.bags import read_bag, read_page
 from missions.wires.mcap import McapRecorder
+from missions.wires.typed import made
 from rosa_bt import ForAction, TreeRunner, first_feasible
 
 TOPICS = {
@@ -67,10 +68,10 @@ def drop(tmp_path_factory):
 )
 def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
     types = ros.types()
-    message = types.diagnostics(1.5, statuses)
+    message = ros.diagnostics(1.5, statuses)
     data = types.encode(ros.DIAGNOSTICS, message)
     assert ros.statuses_of(data) == statuses
-    other = bytes(types.store.serialize_cdr(message, ros.DIAGNOSTICS, little_endian=False))
+    other = bytes(types.store.serialize_cdr(made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False))
     assert other[:2] != data[:2]
     assert ros.statuses_of(other) == statuses
     end = 20 if not statuses else len(data.rstrip(b"\0"))  # after it comes padding, if anything
@@ -91,7 +92,7 @@ def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=F
         diagnostics = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=store)
         for message in bag.messages:
             stamp = 10**18 + ros.nanoseconds(message["time"])
-            data = ros.types().encode(ros.DIAGNOSTICS, ros.types().diagnostics(message["time"], message["status"]))
+            data = ros.types().encode(ros.DIAGNOSTICS, ros.diagnostics(message["time"], message["status"]))
             writer.write(diagnostics, stamp, data)
         if strange:
             secret = writer.add_connection("/secret", "somebody_msgs/msg/Secret", typestore=store)
