@@ -1,39 +1,62 @@
 """The command line: `rosa`, the same as `python -m missions`."""
 
 import sys
-from typing import Annotated
+from importlib import import_module
+from typing import Annotated, Any, Final
 
 import typer
+from typer.core import TyperGroup
+from typer.main import get_command
 
-from missions.commands import (
-    FAILED,
-    WRONG_USE,
-    bridge,
-    campaign,
-    check,
-    complain,
-    effort,
-    learn,
-    listing,
-    mcp,
-    new,
-    plan,
-    recordings,
-    report,
-    run,
-    store,
-    verify,
-    watch,
-)
+from missions.commands import FAILED, WRONG_USE, complain
 
 __all__ = ["app", "main"]
 
+COMMANDS: Final = {
+    "new": ("new:new", "Write a package with model, task logic, world and tests that runs at once."),
+    "list": ("listing:list_missions", "List the missions."),
+    "settings": ("listing:list_settings", "List what `rosa run MISSION --set NAME=VALUE` takes."),
+    "run": ("run:run", "Run a mission, say what happened and why, and exit with 0 if it did what it was for."),
+    "watch": ("watch:watch", "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."),
+    "bridge": ("bridge:bridge", "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree."),
+    "mcp": ("mcp:mcp", "Serve the questions of a robot's knowledge base to assistants (Model Context Protocol)."),
+    "replay": ("recordings:replay", "Decide once more what was recorded; exit with 1 if that differs."),
+    "record": ("recordings:record", "Look at a recording, or put it in another form."),
+    "check": ("check:check", "Judge a model, and say what to do about each finding."),
+    "plan": ("plan:plan", "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."),
+    "verify": ("verify:verify", "Say what holds in everything that can happen; exit with 0 if all of it does."),
+    "campaign": ("campaign:campaign", "Run missions with many managers, settings and seeds."),
+    "report": ("report:report", "Say what came of a campaign; or show a run, or two side by side, as a page."),
+    "learn": ("learn:learn", "Suggest changes of a model, each with its interval; --apply writes them."),
+    "effort": ("effort:effort", "Count what it takes to write a model, beside the counts of the ROSA paper."),
+    "store": ("store:app", "Look after the store of a knowledge base."),
+}
+"""The sub-commands, each with its home in `missions.commands`, which is imported only when it is called."""
+
+
+class Commands(TyperGroup):
+    """Lists the commands without importing them."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
+        name, _, rest = super().resolve_command(ctx, args)
+        module, _, attribute = COMMANDS[str(name)][0].partition(":")
+        found = getattr(import_module(f"missions.commands.{module}"), attribute)
+        if not isinstance(found, typer.Typer):
+            of = typer.Typer(add_completion=False)
+            of.command(name)(found)
+            found = of
+        return name, get_command(found), rest
+
+
 app = typer.Typer(
     help="Run missions of robots that adapt what they do and how they are built.",
+    cls=Commands,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
 )
+for _name, (_, _help) in COMMANDS.items():
+    app.command(_name, help=_help)(lambda: None)
 
 
 def _say_version(is_asked: bool) -> None:
@@ -51,25 +74,6 @@ def _options(
     ] = False,
 ) -> None:
     pass
-
-
-app.command("new")(new.new)
-app.command("list")(listing.list_missions)
-app.command("settings")(listing.list_settings)
-app.command("run")(run.run)
-app.command("watch")(watch.watch)
-app.command("bridge")(bridge.bridge)
-app.command("mcp")(mcp.mcp)
-app.command("replay")(recordings.replay)
-app.add_typer(recordings.record, name="record")
-app.command("check")(check.check)
-app.command("plan")(plan.plan)
-app.command("verify")(verify.verify)
-app.command("campaign")(campaign.campaign)
-app.command("report")(report.report)
-app.command("learn")(learn.learn)
-app.command("effort")(effort.effort)
-app.add_typer(store.app, name="store")
 
 
 def main() -> None:

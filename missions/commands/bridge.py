@@ -3,23 +3,23 @@
 import logging
 import math
 import time
+from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
+from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Running
 
+from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model
 from missions.commands import assignments, open_console
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from py_trees.behaviour import Behaviour
-
-    from kb import Model
-    from missions.engine.mission import Mission
-    from missions.wires.bridge import BridgeSettings
-    from missions.wires.node import Node
+from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.registry import MISSIONS
+from missions.wires.bridge import Bridge, BridgeSettings
+from missions.wires.node import Node
+from rosa_bt import TreeRunner
 
 _TICK_S: Final = 0.1
 
@@ -52,13 +52,6 @@ def bridge(
     seconds: Annotated[float | None, typer.Option(help="Stop after this time; without it, when interrupted.")] = None,
 ) -> None:
     """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree, answer its ROSA services."""
-    from py_trees.behaviours import Running
-
-    from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
-    from missions.engine.mission import Percepts
-    from missions.wires.bridge import Bridge
-    from rosa_bt import TreeRunner
-
     settings, (model, make_tree, _) = _settings(config, url, attribute or []), robot_of(robot, tree, answer=answer)
     console, percepts = open_console(), Percepts()
     logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
@@ -90,12 +83,8 @@ def bridge(
 
 def robot_of(
     name: str, tree: str | None, *, answer: bool
-) -> "tuple[Model, Callable[..., Behaviour] | None, Mission | None]":
+) -> tuple[Model, Callable[..., Behaviour] | None, Mission | None]:
     """Return the model of a robot, what makes its tree (None if others decide), and the mission if it is one."""
-    from kb import Model
-    from missions.engine.mission import Mission, MissionError
-    from missions.engine.registry import MISSIONS
-
     if Path(name).suffix in (".tql", ".owl"):
         found: object = Model.load(name)
     else:
@@ -113,19 +102,13 @@ def robot_of(
     return model, None if answer else make_tree, found if isinstance(found, Mission) else None
 
 
-def _settings(config: Path | None, url: str | None, attributes: list[str]) -> "BridgeSettings":
-    from dataclasses import replace
-
-    from missions.wires.bridge import BridgeSettings
-
+def _settings(config: Path | None, url: str | None, attributes: list[str]) -> BridgeSettings:
     settings = BridgeSettings() if config is None else BridgeSettings.load(config)
     given = assignments(attributes, "--attribute", "NAME=/TOPIC.FIELD")
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 
-def _node(settings: "BridgeSettings", serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool) -> "Node":
-    from missions.engine.mission import MissionError
-
+def _node(settings: BridgeSettings, serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool) -> Node:
     if dds + rclpy + (serve is not None) > 1:
         raise MissionError("a robot is reached by one wire: --serve, --dds, --rclpy, or none of them for its rosbridge")
     if dds:

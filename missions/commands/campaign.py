@@ -1,20 +1,24 @@
 """`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it."""
 
+import shlex
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from time import perf_counter
+from typing import Annotated
 
 import typer
+from rich.console import Console
+from rich.markup import escape
 
 from missions.commands import FAILED
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from rich.console import Console
-
-    from missions.experiments.campaign import Campaign
-    from missions.experiments.results import Store
-    from missions.experiments.workers import Workers
+from missions.engine.mission import MissionError
+from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
+from missions.experiments.results import Store
+from missions.experiments.workers import Cluster, Processes, Workers, conduct
+from missions.views.console import CampaignProgress
 
 
 def campaign(
@@ -28,16 +32,6 @@ def campaign(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")] = None,
 ) -> None:
     """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
-    import shlex
-    from functools import partial
-
-    from rich.console import Console
-
-    from missions.engine.mission import MissionError
-    from missions.experiments.campaign import check_campaign
-    from missions.experiments.results import Store
-    from missions.experiments.workers import Cluster, Processes
-
     asked = _asked(file, table, runs)
     if workers is not None and cluster is not None:
         raise MissionError("give --workers N for this machine or --cluster ADDRESS, not both")
@@ -60,12 +54,7 @@ def campaign(
             raise typer.Exit(FAILED)
 
 
-def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None":
-    from dataclasses import replace
-
-    from missions.engine.mission import MissionError
-    from missions.experiments.campaign import paper_table, read_campaign
-
+def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
     if file is not None and table:
         raise MissionError("give either FILE.toml or --paper-table")
     if file is None and not table:
@@ -77,17 +66,8 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> "Campaign | None
 
 
 def _conduct(
-    console: "Console", store: "Store", folder: Path, open_workers: "Callable[[], Workers]", retry: bool, again: str
+    console: Console, store: Store, folder: Path, open_workers: Callable[[], Workers], retry: bool, again: str
 ) -> int:
-    from contextlib import closing
-    from time import perf_counter
-
-    from rich.markup import escape
-
-    from missions.engine.mission import MissionError
-    from missions.experiments.workers import conduct
-    from missions.views.console import CampaignProgress
-
     shown = CampaignProgress(console)
     started = perf_counter()
     try:

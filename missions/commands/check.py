@@ -5,16 +5,19 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
+from rich.markup import escape
 
+from kb import Model
+from kb.checks.findings import Finding, found, rules
+from kb.files import read_text
+from kb.owl.rdfxml import owl_text
 from missions.commands import FAILED, complain, open_console
-
-if TYPE_CHECKING:
-    from kb import Model
-    from kb.checks.findings import Finding
-    from missions.engine.mission import Mission
+from missions.engine.mission import Mission, MissionError
+from missions.engine.registry import find_mission
+from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder, unguarded_in_tree
 
 COLOURS = {"error": "red", "warning": "yellow"}
 
@@ -29,20 +32,18 @@ def check(
     reason: Annotated[bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")] = False,
 ) -> None:
     """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
-    from missions.engine.registry import find_mission
-
     of = find_mission(mission) if mission else None
-    found = judge(files or [], of, tree or [], pddl or [])
+    judged = judge(files or [], of, tree or [], pddl or [])
     contradictions = list(_contradictions(files or [], of)) if reason else []
     for one in contradictions:
         complain(one)
     if as_json:
-        typer.echo(found.as_json())
+        typer.echo(judged.as_json())
     else:
-        _print(found)
+        _print(judged)
         if reason and not contradictions:
             typer.echo("HermiT finds no contradiction")
-    if found.of("error") or contradictions or (strict and found.findings):
+    if judged.of("error") or contradictions or (strict and judged.findings):
         raise typer.Exit(FAILED)
 
 
@@ -51,9 +52,9 @@ class Judgement:
     """What was found about a model, the errors first."""
 
     model: str
-    findings: "tuple[Finding, ...]"
+    findings: tuple[Finding, ...]
 
-    def of(self, severity: str) -> "list[Finding]":
+    def of(self, severity: str) -> list[Finding]:
         """Return the findings that are as bad as that: "error" or "warning"."""
         return [one for one in self.findings if one.severity == severity]
 
@@ -62,15 +63,12 @@ class Judgement:
         return json.dumps({"model": self.model, **counts, "findings": [asdict(one) for one in self.findings]}, indent=2)
 
 
-def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str], pddl: Sequence[Path]) -> Judgement:
+def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]) -> Judgement:
     """Judge a model, from files or else the mission's, with the trees (module:callable) and PDDL files that use it.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something cannot be read or built; the message says where.
     """
-    from kb.checks.findings import found
-    from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder, unguarded_in_tree
-
     model = model_of(files, mission)
     if not (trees or pddl or mission):
         return Judgement(model.name, model.check())
@@ -92,10 +90,7 @@ def judge(files: Sequence[Path], mission: "Mission | None", trees: Sequence[str]
     return Judgement(model.name, (*_placed(model.check(places), places, is_complete), *unguarded))
 
 
-def model_of(files: Sequence[Path], mission: "Mission | None") -> "Model":
-    from kb import Model
-    from missions.engine.mission import MissionError
-
+def model_of(files: Sequence[Path], mission: Mission | None) -> Model:
     if files:
         return Model.load(files)
     if mission is None:
@@ -103,9 +98,7 @@ def model_of(files: Sequence[Path], mission: "Mission | None") -> "Model":
     return mission.model()
 
 
-def _placed(
-    findings: "Iterable[Finding]", places: Mapping[str, Sequence[str]], is_complete: bool
-) -> "Iterator[Finding]":
+def _placed(findings: Iterable[Finding], places: Mapping[str, Sequence[str]], is_complete: bool) -> Iterator[Finding]:
     for one in findings:
         if one.code == "unknown-action":
             first, *others = places[one.element]
@@ -115,11 +108,9 @@ def _placed(
             yield one
 
 
-def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterator[str]:
+def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[str]:
     """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes."""
-    from kb.files import read_text
     from kb.owl.owlready import inconsistency
-    from kb.owl.rdfxml import owl_text
 
     model = model_of(files, mission)
     texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}
@@ -130,10 +121,6 @@ def _contradictions(files: Sequence[Path], mission: "Mission | None") -> Iterato
 
 
 def _print(judgement: Judgement) -> None:
-    from rich.markup import escape
-
-    from kb.checks.findings import rules
-
     console = open_console()
     for severity, colour in COLOURS.items():
         findings = sorted(judgement.of(severity), key=lambda one: list(rules()).index(one.code))

@@ -6,6 +6,9 @@ from typing import Annotated
 
 import typer
 
+from missions.experiments.effort import as_data, lines_of, survey
+from missions.views.output import as_json, open_files
+
 
 def effort(
     models: Annotated[
@@ -21,9 +24,6 @@ def effort(
     function designs, component configurations, constraints (one that is
     shared counts once), estimations.
     """
-    from missions.experiments.effort import as_data, lines_of, survey
-    from missions.views.output import as_json, open_files
-
     with ExitStack() as stack:
         files = open_files({"json": json}, stack)
         found = survey(models or ())

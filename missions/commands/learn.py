@@ -5,7 +5,12 @@ from typing import Annotated
 
 import typer
 
+from kb import Model
 from missions.commands import open_console
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_mission
+from missions.experiments.learning import learn as suggestions_of
+from missions.experiments.learning import read_runs
 
 KINDS = ("rate", "estimation", "threshold")
 
@@ -20,12 +25,6 @@ def learn(
     ] = None,
 ) -> None:
     """Suggest changes of a model, each with its interval and the number of observations; --apply writes them."""
-    from kb import Model
-    from missions.engine.mission import MissionError
-    from missions.engine.registry import find_mission
-    from missions.experiments.learning import learn as suggestions_of
-    from missions.experiments.learning import read_runs
-
     taken = take or ["rate", "estimation"]
     for kind in taken:
         if kind not in KINDS:

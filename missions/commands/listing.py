@@ -4,13 +4,14 @@ from typing import Annotated
 
 import typer
 
+from missions.baselines.registry import options_of
 from missions.commands import MISSION, open_console
+from missions.engine.mission import settings_of
+from missions.engine.registry import MISSIONS, find_mission
 
 
 def list_missions() -> None:
     """List the missions."""
-    from missions.engine.registry import MISSIONS
-
     wide = max(map(len, MISSIONS)) + 2
     for mission in MISSIONS.values():
         open_console().print(f"{mission.name:<{wide}}{mission.summary}", markup=False, highlight=False)
@@ -21,10 +22,6 @@ def list_settings(
     manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
-    from missions.baselines.registry import options_of
-    from missions.engine.mission import settings_of
-    from missions.engine.registry import find_mission
-
     found, console = find_mission(mission), open_console()
     for setting in (*options_of(manager, found), *settings_of(found)):
         default = found.fixed.get(setting.name, setting.default)

@@ -4,12 +4,15 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
-if TYPE_CHECKING:
-    from kb import KnowledgeBase
+from kb import ConfigurationManager, KnowledgeBase
+from missions.commands.bridge import robot_of
+from missions.wires.assistant import Assistant, mcp_server, serve_http
+from missions.wires.bridge import Bridge, BridgeSettings
+from missions.wires.rosbridge import Rosbridge
 
 _TURN_S: Final = 0.05
 
@@ -27,10 +30,6 @@ def mcp(
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")] = "",
 ) -> None:
     """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""
-    from kb import KnowledgeBase
-    from missions.commands.bridge import robot_of
-    from missions.wires.assistant import Assistant, mcp_server, serve_http
-
     model, _, mission = robot_of(robot, None, answer=True)
     with ExitStack() as stack:
         kb = KnowledgeBase(model, store=store, clock=time.time)
@@ -44,12 +43,8 @@ def mcp(
             serve_http(server, http, token)
 
 
-def _connect(kb: "KnowledgeBase", config: Path, token: str, stack: ExitStack) -> None:
+def _connect(kb: KnowledgeBase, config: Path, token: str, stack: ExitStack) -> None:
     """Have the knowledge base hear its robot, and its components managed, in a thread."""
-    from kb import ConfigurationManager
-    from missions.wires.bridge import Bridge, BridgeSettings
-    from missions.wires.rosbridge import Rosbridge
-
     settings, over = BridgeSettings.load(config), Event()
     bridge = Bridge(kb, Rosbridge(settings.url, token), settings)
     stack.callback(bridge.close)

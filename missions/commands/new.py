@@ -7,6 +7,8 @@ from typing import Annotated, Final
 
 import typer
 
+from missions.engine.mission import MissionError
+
 TEMPLATE: Final = Path(__file__).parents[1] / "template"
 FILES: Final = {
     **{name: name for name in ("README.md", "campaign.toml", "bridge.toml")},
@@ -23,8 +25,6 @@ def new(
     ros2: Annotated[bool, typer.Option("--ros2", help="With a bridge.toml for a robot in ROS 2.")] = False,
 ) -> None:
     """Write a package with model, task logic, world and tests that runs at once; CHANGE marks what is yours."""
-    from missions.engine.mission import MissionError
-
     if task not in ("bt", "pddl", "both"):
         raise MissionError(f"--task is {task!r}; there are bt, pddl and both")
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):

@@ -2,14 +2,16 @@
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from missions.commands import FAILED
-
-if TYPE_CHECKING:
-    from missions.engine.question import Answer
+from missions.engine.mission import MissionError
+from missions.engine.question import Answer, answer, ask, certified, read_situation
+from missions.engine.registry import find_mission
+from missions.views.output import as_json, open_files
+from missions.views.plan import as_data, causes_of, certificate_as_data, certificate_lines, lines_of, svg_of
 
 
 def plan(
@@ -33,12 +35,6 @@ def plan(
     timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
-    from missions.engine.mission import MissionError
-    from missions.engine.question import answer, ask, certified, read_situation
-    from missions.engine.registry import find_mission
-    from missions.views.output import as_json, open_files
-    from missions.views.plan import certificate_as_data, certificate_lines, lines_of
-
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
     supposed = read_situation(situation or [], feasible)
@@ -70,10 +66,7 @@ def plan(
         raise typer.Exit(FAILED)
 
 
-def _written(option: str, found: "Answer") -> str:
-    from missions.views.output import as_json
-    from missions.views.plan import as_data, causes_of, svg_of
-
+def _written(option: str, found: Answer) -> str:
     if option == "svg":
         return svg_of(causes_of(found), f"plan of {found.question.domain.name}")
     return as_json(as_data(found.result))

@@ -2,19 +2,28 @@
 
 import gc
 from collections.abc import Iterator, Sequence
+from difflib import SequenceMatcher
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
+from rich.table import Table
 
+from kb import Event, Model
+from kb.files import draft
+from kb.typeql.writer import typeql_text
 from missions.commands import FAILED, open_console
+from missions.engine.mission import MissionError, Verdict
+from missions.engine.recording import line_of, read_recording
+from missions.engine.registry import MISSIONS
+from missions.engine.runner import MissionRun
+from missions.testing.recorded import replay as decide
+from missions.views.report import write_report
+from missions.views.run_recorder import RunRecorder
+from missions.wires.bags import Bag, Reader, is_bag, read_bag
+from missions.wires.mcap import McapFile
 
-if TYPE_CHECKING:
-    from kb import Event, Model
-    from missions.engine.runner import MissionRun
-    from missions.wires.bags import Bag, Reader
-
-record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True)
+record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
 
 _DECISIVE: Final = ("request_action", "cancel_action", "select", "finish_plan")
 """The verbs of what was decided, and of how it ended."""
@@ -34,12 +43,6 @@ def replay(
 
     A recording is a file of `rosa run --record`, or any rosbag2 with diagnostics, with MCAP or sqlite3.
     """
-    from missions.engine.mission import MissionError
-    from missions.engine.recording import read_recording
-    from missions.engine.registry import MISSIONS
-    from missions.testing.recorded import replay as decide
-    from missions.wires.bags import Bag, is_bag, read_bag
-
     gc.disable()  # what is heard and known is held to the end: to look for garbage in it takes a third of the time
     try:
         bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
@@ -49,14 +52,27 @@ def replay(
             raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
         if not mission and asked not in MISSIONS and ":" not in asked:
             raise MissionError(f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME")
-        page = _Page(run.get("seed"))
-        watch = None if report is None else page.begin
+        page, watched = RunRecorder(), list[MissionRun]()
+
+        def watch(run_anew: MissionRun) -> None:
+            page.begin(run_anew, run.get("seed") or 0, {})
+            run_anew.listen(page)
+            watched.append(run_anew)
+
         source = bag if is_bag(recording) else bag.messages
-        decisions = decide(source, asked, task=task or run.get("task", "bt"), strict=False, watch=watch, traced=False)
+        decisions = decide(
+            source,
+            asked,
+            task=task or run.get("task", "bt"),
+            strict=False,
+            watch=watch if report else None,
+            traced=False,
+        )
     finally:
         gc.enable()
     if report is not None:
-        page.write(report, recording)
+        page.end(watched[0], Verdict("replayed", f"decided once more from {recording.name}"))
+        write_report(report, page.recorder.recorded)
     console = open_console()
     if (recorded := bag.run.get("typeql")) and (changed := _changed(recorded, decisions.kb.model)):
         console.print(
@@ -83,34 +99,9 @@ def replay(
     raise typer.Exit(FAILED)
 
 
-class _Page:
-    """The page of a replay."""
-
-    def __init__(self, seed: int | None) -> None:
-        self._seed = seed
-
-    def begin(self, run: "MissionRun") -> None:
-        from missions.views.run_recorder import RunRecorder
-
-        self._run, self._recorder = run, RunRecorder()
-        self._recorder.begin(run, self._seed or 0, {})
-        run.listen(self._recorder)
-
-    def write(self, report: Path, recording: Path) -> None:
-        from missions.engine.mission import Verdict
-        from missions.views.report import write_report
-
-        self._recorder.end(self._run, Verdict("replayed", f"decided once more from {recording.name}"))
-        write_report(report, self._recorder.recorder.recorded)
-
-
 @record.command("info")
 def info(recording: Path) -> None:
     """Say what a recording holds, and whether it is whole."""
-    from rich.table import Table
-
-    from missions.wires.bags import read_bag
-
     bag, console = read_bag(recording), open_console()
     run = ", ".join(
         f"{key} {bag.run[key]}" for key in ("mission", "task", "seed", "model") if bag.run.get(key) is not None
@@ -129,12 +120,6 @@ def info(recording: Path) -> None:
 @record.command("convert")
 def convert(recording: Path, output: Path) -> None:
     """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
-    from kb.files import draft
-    from missions.engine.mission import MissionError
-    from missions.engine.recording import line_of
-    from missions.wires.bags import Bag, Reader, read_bag
-    from missions.wires.mcap import McapFile
-
     if output.suffix not in (".mcap", ".jsonl"):
         raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
     bag: Bag | Reader
@@ -156,17 +141,15 @@ def convert(recording: Path, output: Path) -> None:
         console.print(note, style="yellow", markup=False, highlight=False)
 
 
-def _notes(bag: "Bag | Reader") -> Iterator[str]:
+def _notes(bag: Bag | Reader) -> Iterator[str]:
     if bag.cut:
         yield f"{bag.cut}; all before that is read"
     for problem, count in bag.problems.items():
         yield f"not read, {count} times: {problem}"
 
 
-def _changed(recorded: str, model: "Model") -> str:
+def _changed(recorded: str, model: Model) -> str:
     """Return what is another model than the recorded one, in words; nothing if it is the same."""
-    from kb.typeql.writer import typeql_text
-
     then, now = (dict.fromkeys(text.splitlines()) for text in (recorded, typeql_text(model)))
     lines = [f"- {one}" for one in then if one not in now] + [f"+ {one}" for one in now if one not in then]
     if not lines:
@@ -175,10 +158,8 @@ def _changed(recorded: str, model: "Model") -> str:
     return "\n".join([f"{model.name}, which is another one (-: recorded, +: now)", *lines[:_SHOWN], *more])
 
 
-def _differences(bag: "Bag", events: "Sequence[Event]") -> list[tuple[float, str]]:
+def _differences(bag: Bag, events: Sequence[Event]) -> list[tuple[float, str]]:
     """Return when and how it was decided otherwise; what comes after the recording's end is no difference."""
-    from difflib import SequenceMatcher
-
     end_s = max(one.time for one in bag.events) + (-_SLACK_S if bag.cut else _SLACK_S)
     then, now = ([one for one in some if one.verb in _DECISIVE and one.time <= end_s] for some in (bag.events, events))
     lines = list(map(_line, then)), list(map(_line, now))
@@ -190,7 +171,7 @@ def _differences(bag: "Bag", events: "Sequence[Event]") -> list[tuple[float, str
     return found
 
 
-def _line(event: "Event") -> str:
+def _line(event: Event) -> str:
     decided = event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments  # without why
     values = ", ".join(str(one) for one in decided if one not in (None, "", (), {}))
     return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {values}"

@@ -1,12 +1,15 @@
 """`rosa report`: what came of a campaign, or pages of runs to click through."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from missions.views.rows import Recorded
+from missions.engine.mission import MissionError
+from missions.experiments.results import read_store
+from missions.extras import needs
+from missions.views import report as page
+from missions.views.rows import Recorded
 
 
 def report(
@@ -29,14 +32,9 @@ def report(
 
     A run is a recording, or a page that `rosa run MISSION --report FILE.html` wrote.
     """
-    from missions.engine.mission import MissionError
-
     if len(sources) > 2:
         raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
     if len(sources) == 1 and not sources[0].is_file() and sources[0].suffix not in (".html", ".mcap"):
-        from missions.experiments.results import read_store
-        from missions.extras import needs
-
         kept = read_store(sources[0])
         with needs("plot", "the report on a campaign"):
             import matplotlib  # noqa: F401  # it is found out before anything is written
@@ -47,18 +45,14 @@ def report(
             if path.stem == "report":
                 typer.echo(path)
         return
-    from missions.views.report import write_report
-
     target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
-    write_report(target, *map(_page_of, sources))
+    page.write_report(target, *map(_page_of, sources))
     typer.echo(target)
 
 
-def _page_of(path: Path) -> "Recorded":
-    from missions.views import report
-
+def _page_of(path: Path) -> Recorded:
     if path.suffix not in (".mcap", ".jsonl"):
-        return report.read_page(path)
+        return page.read_page(path)
     from missions.wires.bags import read_page
 
     return read_page(path)

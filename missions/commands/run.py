@@ -1,23 +1,29 @@
 """`rosa run`: a mission to its end, with what happened and why, and the files that it leaves."""
 
 import time
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import typer
 
+from missions.baselines import open_run
+from missions.baselines.registry import options_of
 from missions.commands import FAILED, MISSION, assignments, open_console
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from missions.engine.mission import Verdict
-    from missions.engine.runner import MissionRun
-    from missions.views.live import LiveView
-    from missions.views.output import OutputFile
-    from missions.views.run_recorder import RunRecorder
-    from missions.views.steering import Steering
+from missions.engine.controller import RosaController
+from missions.engine.mission import MissionError, Verdict, split_settings
+from missions.engine.recording import header
+from missions.engine.registry import find_mission
+from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import own_values
+from missions.extras import needs
+from missions.views.console import Narrator, Recorder, print_result
+from missions.views.output import OutputFile, as_json, open_files, summary, timing_of
+from missions.views.report import report as page_of
+from missions.views.run_recorder import RunRecorder
+from missions.views.steering import Steering
 
 LIVE_ROWS: Final = 100_000
 """How many rows a live page can look back."""
@@ -66,18 +72,6 @@ def run(
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
-    from missions.baselines import open_run
-    from missions.baselines.registry import options_of
-    from missions.engine.mission import Verdict, split_settings
-    from missions.engine.recording import header
-    from missions.engine.registry import find_mission
-    from missions.engine.runner import Listener
-    from missions.engine.settings import own_values
-    from missions.extras import needs
-    from missions.views.console import Narrator, Recorder, print_result
-    from missions.views.output import as_json, open_files, summary, timing_of
-    from missions.views.steering import Steering
-
     if plot is not None:
         with needs("plot", "a picture of the run"):
             import matplotlib  # noqa: F401  # it is found out before the run that it is missing
@@ -103,8 +97,12 @@ def run(
         if page:
             page.begin(opened, seed, changed)
         if page and live is not None:
-            view = _show(opened, page, steering if allow_control else None, live, host, token)
-            stack.callback(view.close)
+            from missions.views.live import LiveView
+
+            if allow_control:
+                steering.begin(opened)
+            told = {"recorder": page.recorder, "steering": steering if allow_control else None}
+            view = stack.enter_context(LiveView(page.recorder.kb, port=live, host=host, token=token, **told))
             console.print(f"live: {view.url}", highlight=False, soft_wrap=True)
         if page and mcap:
             from missions.wires.mcap import record_run
@@ -128,8 +126,6 @@ def run(
         if page:
             page.end(opened, verdict)
         if page and "report" in files:
-            from missions.views.report import report as page_of
-
             files["report"].finish(page_of(page.recorder.recorded))
         if "plot" in files:  # last, because it takes longest
             from missions.views.picture import draw
@@ -139,11 +135,8 @@ def run(
         raise typer.Exit(FAILED)
 
 
-def _watched(run: "MissionRun", page: "RunRecorder") -> "Verdict":
+def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
     """Run in a thread beside the view in the terminal; leaving the view stops the run."""
-    from concurrent.futures import ThreadPoolExecutor
-
-    from missions.engine.mission import Verdict
     from missions.views.terminal import RecorderFeed, TerminalView
 
     feed = RecorderFeed(page.recorder)
@@ -155,29 +148,14 @@ def _watched(run: "MissionRun", page: "RunRecorder") -> "Verdict":
         return going.result()
 
 
-def _page(files: "Mapping[str, OutputFile]", live: int | None, mcap: Path | None, tui: bool) -> "RunRecorder | None":
+def _page(files: Mapping[str, OutputFile], live: int | None, mcap: Path | None, tui: bool) -> RunRecorder | None:
     """Return what writes down what there is to see, if anybody will look."""
     if live is None and mcap is None and not tui and "report" not in files:
         return None
-    from missions.views.run_recorder import RunRecorder
-
     return RunRecorder() if "report" in files else RunRecorder(LIVE_ROWS if live is not None else None, what_if=False)
 
 
-def _show(
-    run: "MissionRun", page: "RunRecorder", steering: "Steering | None", port: int, host: str, token: str | None
-) -> "LiveView":
-    from missions.views.live import LiveView
-
-    if steering is not None:
-        steering.begin(run)
-    recorder = page.recorder
-    return LiveView(recorder.kb, port=port, host=host, token=token, recorder=recorder, steering=steering)
-
-
-def _publish(run: "MissionRun", port: int, stack: ExitStack) -> None:
-    from missions.engine.controller import RosaController
-    from missions.engine.mission import MissionError
+def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     from missions.wires.groot2 import Groot2Publisher
 
     if not isinstance(run.controller, RosaController):

@@ -7,8 +7,11 @@ from typing import Annotated, Final
 import typer
 
 from missions.commands import FAILED, complain
+from missions.commands.check import model_of
+from missions.engine import stores
+from missions.engine.registry import find_mission
 
-app: Final = typer.Typer(help="Look after the store of a knowledge base.", no_args_is_help=True)
+app: Final = typer.Typer(help="Look after the store of a knowledge base.", no_args_is_help=True, add_completion=False)
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The store.")]
 New = Annotated[Path, typer.Argument(metavar="NEW", help="A file that is not there yet.")]
 
@@ -16,9 +19,7 @@ New = Annotated[Path, typer.Argument(metavar="NEW", help="A file that is not the
 @app.command()
 def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False) -> None:
     """Say what is in a store, also while it is written to; exit with 1 if it is damaged."""
-    from missions.engine.stores import surveyed
-
-    with surveyed(file) as (connection, found):
+    with stores.surveyed(file) as (connection, found):
         names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
         told: dict[str, object] = {
             "store": str(file),
@@ -46,9 +47,7 @@ def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print
 @app.command()
 def check(file: File) -> None:
     """Check every record of a store, also while it is written to; exit with 1 if it is damaged."""
-    from missions.engine.stores import surveyed
-
-    with surveyed(file) as (connection, found):
+    with stores.surveyed(file) as (connection, found):
         if found.problem:
             complain(str(found.error(file)))
             raise typer.Exit(FAILED)
@@ -59,8 +58,6 @@ def check(file: File) -> None:
 @app.command()
 def backup(file: File, new: New) -> None:
     """Copy a store to a new file as it is at this moment, also while it is written to."""
-    from missions.engine import stores
-
     found = stores.backup(file, new)
     typer.echo(f"{new}: a copy of {file} up to event {found.last}")
 
@@ -68,8 +65,6 @@ def backup(file: File, new: New) -> None:
 @app.command()
 def repair(file: File, new: New) -> None:
     """Write what is sound of a damaged store to a new file; the damaged one is left as it is."""
-    from missions.engine import stores
-
     found = stores.repair(file, new)
     typer.echo(f"{new}: {file} up to event {found.last}; {found.missing} acknowledged events after it are missing")
     typer.echo(f"what was wrong: {found.problem}" if found.problem else "nothing was wrong")
@@ -83,10 +78,6 @@ def migrate(
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")] = False,
 ) -> None:
     """Have a store go on with a model that has changed: say what came, went and changed, and what is dropped."""
-    from missions.commands.check import model_of
-    from missions.engine import stores
-    from missions.engine.registry import find_mission
-
     given = model_of(model or [], find_mission(mission) if mission else None)
     found = stores.migrate(file, given, dry_run=dry_run)
     for words in found.differences:

@@ -6,6 +6,10 @@ from typing import Annotated, Any
 import typer
 
 from missions.commands import FAILED
+from missions.engine.registry import find_mission
+from missions.proof.story import as_test
+from missions.proof.verification import prove, setup_of
+from missions.views.output import OutputFile, as_json
 
 
 def verify(
@@ -25,11 +29,6 @@ def verify(
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
 ) -> None:
     """Say what holds in everything that can happen; exit with 0 if all of it does, as far as was explored."""
-    from missions.engine.registry import find_mission
-    from missions.proof.story import as_test
-    from missions.proof.verification import prove, setup_of
-    from missions.views.output import OutputFile, as_json
-
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
     setup = setup_of(find_mission(mission), task, **options)
     groups = [one.split(",") for one in exclusive or ()]

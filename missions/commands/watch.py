@@ -4,6 +4,8 @@ from typing import Annotated
 
 import typer
 
+from missions.views.terminal import SocketFeed, TerminalView
+
 
 def watch(
     address: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed.")],
@@ -12,7 +14,5 @@ def watch(
     ] = "",
 ) -> None:
     """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
-    from missions.views.terminal import SocketFeed, TerminalView
-
     feed = SocketFeed(address, token)
     TerminalView(feed, feed.title).run()
