@@ -3,6 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Iterator
+from importlib.resources import files
 from itertools import combinations
 from typing import Any, Final
 
@@ -24,44 +25,17 @@ _BOX_M: Final = 0.2  # half the edge of what stands in the way
 _FREE_M: Final = 2.5  # before the first box, from either end
 _APART_M: Final = 1.25  # from one box to the next; closer together they cannot be driven round
 
-_CASTER_Z: Final = round(0.032 - WHEEL_M, 4)  # they hang free by 2 mm, so that the wheels carry
-_SLIDING: Final = 'condim="1" priority="1" group="2"'
-_VEHICLE: Final = f"""
-    <body name="vehicle" pos="{{x}} {{y}} {WHEEL_M}" euler="0 0 {{yaw}}">
-      <freejoint/>
-      <geom name="hull" type="cylinder" size="{RADIUS_M} 0.05" pos="0 0 0.04" mass="8" group="2"/>
-      <geom name="front" type="sphere" size="0.03" pos="0.15 0 {_CASTER_Z}" mass="0.1" {_SLIDING}/>
-      <geom name="rear" type="sphere" size="0.03" pos="-0.15 0 {_CASTER_Z}" mass="0.1" {_SLIDING}/>
-      <body pos="0 {HALF_TRACK_M} 0"><joint name="left" axis="0 1 0" damping="0.01"/>
-        <geom type="cylinder" size="{WHEEL_M} 0.02" euler="1.5708 0 0" mass="0.5" friction="1.2" group="2"/></body>
-      <body pos="0 -{HALF_TRACK_M} 0"><joint name="right" axis="0 1 0" damping="0.01"/>
-        <geom type="cylinder" size="{WHEEL_M} 0.02" euler="1.5708 0 0" mass="0.5" friction="1.2" group="2"/></body>
-    </body>"""
+_GEOM: Final = '<geom type="box" size="{} {} {}" pos="{:.4f} {:.4f} {}" euler="0 0 {}" group="1"/>'
 
 
 def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float) -> str:
     """Return the scene; see `Vehicle`."""
-    x, y, yaw = pose
     walls = "\n".join(wall for corridor in building.corridors.values() for wall in _walls(building, corridor))
-    blocks = "\n".join(
-        f'<geom name="box{number}" type="box" size="{_BOX_M} {_BOX_M} 0.3" pos="{bx:.4f} {by:.4f} 0.3" '
-        f'euler="0 0 {turn:.4f}" group="1"/>'
-        for number, (bx, by, turn) in enumerate(placed)
-    )
-    return f"""<mujoco model="building">
-  <compiler angle="radian"/>
-  <option timestep="{step_s}" integrator="implicitfast" cone="elliptic"/>
-  <worldbody>
-    <geom name="floor" type="plane" size="0 0 1" group="0"/>
-    {walls}
-    {blocks}
-    {_VEHICLE.format(x=x, y=y, yaw=yaw)}
-  </worldbody>
-  <actuator>
-    <velocity joint="left" kv="2" forcerange="-4 4"/>
-    <velocity joint="right" kv="2" forcerange="-4 4"/>
-  </actuator>
-</mujoco>"""
+    blocks = "\n".join(_GEOM.format(_BOX_M, _BOX_M, 0.3, bx, by, 0.3, f"{turn:.4f}") for bx, by, turn in placed)
+    sizes = {"radius": RADIUS_M, "wheel": WHEEL_M, "half_track": HALF_TRACK_M, "caster": round(0.032 - WHEEL_M, 4)}
+    scene = (files("missions.agv") / "building.xml").read_text(encoding="utf-8")
+    x, y, yaw = pose
+    return scene.format(walls=walls, blocks=blocks, x=x, y=y, yaw=yaw, step_s=step_s, **sizes)
 
 
 def check_walls(building: Building) -> None:
@@ -109,10 +83,7 @@ def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
     for side in (-1, 1):
         wx = x + length_m / 2 * ux - side * (_HALF_WIDTH_M + 0.05) * uy
         wy = y + length_m / 2 * uy + side * (_HALF_WIDTH_M + 0.05) * ux
-        yield (
-            f'<geom type="box" size="{half_m:.4f} 0.05 0.4" pos="{wx:.4f} {wy:.4f} 0.4" '
-            f'euler="0 0 {math.atan2(uy, ux):.6f}" group="1"/>'
-        )
+        yield _GEOM.format(f"{half_m:.4f}", 0.05, 0.4, wx, wy, 0.4, f"{math.atan2(uy, ux):.6f}")
 
 
 SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}

@@ -101,8 +101,9 @@ def run(
 
             if allow_control:
                 steering.begin(opened)
-            told = {"recorder": page.recorder, "steering": steering if allow_control else None}
-            view = stack.enter_context(LiveView(page.recorder.kb, port=live, host=host, token=token, **told))
+            seen, told = page.recorder, steering if allow_control else None
+            view = LiveView(seen.kb, port=live, host=host, token=token, recorder=seen, steering=told)
+            stack.callback(view.close)
             console.print(f"live: {view.url}", highlight=False, soft_wrap=True)
         if page and mcap:
             from missions.wires.mcap import record_run

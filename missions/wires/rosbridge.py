@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from itertools import count
 from threading import Event, Lock, Thread
 from typing import Any, Final
@@ -39,15 +39,76 @@ class Peer(Outbox):
             self.socket.close()
 
 
-class Rosbridge:
+class Wire:
+    """A node by rosbridge's messages, whatever carries them.
+
+    Args:
+        sending: held while something is sent that goes with what is open.
+
+    Attributes:
+        refused: how many messages made no sense, by what was wrong.
+    """
+
+    def __init__(self, sending: AbstractContextManager[object]) -> None:
+        self.refused = Refusals()
+        self._sending, self._ids = sending, count(1)
+        self._subscribed: dict[str, tuple[str, list[Heard]]] = {}
+        self._advertised: dict[str, str] = {}
+        self._served: dict[str, tuple[str, Answer]] = {}
+        self._open: dict[str, Future[Message]] = {}
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        with self._sending:
+            self._subscribed.setdefault(topic, (kind, []))[1].append(heard)
+            self._send({"op": "subscribe", "topic": topic, "type": kind})
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        with self._sending:
+            if topic not in self._advertised:
+                self._advertised[topic] = kind
+                self._send({"op": "advertise", "topic": topic, "type": kind})
+            self._send({"op": "publish", "topic": topic, "msg": message})
+
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        future: Future[Message] = Future()
+        number = f"call_service:{next(self._ids)}"
+        made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
+        with self._sending:
+            self._open[number] = future  # before it is sent: the answer may be there at once
+            if not self._send(made):
+                del self._open[number]
+                future.set_exception(RosError(f"{service} cannot be called: there is no connection"))
+        return future
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        with self._sending:
+            self._served[service] = kind, answer
+            self._send({"op": "advertise_service", "service": service, "type": kind})
+
+    def _send(self, message: Message) -> bool:
+        """Send a message to the other side; tell whether it is there."""
+        raise NotImplementedError
+
+    def _hear(self, message: Message) -> None:
+        if message["op"] == "publish":
+            self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")][1])
+        elif message["op"] == "service_response":
+            future = self._open.pop(text_of(message, "id"), None)
+            if future is not None:
+                _finish(future, message)
+        elif message["op"] == "call_service":
+            _, answer = self._served[text_of(message, "service")]
+            self._send(_answered(answer, message))
+        elif message["op"] == "status" and message.get("level") in ("error", "warning"):
+            _log.warning("the other side of rosbridge says: %s", message.get("msg"))
+
+
+class Rosbridge(Wire):
     """A node on a robot's rosbridge; connects again by itself, at longer and longer intervals up to 8 s.
 
     Args:
         url: e.g. "ws://127.0.0.1:9090"; `wss://` for an encrypted one.
         token: sent as `Authorization: Bearer`, where the other side asks for one.
-
-    Attributes:
-        refused: how many messages made no sense, by what was wrong.
 
     Raises:
         MissionError: the extra `ros2` is missing, or this is no address.
@@ -58,16 +119,12 @@ class Rosbridge:
             import websockets.sync.client as client
         if urlsplit(url).scheme not in ("ws", "wss") or not urlsplit(url).hostname:
             raise MissionError(f"{url!r} is no address of a rosbridge; write ws://HOST:{PORT}")
-        self.refused = Refusals()
+        super().__init__(Lock())
         self._connect = client.connect
         self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
-        self._lock, self._ids, self._closing = Lock(), count(1), Event()
+        self._closing = Event()
         self._peer: Peer | None = None
         self._trouble = ""
-        self._subscribed: dict[str, tuple[str, list[Heard]]] = {}
-        self._advertised: dict[str, str] = {}
-        self._served: dict[str, tuple[str, Answer]] = {}
-        self._open: dict[str, Future[Message]] = {}
         self._unsent: deque[Message] = deque(maxlen=QUEUED)
         self._watching: list[Callable[[bool, str], object]] = []
         self._thread = Thread(target=self._run, name="rosbridge", daemon=True)
@@ -76,38 +133,6 @@ class Rosbridge:
     @property
     def is_connected(self) -> bool:
         return self._peer is not None
-
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        with self._lock:
-            self._subscribed.setdefault(topic, (kind, []))[1].append(heard)
-            self._send({"op": "subscribe", "topic": topic, "type": kind})
-
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        """Publish a message; without a connection the last 10,000 are kept until there is one."""
-        made = {"op": "publish", "topic": topic, "msg": message}
-        with self._lock:
-            if topic not in self._advertised:
-                self._advertised[topic] = kind
-                self._send({"op": "advertise", "topic": topic, "type": kind})
-            if not self._send(made):
-                self._unsent.append(made)
-
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        future: Future[Message] = Future()
-        number = f"call_service:{next(self._ids)}"
-        made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
-        with self._lock:
-            is_sent = self._send(made)
-            if is_sent:
-                self._open[number] = future
-        if not is_sent:
-            future.set_exception(RosError(f"{service} cannot be called: there is no connection to {self._url}"))
-        return future
-
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        with self._lock:
-            self._served[service] = kind, answer
-            self._send({"op": "advertise_service", "service": service, "type": kind})
 
     def watch(self, changed: Callable[[bool, str], object]) -> None:
         self._watching.append(changed)
@@ -123,9 +148,12 @@ class Rosbridge:
         self._thread.join()
 
     def _send(self, message: Message) -> bool:
+        """Send a message; without a connection the last 10,000 that are to be published are kept until there is one."""
         peer = self._peer
         if peer is not None:
             peer.send(message)
+        elif message["op"] == "publish":
+            self._unsent.append(message)
         return peer is not None
 
     def _run(self) -> None:
@@ -149,13 +177,13 @@ class Rosbridge:
     def _talk(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
         self._begin(Peer(socket), time.monotonic() - self._away_since)
         try:
-            why = self._hear(socket)
+            why = self._listen(socket)
         finally:
             self._away_since = time.monotonic()
         self._end(f"the connection to {self._url} has ended{why}")
 
     def _begin(self, peer: Peer, away_s: float) -> None:
-        with self._lock:
+        with self._sending:
             for topic, (kind, _) in self._subscribed.items():
                 peer.send({"op": "subscribe", "topic": topic, "type": kind})
             for topic, kind in self._advertised.items():
@@ -169,16 +197,19 @@ class Rosbridge:
         missed = f" after {away_s:.1f} s; what was published there meanwhile is missed, {late} of ours are sent now"
         self._tell(True, f"connected to {self._url}{missed}")
 
-    def _hear(self, socket: Any) -> str:  # noqa: ANN401  # websockets is imported late
+    def _listen(self, socket: Any) -> str:  # noqa: ANN401  # websockets is imported late
         try:
             for text in socket:
-                self._take(text)
+                try:
+                    self._hear(read(text))
+                except NONSENSE as error:
+                    self.refused.add(error)
         except Exception as error:  # also one that was cut
             return f": {error}"
         return ""
 
     def _end(self, why: str) -> None:
-        with self._lock:
+        with self._sending:
             peer, self._peer = self._peer, None
             failed, self._open = self._open, {}
         if peer is not None:
@@ -187,23 +218,6 @@ class Rosbridge:
             future.set_exception(RosError(why))
         if not self._closing.is_set():
             self._tell(False, why)
-
-    def _take(self, text: str | bytes) -> None:
-        try:
-            message = read(text)
-            if message["op"] == "publish":
-                self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")][1])
-            elif message["op"] == "service_response":
-                future = self._open.pop(text_of(message, "id"), None)
-                if future is not None:
-                    finish(future, message)
-            elif message["op"] == "call_service":
-                _, answer = self._served[text_of(message, "service")]
-                self._send(answered(answer, message))
-            elif message["op"] == "status" and message.get("level") in ("error", "warning"):
-                _log.warning("%s says: %s", self._url, message.get("msg"))
-        except NONSENSE as error:
-            self.refused.add(error)
 
     def _tell(self, is_connected: bool, text: str) -> None:
         for changed in self._watching:
@@ -233,7 +247,7 @@ def dict_of(message: Message, key: str) -> Message:
     return value
 
 
-def finish(future: "Future[Message]", message: Message) -> None:
+def _finish(future: "Future[Message]", message: Message) -> None:
     values = message.get("values")
     if message.get("result", True) and isinstance(values, dict):
         future.set_result(values)
@@ -241,7 +255,7 @@ def finish(future: "Future[Message]", message: Message) -> None:
         future.set_exception(RosError(f"{message.get('service', 'the service')} failed: {values}"))
 
 
-def answered(answer: Answer, message: Message) -> Message:
+def _answered(answer: Answer, message: Message) -> Message:
     made = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
     try:
         return {**made, "values": answer(dict_of(message, "args")), "result": True}

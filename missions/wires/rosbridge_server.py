@@ -1,47 +1,47 @@
 """The other side of rosbridge: roslib, Foxglove, other bridges and robots connect to us, without ROS.
 
-It is a `Node` too: what is published, subscribed and served here meets what the clients do.
+It is a `Node` too: one of its own clients, without a connection.
 """
 
 import logging
-from concurrent.futures import Future
+from collections.abc import Callable
+from contextlib import nullcontext
 from hmac import compare_digest
 from itertools import count
 from threading import RLock, Thread
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, cast
 from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-from missions.wires.node import LOOPBACK, NONSENSE, Answer, Heard, Message, Refusals
-from missions.wires.rosbridge import LARGEST, PORT, Peer, answered, dict_of, finish, read, text_of
+from missions.wires.node import LOOPBACK, NONSENSE, Answer, Message, plain
+from missions.wires.rosbridge import LARGEST, PORT, Peer, Wire, dict_of, read, text_of
 
 _REFUSALS_TOLD: Final = 100
 """To one client; more are only counted."""
 _log = logging.getLogger(__name__)
 
 
-class _Client(Peer):
-    """A connection, with what it subscribes to and what it serves."""
+class _Client:
+    """Who takes part, with what it subscribes to and what it serves; `send` hands it a message."""
 
-    def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        super().__init__(socket)
+    def __init__(self, send: Callable[[Message], object]) -> None:
+        self.send = send
         self.topics: set[str] = set()
         self.services: dict[str, str] = {}
         self.refusals = 0
 
 
 class _Call(NamedTuple):
-    """A call that a client is to answer: whose it is, a client's with its number, or ours with a future."""
+    """A call that a client is to answer, and whose it is, by what number there."""
 
     server: _Client | None
     service: str
-    caller: _Client | None = None
-    number: object = None
-    future: "Future[Message] | None" = None
+    caller: _Client
+    number: object
 
 
-class RosbridgeServer:
+class RosbridgeServer(Wire):
     """Serves rosbridge's protocol, on this machine unless told otherwise.
 
     Args:
@@ -51,7 +51,6 @@ class RosbridgeServer:
 
     Attributes:
         port: where it listens.
-        refused: how many messages made no sense, by what was wrong.
 
     Raises:
         MissionError: the port is taken, a token is missing, or the extra `ros2` is.
@@ -62,13 +61,11 @@ class RosbridgeServer:
             from websockets.sync.server import serve
         if host not in LOOPBACK and not token:
             raise MissionError(f"{host} is not this machine only: give a token that clients have to give too")
-        self._token = token
-        self.refused = Refusals()
-        self._lock, self._ids = RLock(), count(1)
-        self._peers: set[_Client] = set()
-        self._heard: dict[str, list[Heard]] = {}
+        super().__init__(nullcontext())  # its own connection never ends
+        self._token, self._lock, self._numbers = token, RLock(), count(1)
+        self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
+        self._clients: dict[_Client, Peer | None] = {self._own: None}
         self._types: dict[str, str] = {}
-        self._served: dict[str, tuple[str, Answer]] = {}
         self._forwarded: dict[str, _Call] = {}
         try:
             self._server = serve(
@@ -87,37 +84,12 @@ class RosbridgeServer:
         self._thread = Thread(target=self._server.serve_forever, name="rosbridge-server", daemon=True)
         self._thread.start()
 
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        with self._lock:
-            self._types.setdefault(topic, kind)
-            self._heard.setdefault(topic, []).append(heard)
-
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        with self._lock:
-            self._types.setdefault(topic, kind)
-            peers = [one for one in self._peers if topic in one.topics]
-        for peer in peers:
-            peer.send({"op": "publish", "topic": topic, "msg": message})
-
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        future: Future[Message] = Future()
-        if service in self._served:
-            finish(
-                future, answered(self._served[service][1], {"op": "call_service", "service": service, "args": request})
-            )
-            return future
-        self._forward(service, request, future=future)
-        return future
-
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        self._served[service] = kind, answer
-
     def watch(self, changed: Any) -> None:  # noqa: ANN401  # as in Node
         changed(True, f"serving rosbridge on port {self.port}")
 
     def close(self) -> None:
         self._server.shutdown()
-        for peer in list(self._peers):
+        for peer in filter(None, list(self._clients.values())):
             peer.close()
         self._thread.join()
 
@@ -133,105 +105,101 @@ class RosbridgeServer:
         return None
 
     def _attend(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        peer = _Client(socket)
+        peer = Peer(socket)
+        client = _Client(peer.send)
         with self._lock:
-            self._peers.add(peer)
+            self._clients[client] = peer
         try:
             for text in socket:
-                self._take(peer, text)
+                self._take(client, text)
         except Exception as error:  # cut off, or too big: this client only
             _log.info("a rosbridge client is gone: %s", error)
         finally:
             with self._lock:
-                self._peers.discard(peer)
-                left = [number for number, call in self._forwarded.items() if call.server is peer]
+                del self._clients[client]
+                left = [number for number, call in self._forwarded.items() if call.server is client]
             for number in left:
                 self._respond(number, {"values": "who served it is gone", "result": False})
             peer.close()
 
-    def _take(self, peer: _Client, text: str | bytes) -> None:
+    def _take(self, client: _Client, text: str | bytes) -> None:
         try:
-            message = read(text)
-            getattr(self, f"_op_{message['op']}", self._op_unknown)(peer, message)
+            self._do(client, read(text))
         except NONSENSE as error:
             why = self.refused.add(error)
-            peer.refusals += 1
-            if peer.refusals <= _REFUSALS_TOLD:
-                peer.send({"op": "status", "level": "error", "msg": why})
+            client.refusals += 1
+            if client.refusals <= _REFUSALS_TOLD:
+                client.send({"op": "status", "level": "error", "msg": why})
 
-    def _op_unknown(self, peer: _Client, message: Message) -> None:
+    def _send(self, message: Message) -> bool:
+        self._do(self._own, message)
+        return True
+
+    def _do(self, client: _Client, message: Message) -> None:
+        getattr(self, f"_op_{message['op']}", self._op_unknown)(client, message)
+
+    def _op_unknown(self, client: _Client, message: Message) -> None:
         raise ValueError(f"op {message['op']!r:.40} is not served")
 
-    def _op_advertise(self, peer: _Client, message: Message) -> None:
+    def _op_advertise(self, client: _Client, message: Message) -> None:
         self._types.setdefault(text_of(message, "topic"), str(message.get("type", "")))
 
-    def _op_unadvertise(self, peer: _Client, message: Message) -> None:
+    def _op_unadvertise(self, client: _Client, message: Message) -> None:
         text_of(message, "topic")
 
-    def _op_subscribe(self, peer: _Client, message: Message) -> None:
-        peer.topics.add(text_of(message, "topic"))
+    def _op_subscribe(self, client: _Client, message: Message) -> None:
+        client.topics.add(text_of(message, "topic"))
+        if message.get("type"):
+            self._types.setdefault(message["topic"], str(message["type"]))
 
-    def _op_unsubscribe(self, peer: _Client, message: Message) -> None:
-        peer.topics.discard(text_of(message, "topic"))
+    def _op_unsubscribe(self, client: _Client, message: Message) -> None:
+        client.topics.discard(text_of(message, "topic"))
 
-    def _op_publish(self, peer: _Client, message: Message) -> None:
+    def _op_publish(self, client: _Client, message: Message) -> None:
         topic, content = text_of(message, "topic"), dict_of(message, "msg")
-        self.refused.hand_on(content, self._heard.get(topic, ()))
-        self.publish(topic, "", content)
+        with self._lock:
+            hearers = [one for one in self._clients if topic in one.topics]
+        for one in hearers:
+            one.send({"op": "publish", "topic": topic, "msg": content})
 
-    def _op_advertise_service(self, peer: _Client, message: Message) -> None:
-        peer.services[text_of(message, "service")] = str(message.get("type", ""))
+    def _op_advertise_service(self, client: _Client, message: Message) -> None:
+        client.services[text_of(message, "service")] = str(message.get("type", ""))
 
-    def _op_unadvertise_service(self, peer: _Client, message: Message) -> None:
-        peer.services.pop(text_of(message, "service"), None)
+    def _op_unadvertise_service(self, client: _Client, message: Message) -> None:
+        client.services.pop(text_of(message, "service"), None)
 
-    def _op_call_service(self, peer: _Client, message: Message) -> None:
+    def _op_call_service(self, client: _Client, message: Message) -> None:
+        """Have the client that serves it answer a call."""
         service = text_of(message, "service")
         if isinstance(message.get("args"), list):  # by place, which rosbridge allows and nobody can check
             raise ValueError('"args" of call_service is an object')
-        if service in self._served:
-            peer.send(answered(self._served[service][1], message))
-        else:
-            self._forward(service, dict_of(message, "args"), peer, message.get("id"))
-
-    def _op_service_response(self, peer: _Client, message: Message) -> None:
-        number = text_of(message, "id")
-        if number not in self._forwarded or self._forwarded[number].server is not peer:
-            raise ValueError(f"nobody waits for the answer {number!r:.40}")
-        self._respond(number, message)
-
-    def _op_status(self, peer: _Client, message: Message) -> None:
-        _log.info("a rosbridge client says: %s", str(message.get("msg"))[:200])
-
-    _op_set_level = _op_status
-
-    def _forward(
-        self,
-        service: str,
-        request: Message,
-        caller: _Client | None = None,
-        number: object = None,
-        future: "Future[Message] | None" = None,
-    ) -> None:
-        """Have the client that serves it answer a call, of another client or of ours."""
+        request = dict_of(message, "args")
         with self._lock:
-            server = next((one for one in self._peers if service in one.services), None)
-            own = f"call_service:{next(self._ids)}"
-            self._forwarded[own] = _Call(server, service, caller, number, future)
+            server = next((one for one in self._clients if service in one.services), None)
+            own = f"call_service:{next(self._numbers)}"
+            self._forwarded[own] = _Call(server, service, client, message.get("id"))
         if server is None:
             self._respond(own, {"values": f"nobody serves {service}", "result": False})
         else:
             server.send({"op": "call_service", "id": own, "service": service, "args": request})
+
+    def _op_service_response(self, client: _Client, message: Message) -> None:
+        number = text_of(message, "id")
+        if number not in self._forwarded or self._forwarded[number].server is not client:
+            raise ValueError(f"nobody waits for the answer {number!r:.40}")
+        self._respond(number, message)
+
+    def _op_status(self, client: _Client, message: Message) -> None:
+        _log.info("a rosbridge client says: %s", str(message.get("msg"))[:200])
+
+    _op_set_level = _op_status
 
     def _respond(self, own: str, answer: Message) -> None:
         with self._lock:
             call = self._forwarded.pop(own)
         made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
         made |= {"result": answer.get("result", True)} | ({} if call.number is None else {"id": call.number})
-        if call.caller is not None:
-            call.caller.send(made)
-        if call.future is not None:
-            finish(call.future, made)
+        call.caller.send(made)
 
     def _introspect(self) -> None:
         told: dict[str, Answer] = {
@@ -247,5 +215,4 @@ class RosbridgeServer:
 
     def _services(self) -> dict[str, str]:
         with self._lock:
-            theirs = {name: kind for one in self._peers for name, kind in one.services.items()}
-        return {name: kind for name, (kind, _) in self._served.items()} | theirs
+            return {name: kind for one in self._clients for name, kind in one.services.items()}

@@ -71,7 +71,9 @@ def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
     message = ros.diagnostics(1.5, statuses)
     data = types.encode(ros.DIAGNOSTICS, message)
     assert ros.statuses_of(data) == statuses
-    other = bytes(types.store.serialize_cdr(made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False))
+    other = bytes(
+        types.store.serialize_cdr(made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False)
+    )
     assert other[:2] != data[:2]
     assert ros.statuses_of(other) == statuses
     end = 20 if not statuses else len(data.rstrip(b"\0"))  # after it comes padding, if anything
