@@ -19,7 +19,7 @@ def open_console() -> "Console":
     """Return the console for results; in a pipe or a file, which has no width, a line is as long as what it says."""
     from rich.console import Console
 
-    console = Console(emoji=False)
+    console = Console(emoji=False, highlight=False)
     console.soft_wrap = not console.is_terminal
     return console
 
@@ -41,5 +41,5 @@ def complain(text: str) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    console = Console(stderr=True, soft_wrap=True, emoji=False)
-    console.print(f"[bold red]rosa:[/] {escape(text)}", highlight=False)
+    console = Console(stderr=True, soft_wrap=True, emoji=False, highlight=False)
+    console.print(f"[bold red]rosa:[/] {escape(text)}")

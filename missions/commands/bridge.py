@@ -58,13 +58,13 @@ def bridge(
 
     def say(event: Event) -> None:
         if event.kind is not EventKind.RECORD and (event.verb != "measure" or event.changes):
-            console.print(event.text, highlight=False, markup=False, soft_wrap=True)
+            console.print(event.text, markup=False, soft_wrap=True)
 
     with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
         kb.subscribe(say)
         node = _node(settings, serve, host, token, dds=dds, rclpy=rclpy)
         with closing(Bridge(kb, node, settings, percepts)) as connected:
-            node.watch(lambda _, text: console.print(text, highlight=False, markup=False))
+            node.watch(lambda _, text: console.print(text, markup=False))
             manager = ConfigurationManager(kb, connected.managed)
             root = Running("others decide") if make_tree is None else make_tree(kb, percepts)
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)

@@ -42,7 +42,7 @@ def campaign(
     if asked is not None:
         check_campaign(asked)
     folder = out or Path("campaigns") / (asked.name if asked else "")
-    console = Console(emoji=False, soft_wrap=True)
+    console = Console(emoji=False, soft_wrap=True, highlight=False)
     with Store(folder, asked, resume=resume) as store:
         modules = store.campaign.own_modules
         words = [str(file)] if modules else []  # what it imports is not for the folder to say
@@ -80,9 +80,8 @@ def _conduct(
     took = perf_counter() - started
     console.print(
         f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
-        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed",
-        highlight=False,
+        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
     )
-    console.print(f"written: {', '.join(escape(str(path)) for path in written)}", highlight=False)
-    console.print(f"`rosa report {escape(str(folder))}` says what came of it", highlight=False)
+    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
+    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
     return shown.crashed

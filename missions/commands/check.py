@@ -125,10 +125,10 @@ def _print(judgement: Judgement) -> None:
     for severity, colour in COLOURS.items():
         findings = sorted(judgement.of(severity), key=lambda one: list(rules()).index(one.code))
         for code, group in groupby(findings, key=lambda one: one.code):
-            console.print(f"[bold {colour}]{severity}[/] {code}", highlight=False)
+            console.print(f"[bold {colour}]{severity}[/] {code}")
             for one in group:
-                console.print(f"  {escape(one.where_and_what)}", highlight=False, soft_wrap=True)
-            console.print(f"  -> {escape(rules()[code].advice)}", highlight=False, soft_wrap=True)
+                console.print(f"  {escape(one.where_and_what)}", soft_wrap=True)
+            console.print(f"  -> {escape(rules()[code].advice)}", soft_wrap=True)
     counts = [(len(judgement.of(severity)), severity) for severity in COLOURS]
     shown = [f"{count} {severity}{'s' if count > 1 else ''}" for count, severity in counts if count]
-    console.print(f"model {escape(judgement.model)}: {' and '.join(shown) or 'nothing found'}", highlight=False)
+    console.print(f"model {escape(judgement.model)}: {' and '.join(shown) or 'nothing found'}")

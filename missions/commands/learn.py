@@ -37,10 +37,10 @@ def learn(
     console = open_console()
     changed = 0
     for one in suggestions_of(read_runs(runs), known, mission):
-        console.print(str(one), markup=False, highlight=False)
+        console.print(str(one), markup=False)
         if apply is not None and one.apply is not None and one.kind in taken:
             one.apply()
             changed += 1
     if apply is not None:
         known.save(apply)
-        console.print(f"{changed} change{'s' * (changed != 1)}, written to {apply}", markup=False, highlight=False)
+        console.print(f"{changed} change{'s' * (changed != 1)}, written to {apply}", markup=False)

@@ -14,7 +14,7 @@ def list_missions() -> None:
     """List the missions."""
     wide = max(map(len, MISSIONS)) + 2
     for mission in MISSIONS.values():
-        open_console().print(f"{mission.name:<{wide}}{mission.summary}", markup=False, highlight=False)
+        open_console().print(f"{mission.name:<{wide}}{mission.summary}", markup=False)
 
 
 def list_settings(
@@ -27,6 +27,6 @@ def list_settings(
         default = found.fixed.get(setting.name, setting.default)
         shown = f"{default:g}" if isinstance(default, float) else str(default)
         row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"
-        console.print(row.rstrip(), style="bold", markup=False, highlight=False)
+        console.print(row.rstrip(), style="bold", markup=False)
         said = f"    {setting.meaning} [{setting.source}]"
-        console.print(said, style="dim", markup=False, highlight=False)
+        console.print(said, style="dim", markup=False)

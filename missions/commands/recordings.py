@@ -75,14 +75,12 @@ def replay(
         write_report(report, page.recorder.recorded)
     console = open_console()
     if (recorded := bag.run.get("typeql")) and (changed := _changed(recorded, decisions.kb.model)):
-        console.print(
-            f"recorded with the model {bag.run['model']}, decided with {changed}", markup=False, highlight=False
-        )
+        console.print(f"recorded with the model {bag.run['model']}, decided with {changed}", markup=False)
     for moment in decisions.timeline:
         if heard or moment.what != "heard":
-            console.print(str(moment), markup=False, highlight=False, soft_wrap=True)
+            console.print(str(moment), markup=False, soft_wrap=True)
     for note in _notes(bag):
-        console.print(note, style="yellow", markup=False, highlight=False)
+        console.print(note, style="yellow", markup=False)
     if decisions.problems:
         console.print(f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}")
     if not bag.events:
@@ -93,7 +91,7 @@ def replay(
         return
     console.print(f"[bold]decided otherwise from {differences[0][0]:.2f} s on[/] (-: recorded, +: now)")
     for _, text in differences[:_SHOWN]:
-        console.print(text, markup=False, highlight=False)
+        console.print(text, markup=False)
     if len(differences) > _SHOWN:
         console.print(f"... and {len(differences) - _SHOWN} more")
     raise typer.Exit(FAILED)
@@ -106,13 +104,13 @@ def info(recording: Path) -> None:
     run = ", ".join(
         f"{key} {bag.run[key]}" for key in ("mission", "task", "seed", "model") if bag.run.get(key) is not None
     )
-    console.print(f"{recording}: {run or 'no recording of ours'}; {bag.duration_s:.1f} s", highlight=False)
+    console.print(f"{recording}: {run or 'no recording of ours'}; {bag.duration_s:.1f} s")
     table = Table("topic", "type", "messages")
     for topic, (kind, count) in sorted(bag.topics.items()):
         table.add_row(topic, kind, str(count))
     console.print(table)
     for note in _notes(bag):
-        console.print(note, style="yellow", markup=False, highlight=False)
+        console.print(note, style="yellow", markup=False)
     if bag.cut:
         raise typer.Exit(FAILED)
 
@@ -138,7 +136,7 @@ def convert(recording: Path, output: Path) -> None:
         raise MissionError(f"cannot write {output}: {error.strerror or error}") from None
     console = open_console()
     for note in _notes(bag):
-        console.print(note, style="yellow", markup=False, highlight=False)
+        console.print(note, style="yellow", markup=False)
 
 
 def _notes(bag: Bag | Reader) -> Iterator[str]:

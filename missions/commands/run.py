@@ -104,7 +104,7 @@ def run(
             seen, told = page.recorder, steering if allow_control else None
             view = LiveView(seen.kb, port=live, host=host, token=token, recorder=seen, steering=told)
             stack.callback(view.close)
-            console.print(f"live: {view.url}", highlight=False, soft_wrap=True)
+            console.print(f"live: {view.url}", soft_wrap=True)
         if page and mcap:
             from missions.wires.mcap import record_run
 

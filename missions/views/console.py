@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
@@ -24,7 +24,9 @@ COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
 class _WithBar:
     """Shows a bar while it is open; not on anything but a terminal."""
 
-    _progress: Progress
+    def __init__(self, console: Console, *columns: ProgressColumn) -> None:
+        self._console = console
+        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -38,14 +40,9 @@ class Narrator(_WithBar, Listener):
     """Prints what happens, above a bar of so many simulated seconds."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
-        self._console = console
+        begin, end = TextColumn("{task.completed:5.1f} s"), TextColumn("{task.total:.0f} s  {task.description}")
+        super().__init__(console, begin, BarColumn(), end)
         self._known_problems: set[tuple[str, str]] = set()
-        columns = (
-            TextColumn("{task.completed:5.1f} s"),
-            BarColumn(),
-            TextColumn("{task.total:.0f} s  {task.description}"),
-        )
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
         self._bar = self._progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
@@ -91,18 +88,9 @@ class CampaignProgress(_WithBar):
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
-        self._console = console
+        rate, left = TextColumn("{task.fields[rate]:.2f} a second,"), TextColumn("left  [dim]{task.description}[/]")
+        super().__init__(console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
         self._started = time.perf_counter()
-        self._progress = Progress(
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]:.2f} a second,"),
-            TimeRemainingColumn(),
-            TextColumn("left  [dim]{task.description}[/]"),
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-        )
         self._bar = self._progress.add_task("", total=None, rate=0.0)
 
     def begin(self, done: int, total: int) -> None:
@@ -126,7 +114,7 @@ class CampaignProgress(_WithBar):
         self._print("yellow", text)
 
     def _print(self, style: str, text: str) -> None:
-        self._console.print(text, style=style, highlight=False, markup=False)
+        self._console.print(text, style=style, markup=False)
 
 
 def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool) -> None:
@@ -136,15 +124,15 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
     shown = [figure_in_words(name, value, run.model) for name, value in figures.items()]
     for words, unit, value in [*shown, ("times real time", "", f"{run.world.now / wall_s:.1f}")]:
-        console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", highlight=False, markup=False)
+        console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", markup=False)
     if run.problems:
         _, first = run.problems[0]
         text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
-        console.print(f"[yellow]{escape(text)}[/]", highlight=False)
+        console.print(f"[yellow]{escape(text)}[/]")
     colour = "green" if verdict.success else "red"
-    console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}", highlight=False)
+    console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}")
     if verdict.detail:
-        console.print(escape(verdict.detail), highlight=False)
+        console.print(escape(verdict.detail))
 
 
 def _print_adaptation(console: Console, adaptation: Adaptation) -> None:
@@ -152,8 +140,8 @@ def _print_adaptation(console: Console, adaptation: Adaptation) -> None:
     soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
     kind = f"[bold {COLOURS[adaptation.kind]}]{adaptation.kind} adaptation[/]"
     _say(console, adaptation.at_s, f"{kind}: {escape(adaptation.change)}")
-    console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}", highlight=False)
+    console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}")
 
 
 def _say(console: Console, time_s: float, text: str) -> None:
-    console.print(f"[dim]{time_s:7.1f} s[/]  {text}", highlight=False)
+    console.print(f"[dim]{time_s:7.1f} s[/]  {text}")

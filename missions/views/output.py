@@ -110,13 +110,9 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             for one in run.actions
         ],
         "plans": [
-            {
-                **_fields(plan, "at_s", "reason"),
-                "outcome": str(plan.outcome),
-                "engine": plan.engine,
-                "steps": [str(step) for step in plan.steps],
-            }
-            for plan in run.plans
+            {**_fields(one, "at_s", "reason"), "outcome": str(one.outcome), "engine": one.engine}
+            | {"steps": [str(step) for step in one.steps]}
+            for one in run.plans
         ],
         "reactions": [_fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],

@@ -203,11 +203,12 @@ class TerminalView(App[None]):
     def __init__(self, feed: Feed, title: str) -> None:
         super().__init__()
         self.title, self._feed, self._fold, self._is_held = title, feed, Fold(), False
+        self._shown = {name: Static(id=name) for name in self.PANES}
 
     def compose(self) -> ComposeResult:
         yield Header()
-        for name in self.PANES:
-            pane = VerticalScroll(Static(id=name))
+        for name, shown in self._shown.items():
+            pane = VerticalScroll(shown)
             pane.border_title = name
             yield pane
         yield Footer()
@@ -233,4 +234,4 @@ class TerminalView(App[None]):
         lines = {"tree": self._fold.tree(), "known": self._fold.known(), "adaptations": self._fold.adaptations()}
         lines["measurements"] = self._fold.measurements(self.size.width // 2 - 6)
         for name, shown in lines.items():
-            self.query_one(f"#{name}", Static).update(Text("\n").join(shown))
+            self._shown[name].update(Text("\n").join(shown))
