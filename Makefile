@@ -1,4 +1,4 @@
-# Short names for the two commands of the README, and for building the page of reports, and the site.
+# Short names for the two commands of the README, and for the page of reports, the pictures of the docs, and the site.
 .PHONY: page pictures run site test
 
 page:
@@ -6,6 +6,7 @@ page:
 
 pictures:
 	python3 launch.py python3 tests/missions/page_pictures.py
+	ROSA_GROWTH_PNG=docs/agv_growth.png python3 launch.py pytest -n 0 -m benchmark tests/benchmarks/test_joint_planning.py -k growth
 
 run:
 	python3 launch.py rosa run suave_extended --plot mission.png

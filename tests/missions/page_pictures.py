@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/see_it.md: `make pictures`, with a Chromium on this machine."""
+"""Draws the pictures of the docs: `make pictures`, with a Chromium on this machine; same sources, same bytes."""
 
 import sys
 from pathlib import Path
@@ -7,10 +7,13 @@ from typing import NamedTuple
 from playwright.sync_api import sync_playwright
 from test_page_in_browser import CHROMIUM, FLAGS, recorded
 
+from missions import cli
 from missions.views.report import write_report
 
 DOCS = Path(__file__).parents[2] / "docs"
-MOST = 250_000  # bytes
+MOST = 250_000  # bytes of a page
+RUNS = (("suave_extended",), ("agv",), ("uav", "--task", "pddl", "--seed", "4"))
+"""The runs that docs/gallery.md shows, as it says how they are made."""
 
 
 class Picture(NamedTuple):
@@ -32,7 +35,10 @@ PICTURES = (
 
 
 def main() -> None:
-    """Run each mission, and photograph its report."""
+    """Draw the runs of the gallery; then run a mission for each page, and photograph its report."""
+    for mission, *options in RUNS:
+        plot = str(DOCS / f"{mission}.png")
+        cli.app(["run", mission, *options, "--no-progress", "--plot", plot], standalone_mode=False)
     if CHROMIUM is None:
         sys.exit("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as playwright:

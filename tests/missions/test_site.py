@@ -13,6 +13,7 @@ from types import GenericAlias
 
 import pytest
 from browsing import needs_browser, visiting
+from page_pictures import PICTURES, RUNS
 
 ROOT = Path(__file__).parents[2]
 
@@ -45,6 +46,17 @@ def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
         module = importlib.import_module(package)
         named = [name for name in module.__all__ if not isinstance(getattr(module, name), GenericAlias)]
         assert not [name for name in named if f'id="{package}.{name}"' not in shown]
+
+
+def test_every_picture_of_the_docs_is_made_by_one_command():
+    made = {f"{one.name}.png" for one in PICTURES} | {f"{mission}.png" for mission, *_ in RUNS}
+    assert {path.name for path in (ROOT / "docs").rglob("*.png")} == made | {"agv_growth.png"}
+    rules = (ROOT / "Makefile").read_text().partition("\npictures:\n")[2].partition("\n\n")[0]
+    assert "page_pictures.py" in rules
+    assert "ROSA_GROWTH_PNG=docs/agv_growth.png" in rules
+    gallery = (ROOT / "docs" / "gallery.md").read_text()
+    for mission, *options in RUNS:
+        assert " ".join(["rosa run", mission, "--no-progress", *options, "--plot", f"{mission}.png"]) in gallery
 
 
 class Quiet(SimpleHTTPRequestHandler):
