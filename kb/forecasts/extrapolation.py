@@ -21,15 +21,15 @@ _log = logging.getLogger(__name__)
 
 LEVEL: Final = 0.9
 """How often an interval shall hold what comes."""
-_ENOUGH, _ORIGINS, _GAPS = 9, 20, 8
+_ENOUGH, _ORIGINS, _GAPS = 9, 40, 4
 """From how many earlier points, at least and at most, it is looked how far a forecast was off, and how many of them lie
-within a horizon at most."""
-_PACE: Final = 0.05
+within a horizon at most: what overlaps more is no evidence of its own."""
+_PACE: Final = 0.1
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
 """How much further ahead than it could be checked a forecast goes; its interval grows with the time then."""
 _MOST_POINTS, _LEAST_POINTS = 24, 8
-_WAVE_POINTS, _PERIODS, _ROUNDS, _SEEN = 64, 40, 6, 0.75
+_WAVE_POINTS, _PERIODS, _ROUNDS, _SEEN = 64, 40, 4, 0.75
 """On how many points a wave is fitted, how many periods are tried, how often it is looked between the best ones, and
 which part of what is looked at a period may be, if so much was seen."""
 _ROUNDING: Final = 1e-9
@@ -43,8 +43,6 @@ class Curve(NamedTuple):
 
 
 Fit = Callable[[int, float], Curve | None]
-
-
 Expected = tuple[float, float | None, str]
 """A value, how far it may be off, if that is known, and how it gets there."""
 
@@ -100,8 +98,10 @@ def periodic(series: Series, _: float) -> Curve | None:
 
     def misfits(periods: Any) -> Any:  # noqa: ANN401  # arrays of numpy
         angles = 2 * math.pi * times / periods[:, None]
-        basis, _ = np.linalg.qr(np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=2))
-        rest = values - (basis @ (basis.transpose(0, 2, 1) @ values[:, None]))[:, :, 0]
+        basis = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
+        # ever so little more than the normal equations, which are singular where the times hide a wave
+        swings = np.linalg.solve(basis @ basis.transpose(0, 2, 1) + _ROUNDING * np.eye(3), basis @ values[:, None])
+        rest = values - (swings.transpose(0, 2, 1) @ basis)[:, 0]
         return (rest * rest).sum(axis=1)
 
     end = series.times[-1]

@@ -3,6 +3,7 @@
 import math
 import subprocess
 import sys
+from random import Random
 
 import pytest
 from clocks import Clock
@@ -262,6 +263,26 @@ def test_interval_covers_again_within_a_period_after_the_regime_has_changed(cloc
     for when in held.values():
         assert len(when) > 40
         assert sum(when) / len(when) >= 0.8
+
+
+def test_intervals_hold_nine_in_ten_of_what_goes_in_legs(clock):
+    """For 40 s it goes one way: errors of forecasts that overlap are all of one leg, and tell nothing of the next."""
+    held = []
+    for case in range(12):
+        chance, slope, seen = Random(case), 0.0, [0.0]
+        for second in range(250):
+            slope = slope if second % 40 else chance.gauss(0, 1)
+            seen.append(seen[-1] + slope)
+        model = Model("legs")
+        model.environmental_attribute("height").forecast("constant")
+        kb = KnowledgeBase(model, clock=clock)
+        for second in range(240):
+            clock.now = float(second)
+            kb.measure("height", seen[second])
+            if second >= 100 and second % 5 == 0:
+                found = kb.forecast("height", 8.0)
+                held.append(found.low <= seen[second + 8] <= found.high)
+    assert 0.85 <= sum(held) / len(held) <= 0.95
 
 
 def test_rate_is_learned_while_its_action_alone_is_done(clock):
