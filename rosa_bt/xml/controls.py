@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Generator, Mapping
+from contextlib import suppress
 from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
@@ -9,6 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
+from rosa_bt.xml.blackboard import converted
 from rosa_bt.xml.nodes import DONE, FAILURE, MAX_NODES, RUNNING, SKIPPED, SUCCESS, Control, NodeError, Slot, Ticking
 
 
@@ -195,16 +197,18 @@ class Switch(Control):
         return verdict
 
     def _is(self, case: str) -> bool:
+        """Tell whether a case is the variable: as text, or as the whole number or number that both begin with."""
         if not (self.ports.exists("variable") and self.ports.exists(case)):
             return False
-        one, other = self.ports.get("variable"), self.ports.get(case)
+        enums = self.ports.blackboard.enums
+        one, other = (str(enums.get(text, text)) for text in (self.ports.get("variable"), self.ports.get(case)))
         if one == other:
             return True
-        enums = self.ports.blackboard.enums
-        try:
-            return abs(float(enums.get(one, one)) - float(enums.get(other, other))) <= sys.float_info.epsilon
-        except ValueError:
-            return False
+        for kind in (int, float):
+            with suppress(ValueError):
+                if abs(converted(one, kind) - converted(other, kind)) <= sys.float_info.epsilon:
+                    return True
+        return False
 
 
 class TryCatch(Control):

@@ -31,8 +31,8 @@ class _Again(OneChild):
     _count = 0
 
     def decide(self) -> Ticking:
-        child = self.child
-        while self._is_left():
+        child, times = self.child, self.ports.get(self.port)
+        while times == -1 or self._count < times:
             was_idle = child.status is SKIPPED
             verdict = yield from child.tick()
             if verdict is RUNNING:
@@ -42,14 +42,10 @@ class _Again(OneChild):
                 self._count = self._count if verdict is SKIPPED else 0
                 return verdict
             self._count += 1
-            if was_idle and self._is_left():
+            if was_idle and (times == -1 or self._count < times):
                 return RUNNING
         self._count = 0
         return self.once_more
-
-    def _is_left(self) -> bool:
-        times: int = self.ports.get(self.port)
-        return times == -1 or self._count < times
 
 
 def _again(once_more: Status, port: str) -> dict[str, Any]:
@@ -158,6 +154,7 @@ class Precondition(Gate):
         self._condition = parse_script(ports.get("if"))
 
     def is_due(self) -> bool:
+        self.ports.get("else")  # what is no outcome is an error of the first tick
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         return self._is_begun
 

@@ -7,7 +7,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.blackboard import EMPTY, truth
+from rosa_bt.xml.blackboard import EMPTY, Entry, truth
 from rosa_bt.xml.nodes import NodeError, Slot
 from rosa_bt.xml.ports import Declared, Ports
 from rosa_bt.xml.scripts import parse_script
@@ -56,25 +56,24 @@ class SetBlackboard(XmlLeaf):
 
     def update(self) -> Status:
         board, key, source = self.ports.blackboard, str(self.ports.get("output_key")), self.ports.key("value")
-        entry = board.entry(key)
-        if source is None:
-            text = str(self.ports.get("value"))
-            if entry is not None and entry.declared is None:
-                if entry.is_emptied:
-                    raise NodeError(f"{key!r} has no declared type, so it cannot be said what {text!r} is")
-                entry.is_emptied = True
-                entry.put(EMPTY)
-            else:
-                (entry or board.make(key, str)).take(text)
-            return Status.SUCCESS
-        entry, copied = entry or board.make(key), board.entry(source)
-        if copied is None or copied.value is EMPTY:
+        given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
+        if given is None or given.value is EMPTY:
+            board.make(key)
             return Status.FAILURE
-        if entry.value is EMPTY and entry.declared is None:
-            entry.declared = copied.declared
-        if entry.declared is str and copied.declared is not str:
-            raise NodeError(f"{key!r} is declared as a text, and {source!r} is not")
-        entry.put(copied.value)
+        entry = board.entry(key)
+        if entry is None:
+            board.make(key, given.declared).put(given.value)
+        elif isinstance(given.value, str) and entry.declared is None:
+            if entry.is_emptied or entry.value is EMPTY:
+                raise NodeError(f"{key!r} has no declared type, so it cannot be said what {given.value!r} is")
+            entry.is_emptied = True
+            entry.put(EMPTY)
+        elif isinstance(given.value, str):
+            entry.take(given.value)
+        elif entry.declared in (None, given.declared, type(given.value)):
+            entry.put(given.value)
+        else:
+            raise NodeError(f"{key!r} is declared as {entry.declared}, so {given.value!r} cannot be copied there")
         return Status.SUCCESS
 
 

@@ -6,6 +6,7 @@ import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final, cast
@@ -124,12 +125,18 @@ class Document:
 
     def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
         _check_root(root)
+        if root.attributes.get("BTCPP_format", "3" if _is_of_3(root) else "4") == "3":
+            _log.warning("%s: read as of version 3: its names, and SubTrees whose attributes are keys", root.where)
+            root = _as_4(root)
         is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
         several = [one for one in root.children if one.tag == "TreeNodesModel"]
         if len(several) > 1:
             raise several[1].error("a file has one TreeNodesModel; put its elements into the first")
         for element in root.children:
             if element.tag == "BehaviorTree":
+                if len(element.children) != 1:
+                    count = len(element.children)
+                    raise element.error(f"a tree has one child, not {count}; put a Sequence around")
                 is_unnamed = is_only and "ID" not in element.attributes
                 _add(self.trees, "BehaviorTree" if is_unnamed else element.get("ID"), element)
             elif element.tag == "TreeNodesModel":
@@ -140,8 +147,7 @@ class Document:
             elif element.tag == "include":
                 self._include(element, folder, chain)
             else:
-                known = hint(element.tag, ["BehaviorTree", "TreeNodesModel", "include"], "known")
-                raise element.error(f"<{element.tag}> cannot stand in <root>; {known}")
+                _log.warning("%s: <%s> means nothing in <root> and is passed over", element.where, element.tag)
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attributes:
@@ -190,11 +196,39 @@ def _check_root(root: Element) -> None:
     if root.tag != "root":
         raise root.error(f"the outermost element is <root>, not <{root.tag}>")
     version = root.attributes.get("BTCPP_format", "4")
-    if version == "3":
-        advice = "convert the file with convert_v3_to_v4.py, which comes with BehaviorTree.CPP"
-        raise root.error(f'BTCPP_format="3" gives some names another meaning; {advice}')
-    if version != "4":
-        raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4"')
+    if version not in ("3", "4"):
+        raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4", and "3"')
+
+
+_RENAMED: Final = {
+    **{"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithMemory", "RetryUntilSuccesful": "RetryUntilSuccessful"},
+    **{"__autoremap": "_autoremap", "__shared_blackboard": "_autoremap"},
+}
+_OF_PARALLEL: Final = {
+    **{"success_threshold": "success_count", "threshold": "success_count"},
+    **{"failure_threshold": "failure_count"},
+}
+
+
+def _is_of_3(element: Element) -> bool:
+    """Tell whether there is what only version 3 has: many of its files do not say which version they are of."""
+    names = element.attributes.keys() | {element.tag, element.attributes.get("ID")}
+    return not names.isdisjoint(_RENAMED) or any(map(_is_of_3, element.children))
+
+
+def _as_4(element: Element) -> Element:
+    """Return what an element of version 3 is in version 4, after BehaviorTree.CPP's guide to migration."""
+    names = {**_RENAMED, **(_OF_PARALLEL if "Parallel" in (element.tag, element.attributes.get("ID")) else {})}
+    attributes = {}
+    for key, text in element.attributes.items():
+        if text == "=":
+            text = "{=}"
+        elif element.tag == "SubTree" and key not in ("ID", "name") and key[0] != "_" and key_of(text, key) is None:
+            text = f"{{{text}}}"  # there, each is a key, and values are for SubTreePlus
+        attributes[names.get(key, key)] = names.get(text, text) if key == "ID" else text
+    ports = "input_port", "output_port", "inout_port"  # of the model of a SubTree: none is asked for
+    children = [_as_4(one) for one in element.children if element.tag != "SubTree" or one.tag not in ports]
+    return Element(names.get(element.tag, element.tag), attributes, tuple(children), element.where)
 
 
 def _real(path: Path) -> Path:
@@ -296,12 +330,10 @@ _Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
 _NODES: Final[_Kinds] = {**CONTROLS, **NAV2, **DECORATORS, **LEAVES}
 _OWN: Final = "it is not in the factory of BehaviorTree.CPP 4.10; register a behaviour of your own under another name"
 _NOT_READ: Final = {
-    "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead',
+    "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead, or say BTCPP_format="3"',
     **dict.fromkeys(("ConsumeQueue", "EntryUpdated", "ManualSelector", "PopFromQueue", "QueueSize", "TestNode"), _OWN),
     "WaitValueUpdated": "it is called WaitValueUpdate",
 }
-_ELSEWHERE: Final = ("_autoremap", "_description")
-"""Attributes with an underscore that are no rules; editors write others, which mean nothing."""
 
 
 class SubTree(Branch):
@@ -354,7 +386,7 @@ def load_xml(
     is_one = isinstance(text_or_path, str | Path) or not isinstance(text_or_path, Iterable)
     document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # it is asked above
     for name, element in document.trees.items():
-        if name in _NODES or name in registry:
+        if name in (*_NODES, "SubTree") or name in registry:
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
     kb = registry.bound.get("kb")
     board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
@@ -388,8 +420,6 @@ class _Builder:
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
-        if len(element.children) != 1:
-            raise element.error(f"a tree has one child, not {len(element.children)}; put a Sequence around")
         slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
         return SubTree(name or tree, slot, place.board, tree, tuple(self._document.models.values()))
 
@@ -485,7 +515,7 @@ class _Builder:
         for port in model.children if model is not None and model.tag == "SubTree" and not is_free else ():
             if port.tag.endswith("_port"):  # editors write other things, too
                 name = port.get("name")
-                if "default" in port.attributes:
+                if port.attributes.get("default"):
                     found[name] = port.attributes["default"]
                 elif name not in element.ports:
                     raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
@@ -506,12 +536,8 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
     for name, text in element.attributes.items():
         if name in Rules.NAMES:
             scripts[name], written[name] = parse_script(text), text
-        elif name == "__shared_blackboard":
-            raise element.error(f"{name} is of version 3; write _autoremap in the SubTree")
-        elif name.startswith("_") and name not in _ELSEWHERE:
-            guess = hint(name, (*Rules.NAMES, *_ELSEWHERE), "known")
-            if guess.startswith("did you mean"):
-                raise element.error(f"<{element.tag}> has an attribute {name!r}; {guess}")
+        elif name.startswith("_") and (near := get_close_matches(name, Rules.NAMES, 1)):
+            _log.warning("%s: %s is passed over; did you mean %s?", element.where, name, near[0])
     return Rules(board, scripts, written) if scripts else None
 
 

@@ -51,10 +51,10 @@ _BITS: Final = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
 _COMPARED: Final[Mapping[str, Callable[[Any, Any], bool]]] = {
     "==": _equal,
     "!=": lambda one, other: not _equal(one, other),
-    "<": operator.lt,
-    ">": operator.gt,
-    "<=": operator.le,
-    ">=": operator.ge,
+    "<": lambda one, other: not one >= other,  # nan is less than all, and more
+    ">": lambda one, other: not one <= other,
+    "<=": lambda one, other: not one > other,
+    ">=": lambda one, other: not one < other,
 }
 
 
@@ -275,4 +275,6 @@ def _prefixed(sign: str, operand: Script, board: Blackboard) -> float:
     value = operand(board)
     if not is_number(value):
         raise ScriptError(f"{sign!r} is not for {shown(value)}")
-    return double(~whole(value)) if sign == "~" else -double(value) if sign == "-" else float(not double(value))
+    if sign == "~":  # of what is not whole, the whole part
+        return double(~whole(math.trunc(value) if math.isfinite(value) else value))
+    return -double(value) if sign == "-" else float(not double(value))

@@ -8,9 +8,9 @@ import operator
 import re
 
 TOKEN = re.compile(r"'[^']*'|0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|@?\w+|[-+*/:]=|[=!<>]=|&&|\|\||\.\.|\S")
-COMPARED = {"<": operator.lt, ">": operator.gt, "<=": operator.le, ">=": operator.ge}
+EXCLUDED = {"<": operator.ge, ">": operator.le, "<=": operator.gt, ">=": operator.lt}
 BITS = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
-BINDS = {"||": 1, "&&": 2, **dict.fromkeys((*COMPARED, "==", "!="), 3), "|": 4, "^": 4, "&": 5}
+BINDS = {"||": 1, "&&": 2, **dict.fromkeys((*EXCLUDED, "==", "!="), 3), "|": 4, "^": 4, "&": 5}
 BINDS |= {"+": 6, "-": 6, "..": 6, "*": 7, "/": 7}
 
 
@@ -148,7 +148,7 @@ def number_of(text, enums):
 
 def prefixed(sign, one):
     if sign == "~":
-        return double(~whole(one))
+        return double(~whole(math.trunc(one) if math.isfinite(one) else one))
     return -double(one) if sign == "-" else float(double(one) == 0)
 
 
@@ -181,8 +181,8 @@ def compared(sign, one, other, enums):
     if not (isinstance(one, str) and isinstance(other, str)):
         named = {**enums, "true": 1, "false": 0}
         one, other = (double(number_of(side, named) if isinstance(side, str) else side) for side in (one, other))
-    if sign in COMPARED:
-        return COMPARED[sign](one, other)
+    if sign in EXCLUDED:
+        return not EXCLUDED[sign](one, other)
     is_equal = one == other if isinstance(one, str) else abs(one - other) < 2**-23
     return is_equal == (sign == "==")
 

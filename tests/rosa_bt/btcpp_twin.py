@@ -318,12 +318,15 @@ class Switch(Node):
         self.running = None
 
     def is_case(self, value, case):
+        """As texts, or as what both begin with: a whole number, or else a number."""
         if value is None:
             return False
-        numbers = [
-            float(self.world.enums.get(one, one)) for one in (value, case) if str(one)[0].isdigit() or one == "RED"
-        ]
-        return str(value) == case or (len(numbers) == 2 and round(numbers[0], 6) == numbers[1])
+        value = f"{value:f}" if isinstance(value, float) else str(value)
+        one, other = (str(self.world.enums.get(text, text)) for text in (value, case))
+        wholes, numbers = ([re.match(form, text) for text in (one, other)] for form in (r"-?\d+", r"-?\d+(\.\d+)?"))
+        if one == other or (all(wholes) and int(wholes[0][0]) == int(wholes[1][0])):
+            return True
+        return all(numbers) and float(numbers[0][0]) == float(numbers[1][0])
 
     def tick(self):
         *cases, chosen = self.children

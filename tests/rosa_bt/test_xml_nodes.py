@@ -427,6 +427,51 @@ def knowing_running():
     return registry
 
 
+OBSERVED = {
+    "Switch2 compares what its texts begin with": (
+        '<Switch2 variable="{v}" case_1="2abc" case_2="1"><a/><b/><d/></Switch2>',
+        "v=1.5 b:s:S => S | v=2.9 a:s:S => S | v=-1 d:s:S => S",
+    ),
+    "Repeat reads its port once a tick": (
+        '<Repeat num_cycles="{v}"><UnsetBlackboard key="v"/></Repeat>',
+        "v=2 | v=1 => S",
+    ),
+    "nan is less than all, and more": (
+        '<ScriptCondition code="0 / 0 &lt; v &amp;&amp; 0 / 0 &gt;= v &amp;&amp; !(0 / 0 == v) &amp;&amp; ~1.5 == -2"/>',
+        "v=1 => S",
+    ),
+    "SetBlackboard copies a number over one of its kind": (
+        '<Sequence><SetBlackboard value="{v}" output_key="w"/><ScriptCondition code="w == v"/></Sequence>',
+        "v=1 w=2 => S",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OBSERVED)
+def test_behaviortree_cpp_was_seen_to_do(case):
+    text, told = OBSERVED[case]
+    said, clock = [], Hand()
+    tree = load_xml(wrapped(text), registry_of(leaves_of("a:S b:S d:S"), said), clock=clock)
+    assert perform(tree, said, told, clock) == told
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('<Precondition if="true" else="NEVER"><a/></Precondition>', {}),
+        ('<Repeat num_cycles="{gone}"><a/></Repeat>', {}),
+        ('<SetBlackboard value="{x}" output_key="y"/>', {"x": True, "y": 0.5}),
+        ('<SetBlackboard value="{x}" output_key="y"/>', {"x": "word", "y": 3}),
+        ('<Fallback><WasEntryUpdated entry="{y}"/><SetBlackboard value="7" output_key="y"/></Fallback>', {}),
+    ],
+)
+def test_behaviortree_cpp_was_seen_to_raise_in_the_first_tick(text, told):
+    tree = load_xml(wrapped(text), registry_of({"a": ("A", "S")}, []))
+    tree.blackboard.update(told)
+    with pytest.raises(RosaBtError):
+        tree.tick_once()
+
+
 def test_round_robin_that_does_not_wrap_around_fails_after_its_last_child():
     said = []
     registry = registry_of({"a": ("A", "SF"), "b": ("A", "FS")}, said)

@@ -46,8 +46,6 @@ REFUSED = {
     "<Repeat num_cycle='2'><a/></Repeat>": "it has no port 'num_cycle'; did you mean 'num_cycles'?",
     "<Repeat num_cycles='two'><a/></Repeat>": "the port 'num_cycles' takes a value of type int, not 'two'",
     "<a speed='2'/>": "<a> cannot be made: it has no port 'speed'; ports: cls, steps, tag",
-    "<a _skipif='x == 1'/>": "did you mean '_skipIf'?",
-    "<SubTree ID='Other' __shared_blackboard='true'/>": "__shared_blackboard is of version 3; write _autoremap",
     "<a _skipIf='x +'/>": "the script 'x +' cannot be read at 'the end'",
     "<a _skipIf=''/>": "the script is empty",
     "<Script code='x ++'/>": "the script 'x ++' cannot be read at '+'",
@@ -80,10 +78,15 @@ NO_FILES = {
     "<root": "<text>:1: it is no XML",
     "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
     "<tree/>": "the outermost element is <root>, not <tree>",
-    '<root BTCPP_format="3"/>': "convert_v3_to_v4.py",
     '<root BTCPP_format="5"/>': "BTCPP_format='5' is not known",
     "<root/>": "which tree? There are: none",
-    "<root><Sequence/></root>": "<Sequence> cannot stand in <root>",
+    "<root><Sequence/></root>": "which tree? There are: none",
+    "<root><BehaviorTree ID='SubTree'><a/></BehaviorTree></root>": "'SubTree' is the name of a node",
+    "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='B'/></root>": "<text>:2: a tree has one child, not 0",
+    "<root main_tree_to_execute='A'><BehaviorTree ID='A'><SubTree ID='B'/></BehaviorTree><BehaviorTree ID='B'><a/>"
+    "</BehaviorTree><TreeNodesModel><SubTree ID='B'><input_port name='p' default=''/></SubTree></TreeNodesModel></root>": (
+        "the tree 'B' needs p=..."
+    ),
     "<root><TreeNodesModel><Leaf ID='a'/></TreeNodesModel></root>": "a model is one of Action",
     "<root><BehaviorTree><a/></BehaviorTree><BehaviorTree><a/></BehaviorTree></root>": "<BehaviorTree> has no ID",
     "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='A'><a/></BehaviorTree></root>": (
@@ -183,6 +186,40 @@ def test_raw_ampersands_and_brackets_in_attributes_are_read_with_a_note(caplog):
     tree.tick_once()
     assert tree.status is Status.INVALID
     assert "read as it stands, though it is no XML: & and < in attributes" in caplog.text
+
+
+def test_what_means_nothing_is_passed_over_with_a_note(caplog):
+    load('<root><Panel/><BehaviorTree ID="T"><a _skipif="no"/></BehaviorTree></root>').tick_once()
+    assert "<Panel> means nothing in <root>" in caplog.text
+    assert "_skipif is passed over; did you mean _skipIf?" in caplog.text
+
+
+OLD = """
+  <BehaviorTree ID="Main"><SequenceStar>
+    <SetBlackboard output_key="goal" value="7"/>
+    <SubTree ID="Keys" k="goal" same="="/>
+    <SubTreePlus ID="Plus" text="word" k="{goal}"/>
+    <SubTree ID="Shared" __shared_blackboard="true"/>
+    <Decorator ID="RetryUntilSuccesful" num_attempts="1"><SubTreePlus ID="Shared" __autoremap="1"/></Decorator>
+    <Control ID="Parallel" success_threshold="1" failure_threshold="1"><a/><b/></Control>
+  </SequenceStar></BehaviorTree>
+  <BehaviorTree ID="Keys"><ScriptCondition code="k == 7"/></BehaviorTree>
+  <BehaviorTree ID="Plus"><ScriptCondition code="text == 'word' &amp;&amp; k == 7"/></BehaviorTree>
+  <BehaviorTree ID="Shared"><ScriptCondition code="goal == 7"/></BehaviorTree>
+  <TreeNodesModel><SubTree ID="Keys"><input_port name="k"/><input_port name="other"/></SubTree></TreeNodesModel>
+</root>"""
+
+
+@pytest.mark.parametrize("version", ['BTCPP_format="3" ', ""])
+def test_file_of_version_3_is_read_by_its_rules_with_a_note(version, caplog):
+    said = []
+    tree = load_xml(f'<root {version}main_tree_to_execute="Main">{OLD}', registry_of(LEAVES, said))
+    for _ in range(6):
+        tree.tick_once()
+    assert (tree.status, said) == (Status.SUCCESS, ["a:s:S"])
+    assert "<text>:1: read as of version 3" in caplog.text
+    with pytest.raises(XmlError, match="SequenceStar> is unknown"):
+        load(f'<root BTCPP_format="4" main_tree_to_execute="Main">{OLD}')
 
 
 def test_dashes_in_comments_and_blanks_before_the_declaration_are_read_with_a_note(tmp_path, caplog):

@@ -47,6 +47,7 @@ ENTRIES = (
     '<UnsetBlackboard key="c"/>',
     '<Script code="w := n &amp; 3"/>',
     '<Script code="w := 2"/>',
+    '<Script code="w := n / 2"/>',
 )
 CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
 AUTO = '_autoremap="true"'
