@@ -227,6 +227,11 @@ class ActionRequest:
         self._held = None
 
 
+def _ports(of: type = str, default: str | None = None, **described: str) -> dict[str, PortInformation]:
+    """Return ports that need not be written."""
+    return {name: PortInformation(of, False, said, default) for name, said in described.items()}
+
+
 class KbBehaviour(PortsMixin, Behaviour):
     """A leaf that knows a knowledge base; what its constructor is not given, its ports carry.
 
@@ -234,32 +239,24 @@ class KbBehaviour(PortsMixin, Behaviour):
 
     Args:
         port_arguments: what the constructor was given of the ports; None where the port carries the value.
-        behaviour_class_name: as in py_trees.
 
     Attributes:
         known: number of the last event that it knew of when it was ticked; None of an action, which takes its time.
     """
 
-    INPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
-    OUTPUT_PORTS: dict[str, PortInformation] = {}  # noqa: RUF012  # py_trees declares it so
+    INPUT_PORTS = _ports()
+    OUTPUT_PORTS = _ports()
 
     def __init_subclass__(cls, *, tag: str | None = None, register: bool = False) -> None:
         """Leave py_trees' process-wide registry of tags alone unless asked: names of classes need not be unique."""
         super().__init_subclass__(tag=tag, register=register)
 
-    def __init__(
-        self,
-        name: str,
-        kb: KnowledgeBase,
-        *,
-        behaviour_class_name: str | None = None,
-        port_arguments: Mapping[str, Any] | None = None,
-    ) -> None:
-        super().__init__(name, behaviour_class_name=behaviour_class_name)
+    def __init__(self, name: str, kb: KnowledgeBase, **port_arguments: Any) -> None:  # noqa: ANN401  # as ports declare
+        super().__init__(name)
         self.kb = kb
         self.known: int | None = None
-        self.port_arguments = dict(port_arguments or {})
-        self.check_ports({port: value for port, value in self.port_arguments.items() if value is not None})
+        self.port_arguments = port_arguments
+        self.check_ports({port: value for port, value in port_arguments.items() if value is not None})
 
     def check_ports(self, given: Mapping[str, Any]) -> None:
         """Raise if what ports are given is nothing that the knowledge base has: before the mission, not in it."""
@@ -321,14 +318,10 @@ class KbBehaviour(PortsMixin, Behaviour):
 class ActionBehaviour(KbBehaviour):
     """A behaviour about one ROSA action, named directly or through the port `action`."""
 
-    INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
-        "action": PortInformation(str, required=False, description="name of the ROSA action")
-    }
+    INPUT_PORTS = _ports(action="name of the ROSA action")
 
-    def __init__(
-        self, name: str, kb: KnowledgeBase, action: str | None = None, *, behaviour_class_name: str | None = None
-    ) -> None:
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments={"action": action})
+    def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None) -> None:
+        super().__init__(name, kb, action=action)
 
     def check_ports(self, given: Mapping[str, Any]) -> None:
         if "action" in given:
@@ -352,10 +345,8 @@ class IsActionFeasible(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    def __init__(
-        self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0, **named: str | None
-    ) -> None:
-        super().__init__(name, kb, action, **named)
+    def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0) -> None:
+        super().__init__(name, kb, action)
         self.during, self.ends_too_soon = during, False  # it is feasible now, and will not be for as long
 
     def update(self) -> Status:
@@ -386,22 +377,12 @@ class HasStatus(KbBehaviour):
         kb.UnknownName, kb.AmbiguousName, kb.InvalidValue: there is no such element, several, or never that status.
     """
 
-    INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
-        "element": PortInformation(str, required=False, description="name of an element of the model"),
-        "status": PortInformation(str, required=False, description="a status that it can have"),
-    }
+    INPUT_PORTS = _ports(element="name of an element of the model", status="a status that it can have")
 
     def __init__(
-        self,
-        name: str,
-        kb: KnowledgeBase,
-        element: str | StatusView | None = None,
-        status: str | None = None,
-        *,
-        behaviour_class_name: str | None = None,
+        self, name: str, kb: KnowledgeBase, element: str | StatusView | None = None, status: str | None = None
     ) -> None:
-        given = {"element": None if element is None else _find(kb, element), "status": status}
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments=given)
+        super().__init__(name, kb, element=None if element is None else _find(kb, element), status=status)
 
     def check_ports(self, given: Mapping[str, Any]) -> None:
         if "element" in given:
@@ -453,11 +434,9 @@ class Measurement(KbBehaviour):
         ValueError: no such operator.
     """
 
-    INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
-        "attribute": PortInformation(str, required=False, description="name of what is measured"),
-        "operator": PortInformation(str, required=False, description="one of >=, >, <=, <"),
-        "value": PortInformation(float, required=False, description="what to compare with"),
-    }
+    INPUT_PORTS = _ports(attribute="name of what is measured", operator="one of >=, >, <=, <") | _ports(
+        float, value="what to compare with"
+    )
 
     def __init__(
         self,
@@ -468,10 +447,8 @@ class Measurement(KbBehaviour):
         value: float | None = None,
         *,
         unknown: Status = Status.FAILURE,
-        behaviour_class_name: str | None = None,
     ) -> None:
-        given = {"attribute": attribute, "operator": operator, "value": value}
-        super().__init__(name, kb, behaviour_class_name=behaviour_class_name, port_arguments=given)
+        super().__init__(name, kb, attribute=attribute, operator=operator, value=value)
         self._unknown = unknown
 
     def check_ports(self, given: Mapping[str, Any]) -> None:
@@ -508,16 +485,8 @@ class WaitForArchitecture(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    def __init__(
-        self,
-        name: str,
-        kb: KnowledgeBase,
-        action: str | None = None,
-        *,
-        timeout: float = math.inf,
-        behaviour_class_name: str | None = None,
-    ) -> None:
-        super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
+    def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, timeout: float = math.inf) -> None:
+        super().__init__(name, kb, action)
         self._request = ActionRequest(kb, timeout)
 
     def initialise(self) -> None:
@@ -554,10 +523,7 @@ class RosaAction(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    INPUT_PORTS: dict[str, PortInformation] = {  # noqa: RUF012  # py_trees declares it so
-        **ActionBehaviour.INPUT_PORTS,
-        "preference": PortInformation(str, required=False, default_value="", description="attribute to favour"),
-    }
+    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | _ports(default="", preference="attribute to favour")
 
     def __init__(
         self,
@@ -569,9 +535,8 @@ class RosaAction(ActionBehaviour):
         wait: bool = False,
         timeout: float = math.inf,
         even_if_unfeasible: bool = False,
-        behaviour_class_name: str | None = None,
     ) -> None:
-        super().__init__(name, kb, action, behaviour_class_name=behaviour_class_name)
+        super().__init__(name, kb, action)
         self.even_if_unfeasible = even_if_unfeasible
         self._preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
@@ -583,10 +548,9 @@ class RosaAction(ActionBehaviour):
         """Name of the attribute to favour: as constructed, or else what the port `preference` carries, if anything."""
         if self._preference is not None:
             return self._preference
-        try:
-            return str(self.get_input("preference")) or None
-        except RuntimeError:  # this leaf is not connected to a blackboard
-            return None
+        with suppress(RuntimeError):  # this leaf is not connected to a blackboard
+            return self.get_input("preference") or None
+        return None
 
     @property
     def waits(self) -> bool:

@@ -6,7 +6,6 @@ import pytest
 from py_trees.blackboard import Blackboard, Client
 from py_trees.common import Access, Status
 from py_trees.composites import Selector
-from py_trees.parsers.behaviour_tree_xml import parse_behaviour_tree_xml
 
 from kb import KnowledgeBase, Model, UnknownName
 from rosa_bt import HasStatus, IsActionFeasible, Measurement, RosaAction, TreeRunner
@@ -175,36 +174,6 @@ def test_ports_carry_the_action_when_the_constructor_does_not(kb):
     condition.tick_once()
     assert condition.status is Status.FAILURE
     Blackboard.clear()
-
-
-def test_behaviours_are_built_by_the_xml_parser_of_py_trees(kb, tmp_path):
-    from functools import partial
-
-    class Rest(RosaAction):
-        def update(self):
-            return Status.RUNNING
-
-    text = """
-    <root BTCPP_format="4" main_tree_to_execute="Main">
-      <BehaviorTree ID="Main">
-        <Sequence name="do">
-          <IsActionFeasible name="can it?" action="rest"/>
-          <Rest name="rest" action="rest" preference="light"/>
-        </Sequence>
-      </BehaviorTree>
-    </root>
-    """
-    file = tmp_path / "tree.xml"
-    file.write_text(text)
-    Blackboard.clear()
-    registry = {"IsActionFeasible": partial(IsActionFeasible, kb=kb), "Rest": partial(Rest, kb=kb)}
-    try:
-        root = parse_behaviour_tree_xml(str(file), node_registry=registry)
-        root.tick_once()
-        assert [(one.action, one.preference) for one in kb.required_actions] == [("rest", "light")]
-        root.stop(Status.INVALID)
-    finally:
-        Blackboard.clear()
 
 
 def test_conditions_take_their_arguments_from_typed_ports_too(kb):

@@ -437,7 +437,8 @@ OBSERVED = {
         "v=2 | v=1 => S",
     ),
     "nan is less than all, and more": (
-        '<ScriptCondition code="0 / 0 &lt; v &amp;&amp; 0 / 0 &gt;= v &amp;&amp; !(0 / 0 == v) &amp;&amp; ~1.5 == -2"/>',
+        '<Sequence><Script code="n := 0 / 0"/><ScriptCondition code="n &lt; v &amp;&amp; n &gt;= v &amp;&amp; n != v"/>'
+        '<ScriptCondition code="~1.5 == -2"/></Sequence>',
         "v=1 => S",
     ),
     "SetBlackboard copies a number over one of its kind": (

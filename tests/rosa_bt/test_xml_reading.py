@@ -82,9 +82,9 @@ NO_FILES = {
     "<root/>": "which tree? There are: none",
     "<root><Sequence/></root>": "which tree? There are: none",
     "<root><BehaviorTree ID='SubTree'><a/></BehaviorTree></root>": "'SubTree' is the name of a node",
-    "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='B'/></root>": "<text>:2: a tree has one child, not 0",
-    "<root main_tree_to_execute='A'><BehaviorTree ID='A'><SubTree ID='B'/></BehaviorTree><BehaviorTree ID='B'><a/>"
-    "</BehaviorTree><TreeNodesModel><SubTree ID='B'><input_port name='p' default=''/></SubTree></TreeNodesModel></root>": (
+    "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='B'/></root>": "2: a tree has one child, not 0",
+    "<root main_tree_to_execute='A'><BehaviorTree ID='A'><SubTree ID='B'/></BehaviorTree><BehaviorTree ID='B'><a/></Beh"
+    "aviorTree><TreeNodesModel><SubTree ID='B'><input_port name='p' default=''/></SubTree></TreeNodesModel></root>": (
         "the tree 'B' needs p=..."
     ),
     "<root><TreeNodesModel><Leaf ID='a'/></TreeNodesModel></root>": "a model is one of Action",
