@@ -191,9 +191,8 @@ class Autopilot:
             x, _, _, qw, qx, qy, qz = pose
             vx, vy, vz, roll_rate, _, yaw_rate = motion
             if not isfinite(x + vx):
-                raise SuaveEnvError(
-                    f"the simulation became unstable after {count * period:.3f} s; a setting is far from its default"
-                )
+                when = f"{count * period:.3f} s"
+                raise SuaveEnvError(f"the simulation became unstable after {when}; a setting is far from its default")
             east, north, up = guide(pose, motion, (count + 0.5) * period, period)
             yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
             cosine, sine = cos(yaw), sin(yaw)

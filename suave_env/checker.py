@@ -152,7 +152,5 @@ def _check_end(env: SuaveEnv, component: str) -> None:
     env.close()
     env.close()
     _require(_refuses(lambda: env.advance(2.0)), "a closed environment refuses to advance: SuaveEnvError")
-    _require(
-        _refuses(lambda: env.components.activate(component)), "a closed environment refuses changes: SuaveEnvError"
-    )
+    _require(_refuses(lambda: env.components.activate(component)), "a closed environment refuses changes")
     _require(env.now == 1.0, f"a closed environment stands still at 1 s, not at {env.now!r}")

@@ -122,20 +122,14 @@ class Settings:
     drag_pitch: float = _setting(3.992, "N m s2", "quadratic drag about the left axis", _MODEL, 0)
     drag_yaw: float = _setting(3.992, "N m s2", "quadratic drag about the upward axis", _MODEL, 0)
     thrust_limit_n: float = _setting(50.0, "N", "largest thrust of one thruster, either way", _MODEL, 0.1)
-    propeller_m: float = _setting(
-        0.076, "m", "diameter of a propeller, for the energy", "T200 thruster, data sheet", 0.01
-    )
+    propeller_m: float = _setting(0.076, "m", "diameter of a propeller, for the energy", "T200, data sheet", 0.01)
 
     # Guidance and control
     speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_ARDUPILOT}: WPNAV_SPEED", 0.01)
     climb_limit_m_s: float = _setting(2.5, "m/s", "upward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_UP", 0.01)
     descent_limit_m_s: float = _setting(1.5, "m/s", "downward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_DN", 0.01)
-    acceleration_limit_m_s2: float = _setting(
-        2.5, "m/s2", "horizontal acceleration limit", f"{_ARDUPILOT}: WPNAV_ACCEL", 0.01
-    )
-    climb_acceleration_limit_m_s2: float = _setting(
-        1.0, "m/s2", "vertical acceleration limit", f"{_ARDUPILOT}: WPNAV_ACCEL_Z", 0.01
-    )
+    acceleration_limit_m_s2: float = _setting(2.5, "m/s2", "horizontal limit", f"{_ARDUPILOT}: WPNAV_ACCEL", 0.01)
+    climb_acceleration_limit_m_s2: float = _setting(1.0, "m/s2", "vertical limit", f"{_ARDUPILOT}: WPNAV_ACCEL_Z", 0.01)
     jerk_limit_m_s3: float = _setting(0.39, "m/s3", "jerk limit of a move", _FITTED, 0.01)
     velocity_lag_s: float = _setting(0.5, "s", "time constant of the velocity loop", _FITTED, 0.05)
     position_gain: float = _setting(1.0, "1/s", "horizontal position gain", f"{_ARDUPILOT}: PSC_POSXY_P", 0)
@@ -180,9 +174,7 @@ class Settings:
     battery_period_s: float = _setting(1.0, "s", "period of the battery and its monitor", _SUAVE, 0.05)
     recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (later: 0.5)", _SUAVE, 0.05)
     recharge_resends: bool = _setting(True, "-", "each tick sends the station again (later: false)", _SUAVE)
-    recharge_tolerance_m: float = _setting(
-        0.5, "m", "distance in x and in y at which the station is reached", _SUAVE, 0
-    )
+    recharge_tolerance_m: float = _setting(0.5, "m", "distance in x and in y at which it is reached", _SUAVE, 0)
     station_x_m: float = _setting(-3.0, "m", "recharge station, east", _SUAVE)
     station_y_m: float = _setting(-2.0, "m", "recharge station, north", _SUAVE)
     station_z_m: float = _setting(-19.5, "m", "recharge station, up; never read by the vehicle", _SUAVE)
@@ -208,9 +200,7 @@ class Settings:
     activation_s: float = _setting(0.03, "s", "time that activating a component takes", _ROS, 0)
     deactivation_s: float = _setting(0.03, "s", "time that deactivating one takes", _ROS, 0)
     parameter_s: float = _setting(0.03, "s", "time that setting parameters takes", _ROS, 0)
-    guided_period_s: float = _setting(
-        1.0, "s", "period at which nodes are told of GUIDED; their clocks lag", _SUAVE, 0.01
-    )
+    guided_period_s: float = _setting(1.0, "s", "period at which nodes are told of GUIDED; clocks lag", _SUAVE, 0.01)
     mission_period_s: float = _setting(1.0, "s", "period of the mission node without a tree (later: 0.1)", _SUAVE, 0.01)
     tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree: sleeps of 100 and 50 ms", _SUAVE, 0.01)
 
@@ -219,9 +209,8 @@ class Settings:
         for info in fields(self):
             object.__setattr__(self, info.name, _checked(info, getattr(self, info.name)))
         if self.visibility_min_m > self.visibility_max_m:
-            raise SuaveEnvError(
-                f"visibility_min_m {self.visibility_min_m} is above visibility_max_m {self.visibility_max_m}"
-            )
+            least, most = self.visibility_min_m, self.visibility_max_m
+            raise SuaveEnvError(f"visibility_min_m {least} is above visibility_max_m {most}")
         period, step = self.control_period_s, self.physics_step_s
         if round(period / step) < 1 or abs(period / step - round(period / step)) > 1e-6:
             raise SuaveEnvError(f"control_period_s {period} is not a whole multiple of physics_step_s {step}")
@@ -276,9 +265,7 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
 
 
 def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
-    allowed = (
-        'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0 on'
-    )
+    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s]'
     try:
         number, kind, time = int(words[0]), words[1], float(words[2])
     except (ValueError, IndexError):
@@ -306,9 +293,8 @@ def _checked(info: "dataclasses.Field[float]", value: float | int | bool | str) 
     if kind is float and type(value) is int:
         value = float(value)
     low, high = info.metadata["low"], info.metadata["high"]
-    if type(value) is not kind or not (
-        isinstance(value, str | bool) or (math.isfinite(value) and low <= value <= high)
-    ):
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if type(value) is not kind or (is_number and not (math.isfinite(value) and low <= value <= high)):
         allowed = f"{_allowed(info)} [{info.metadata['unit']}]"
         raise SuaveEnvError(f"setting {info.name} cannot be {value!r}; allowed is {allowed}")
     return value

@@ -43,9 +43,7 @@ def check_walls(building: Building) -> None:
     lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
     for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
         if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
-            problem = (
-                f"corridors {one.name} and {two.name} cross one another, so that the walls of each close the other"
-            )
+            problem = f"corridors {one.name} and {two.name} cross one another: the walls of each close the other"
             raise BuildingError(f"{problem}; let them meet at a place, or move one of their places")
 
 

@@ -14,7 +14,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model
-from missions.commands import assignments, open_console
+from missions.commands import ROBOT, assignments, open_console
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.wires.bridge import Bridge, BridgeSettings
@@ -25,9 +25,7 @@ _TICK_S: Final = 0.1
 
 
 def bridge(
-    robot: Annotated[
-        str, typer.Argument(help="A mission, a model file (.tql, .owl), or module:NAME that makes a model.")
-    ],
+    robot: Annotated[str, typer.Argument(help=ROBOT)],
     tree: Annotated[
         str | None, typer.Option(help="What decides: module:NAME, called with the knowledge base and the percepts.")
     ] = None,
@@ -36,18 +34,14 @@ def bridge(
     attribute: Annotated[
         list[str] | None, typer.Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute.")
     ] = None,
-    serve: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Serve rosbridge here instead of connecting.")
-    ] = None,
+    serve: Annotated[int | None, typer.Option(metavar="PORT", help="Serve rosbridge instead of connecting.")] = None,
     dds: Annotated[bool, typer.Option("--dds", help="By DDS instead, without a bridge.")] = False,
     rclpy: Annotated[bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")] = False,
     host: Annotated[
         str, typer.Option(help="Where to serve, which elsewhere needs a token; or the network interface of DDS.")
     ] = "127.0.0.1",
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")] = "",
-    answer: Annotated[
-        bool, typer.Option("--answer", help="Leave deciding to others, who ask ROSA's services.")
-    ] = False,
+    answer: Annotated[bool, typer.Option("--answer", help="Leave deciding to others, by ROSA's services.")] = False,
     store: Annotated[Path | None, typer.Option(help="Keep what becomes known in this file.")] = None,
     seconds: Annotated[float | None, typer.Option(help="Stop after this time; without it, when interrupted.")] = None,
 ) -> None:

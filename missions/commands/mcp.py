@@ -9,6 +9,7 @@ from typing import Annotated, Final
 import typer
 
 from kb import ConfigurationManager, KnowledgeBase
+from missions.commands import ROBOT
 from missions.commands.bridge import robot_of
 from missions.wires.assistant import Assistant, mcp_server, serve_http
 from missions.wires.bridge import Bridge, BridgeSettings
@@ -18,15 +19,11 @@ _TURN_S: Final = 0.05
 
 
 def mcp(
-    robot: Annotated[
-        str, typer.Argument(help="A mission, a model file (.tql, .owl), or module:NAME that makes a model.")
-    ],
+    robot: Annotated[str, typer.Argument(help=ROBOT)],
     store: Annotated[Path | None, typer.Option(help="What became known, in this file.")] = None,
     config: Annotated[Path | None, typer.Option(help="bridge.toml of the robot to connect to.")] = None,
     allow_actions: Annotated[bool, typer.Option("--allow-actions", help="Actions may be requested, too.")] = False,
-    http: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Serve over HTTP, with a token, not over stdio.")
-    ] = None,
+    http: Annotated[int | None, typer.Option(metavar="PORT", help="Serve over HTTP with a token, not stdio.")] = None,
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")] = "",
 ) -> None:
     """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""

@@ -38,9 +38,8 @@ def new(
             if NEEDS.get(template) in (None, *parts):
                 file = folder / target.replace("my_robot", name)
                 file.parent.mkdir(parents=True, exist_ok=True)
-                file.write_text(
-                    filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts), encoding="utf-8"
-                )
+                text = filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts)
+                file.write_text(text, encoding="utf-8")
     except OSError as error:
         raise MissionError(f"cannot write {folder}: {error.strerror or error}") from error
     typer.echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")

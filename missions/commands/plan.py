@@ -18,9 +18,7 @@ def plan(
     files: Annotated[list[Path] | None, typer.Argument(metavar="DOMAIN PROBLEM", help="Two PDDL files.")] = None,
     mission: Annotated[str | None, typer.Option(help="Take domain, problem and model of a mission.")] = None,
     model: Annotated[list[Path] | None, typer.Option(help="File of the model that says what is feasible.")] = None,
-    feasible: Annotated[
-        list[str] | None, typer.Option(metavar="A,B", help="Just these ROSA actions are feasible.")
-    ] = None,
+    feasible: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these actions are feasible.")] = None,
     situation: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME=VALUE", help="Suppose battery_level=0.2, or a component: camera=failed."),

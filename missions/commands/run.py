@@ -46,9 +46,7 @@ def run(
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")] = None,
     timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
-    record: Annotated[
-        Path | None, typer.Option(help="Record the run: FILE.mcap, or its diagnostics as lines of JSON.")
-    ] = None,
+    record: Annotated[Path | None, typer.Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")] = None,
     settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
     groot2: Annotated[
         int | None,
@@ -57,18 +55,14 @@ def run(
     live: Annotated[
         int | None, typer.Option(metavar="PORT", help="Show the run while it runs, as a page on this port (0: any).")
     ] = None,
-    host: Annotated[str, typer.Option(help="Address that --live listens on; others need the token in the link.")] = (
-        "127.0.0.1"
-    ),
+    host: Annotated[str, typer.Option(help="Where --live listens; others need the token in the link.")] = "127.0.0.1",
     token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
     allow_control: Annotated[
         bool, typer.Option("--allow-control", help="Let the live page hold, pace and disturb the simulation.")
     ] = False,
     tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
-    speed: Annotated[
-        float | None, typer.Option(help="Times real time at most, 0 for no limit; --live alone runs at 1.")
-    ] = None,
+    speed: Annotated[float | None, typer.Option(help="Times real time at most, 0: no limit; --live alone: 1.")] = None,
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""

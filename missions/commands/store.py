@@ -32,9 +32,8 @@ def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print
         if not found.problem:
             counts = connection.execute("SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb")
             told["events kept"] = dict(counts.fetchall())
-            ((told["first time [s]"], told["last time [s]"]),) = connection.execute(
-                "SELECT MIN(time), MAX(time) FROM events"
-            )
+            asked = "SELECT MIN(time), MAX(time) FROM events"
+            ((told["first time [s]"], told["last time [s]"]),) = connection.execute(asked)
     if as_json:
         typer.echo(json.dumps(told, indent=2))
     else:

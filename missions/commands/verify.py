@@ -23,9 +23,7 @@ def verify(
     most: Annotated[int, typer.Option(help="So many situations at most.")] = 100_000,
     seconds: Annotated[float, typer.Option(help="For so long at most [s].")] = 60.0,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page: of the first story, or how the goal is reached.")
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
 ) -> None:
     """Say what holds in everything that can happen; exit with 0 if all of it does, as far as was explored."""

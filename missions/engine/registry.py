@@ -62,9 +62,8 @@ class Registry(Mapping[str, T]):
             raise MissionError(f"cannot import {self.kind} {name!r}: {said}{where}") from error
 
 
-MISSIONS = Registry[Mission](
-    "mission", {name: f"missions.{name}:MISSION" for name in ("suave", "suave_extended", "agv", "uav")}
-)
+_NAMES = ("suave", "suave_extended", "agv", "uav")
+MISSIONS = Registry[Mission]("mission", {name: f"missions.{name}:MISSION" for name in _NAMES})
 
 
 def find_mission(name: str) -> Mission:

@@ -61,9 +61,8 @@ class Setting:
             return text
         value: object = text
         with suppress(ValueError, KeyError):
-            value = (
-                {"true": True, "false": False}[text.strip().lower()] if isinstance(self.default, bool) else float(text)
-            )
+            truth = {"true": True, "false": False}
+            value = truth[text.strip().lower()] if isinstance(self.default, bool) else float(text)
         if isinstance(value, float) and value.is_integer() and isinstance(self.default, int):
             value = int(value)
         return self.checked(text if value in (inf, -inf) else value, text)
@@ -123,9 +122,7 @@ class RunSettings(Constants):
     """How a mission is run."""
 
     duration_s: float = setting(300.0, "s", "time limit of the mission", "as SUAVE, time-constrained mission", 0.001)
-    tick_period_s: float = setting(
-        0.1, "s", "from one tick of the task layer to the next", "ROSA's tree: sleep of 100 ms", 0.001
-    )
+    tick_period_s: float = setting(0.1, "s", "from a tick of the task layer to the next", "ROSA's tree: 100 ms", 0.001)
     planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
 
 

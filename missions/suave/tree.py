@@ -21,9 +21,8 @@ from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
-PROBLEM: Final = DeclaredProblem(
-    objects={"pipeline": "pipeline", "bluerov": "robot"}, goal=("(pipeline_inspected pipeline)",)
-)
+_OBJECTS: Final = {"pipeline": "pipeline", "bluerov": "robot"}
+PROBLEM: Final = DeclaredProblem(objects=_OBJECTS, goal=("(pipeline_inspected pipeline)",))
 
 
 class SearchPipeline(RosaAction):

@@ -107,9 +107,8 @@ class Decisions:
         self._check("actions", action)
         ends = [(end, how) for name, _, end, how in self.actions if name == action and end is not None]
         if not any(how == result and _is_in(end, at, within) for end, how in ends):
-            raise self._failure(
-                f"{action} is {result}", at, within, [f"it is {how} at {seconds(end)}" for end, how in ends]
-            )
+            instead = [f"it is {how} at {seconds(end)}" for end, how in ends]
+            raise self._failure(f"{action} is {result}", at, within, instead)
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0

@@ -31,9 +31,7 @@ class Settings(Constants):
     sample_kg: float = setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
 
     # Flight
-    physics_step_s: float = setting(
-        0.01, "s", "step of the physics engine; thrust is chosen every second one", _OWN, 0.001, 0.01
-    )
+    physics_step_s: float = setting(0.01, "s", "step of the physics; thrust is for two of them", _OWN, 0.001, 0.01)
     cruise_m: float = setting(5.0, "m", "height at which it searches and travels", _OWN, 2, 20)
     speed_m_s: float = setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
     climb_m_s: float = setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)

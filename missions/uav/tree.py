@@ -186,9 +186,8 @@ def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
     one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
-    every = Sequence(
-        "one after another", memory=True, children=[one, Condition("all analysed?", lambda: is_all_analysed(percepts))]
-    )
+    done = Condition("all analysed?", lambda: is_all_analysed(percepts))
+    every = Sequence("one after another", memory=True, children=[one, done])
     tree = UntilSuccess("until all are analysed", every)
     fold = LandAndFoldGripper(kb, percepts)
     return switch_safely(tree, {("pick_up_and_analyse", "analyse_on_site"): fold})

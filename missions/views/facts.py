@@ -78,9 +78,7 @@ def supposed(situation: Situation) -> dict[str, Any]:
             for node in network.of_kind(kind).values():
                 possible = ranked(state, node)  # the first is what would be selected if nothing is
                 name = following.get(node.name)
-                kept = [
-                    part for part in possible if (state.selected[part.index] if name is None else part.name == name)
-                ]
+                kept = [one for one in possible if (state.selected[one.index] if name is None else one.name == name)]
                 if node.parts:
                     chosen[str(node.index)] = next((part.index for part in kept or possible), None)
         status = {str(index): str(state.status[index]) for index in sorted(state.changed())}

@@ -90,6 +90,9 @@ def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, 
     return {name: stack.enter_context(OutputFile(path)) for name, path in given.items()}
 
 
+_ADAPTATION: Final = ("at_s", "kind", "trigger", "reason", "change", "reaction_s")
+
+
 def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
     """Return a finished run, with the settings that were given, as plain data; times in [s], units in the names."""
     return {
@@ -102,9 +105,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         "outcome_reason": verdict.reason,
         "duration_s": run.world.now,
         **run.results(),
-        "adaptations": [
-            _fields(one, "at_s", "kind", "trigger", "reason", "change", "reaction_s") for one in run.adaptations
-        ],
+        "adaptations": [_fields(one, *_ADAPTATION) for one in run.adaptations],
         "actions": [
             {"name": one.action, "start_s": one.start, "end_s": one.end, **_fields(one, "result", "reason")}
             for one in run.actions
@@ -136,9 +137,7 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
         "wall_s": wall_s,
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": run.compute_s,
-        "reactions": [
-            _fields(one, "uncertainty", "start_s") | {"compute_s": computed_s} for one, computed_s in run.reactions
-        ],
+        "reactions": [_fields(one, "uncertainty", "start_s") | {"compute_s": took_s} for one, took_s in run.reactions],
     }
 
 

@@ -35,6 +35,7 @@ BADGES: Final = {  # how the number of an adaptation looks: diameter [px], face,
     "parameter": (20, "#e2e2e2", "#9a9a9a", INK),
 }
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
+STAYS: Final[dict[str, Any]] = {"scalex": False, "scaley": False}
 ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
 SIDES: Final = np.array([-1, 1])
 LONELY_M: Final = 1.0  # so far from the way, a name is in nobody's way
@@ -70,9 +71,8 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
         places = {name: np.asarray(points, dtype=float) for name, points in run.world.scenery().items() if len(points)}
         near = [points[[np.argmin(np.hypot(*(points - timeline.xy[0]).T))]] for points in places.values()]
         shown = np.vstack([timeline.xy, *near])
-        split = (
-            _split(shown, top) if timeline.adaptations or timeline.planned else 1420 if _is_ours(data) else WIDTH - 34
-        )
+        is_listed = bool(timeline.adaptations or timeline.planned)
+        split = _split(shown, top) if is_listed else 1420 if _is_ours(data) else WIDTH - 34
         _map(_axes(figure, 72, 106, split - 72, top - 162), timeline, places, shown)
     if _is_ours(data):  # how others adapt is not known, only what they switch
         _list(_axes(figure, split + 22, 106, WIDTH - split - 30, top - 120), timeline.planned, timeline.adaptations)
@@ -208,9 +208,8 @@ def _map(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array], shown: 
         if len(places) > CROWD and np.median(lonely) > LONELY_M:
             continue
         centred = -np.hypot(*(inside - inside[len(inside) // 2]).T)  # if the way leads along all of it
-        room.name(
-            inside[np.argmax(lonely if max(lonely) > LONELY_M else centred)], name, "" if len(points) > 1 else "s", 9
-        )
+        named = inside[np.argmax(lonely if max(lonely) > LONELY_M else centred)]
+        room.name(named, name, "" if len(points) > 1 else "s", 9)
     room.name(timeline.xy[0], "start", "o", 8)
     _choices(room, timeline)
     _mark(room, timeline, marks)
@@ -224,9 +223,7 @@ def _way(axes: Axes, timeline: RunTimeline, places: Mapping[str, Array]) -> None
     lines.set(linewidth=1.8 + 2.8 * (1 - turns / max([1, *turns[-1:]])))  # an earlier passage stays in sight below
     axes.add_collection(lines, autolim=False)
     for points in places.values():
-        axes.plot(
-            *points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2, scalex=False, scaley=False
-        )
+        axes.plot(*points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2, **STAYS)
 
 
 def _marks(timeline: RunTimeline, least_m: float) -> list[tuple[int | str, Array]]:
@@ -432,9 +429,8 @@ def _panel(axes: Axes, timeline: RunTimeline, names: list[str]) -> None:
         height += half * len(labels)
     for one in timeline.disturbances:
         if one["what"].startswith(bare(names[0])):
-            axes.plot(
-                one["at_s"], np.interp(one["at_s"], timeline.times, timeline.signals[names[0]]), zorder=5, **DIAMOND
-            )
+            height = np.interp(one["at_s"], timeline.times, timeline.signals[names[0]])
+            axes.plot(one["at_s"], height, zorder=5, **DIAMOND)
     axes.set_ylabel(names[0].replace(" ", "\n"), rotation=0, ha="right", va="center", labelpad=6)
     if len(names) > 1:
         axes.legend(loc="center left", bbox_to_anchor=(1, 0.5), fontsize=8)

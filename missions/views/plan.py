@@ -75,9 +75,8 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
     for out, result in certificate.entries.items():
         plan = ", ".join(map(str, result.steps)) or "nothing is left to do"
         cost = "" if result.cost is None else f"{result.cost:g}"
-        rows.append(
-            (", ".join(out) or "none", cost, plan if result.outcome.is_solved else f"no plan: {result.outcome}")
-        )
+        found = plan if result.outcome.is_solved else f"no plan: {result.outcome}"
+        rows.append((", ".join(out) or "none", cost, found))
     widths = [max(len(row[column]) for row in rows) for column in (0, 1)]
     yield from (f"{out:<{widths[0]}}  {cost:>{widths[1]}}  {plan}" for out, cost, plan in rows)
     yield f"single failures that end the mission: {', '.join(certificate.fatal) or 'none'}"
@@ -90,9 +89,8 @@ def certificate_as_data(certificate: Certificate) -> dict[str, object]:
 
 def causes_of(answer: Answer) -> CausalOrder:
     question = answer.question
-    return causal_order(
-        question.domain, answer.result.steps, question.state, [goal.expression for goal in question.goals]
-    )
+    goals = [goal.expression for goal in question.goals]
+    return causal_order(question.domain, answer.result.steps, question.state, goals)
 
 
 def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:

@@ -84,9 +84,7 @@ def read_page(path: Path) -> Recorded:
         raise MissionError(f"cannot read the report {path}: {getattr(error, 'strerror', None) or error}") from None
     if not runs or len(runs) > 1:
         held = "holds no run" if not runs else "holds two runs already"
-        raise MissionError(
-            f"{path} {held}; give a page that `rosa run MISSION --report FILE.html` wrote, or a recording"
-        )
+        raise MissionError(f"{path} {held}; give a page of `rosa run MISSION --report FILE.html`, or a recording")
     if version != VERSION:
         raise MissionError(f"{path} is of version {version!r}; this program reads version {VERSION}")
     return Recorded(runs[0]["header"], [tuple(row) for row in runs[0]["rows"]], str(document.get("note", "")))

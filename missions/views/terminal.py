@@ -72,9 +72,7 @@ class SocketFeed:
         except ValueError:
             port = None
         if not place.hostname or port is None:
-            raise MissionError(
-                f"{address!r} is no address of a live view; write HOST:PORT, or the link that it printed"
-            )
+            raise MissionError(f"{address!r} is no address of a live view; write HOST:PORT, or the link it printed")
         query = f"token={token}" if token else place.query
         self._url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
         self.title = f"{place.hostname}:{port}"
@@ -151,9 +149,7 @@ class Fold:
                     line.append(" required", "bold")
                 if self.track("active").get(key):
                     line.append(" runs", "blue")
-                chosen = [
-                    elements[part]["name"] for part in one.get(chosen_by) or () if self.track("selected").get(part)
-                ]
+                chosen = [elements[one]["name"] for one in one.get(chosen_by) or () if self.track("selected").get(one)]
                 line.append(f" {', '.join(chosen)}" if chosen else "", "cyan")
                 why = self.track("why").get(key) if status.get(key) in ("unfeasible", "failure") else ""
                 yield line.append(f"  {why}", "dim") if why else line
@@ -226,9 +222,8 @@ class TerminalView(App[None]):
             self._fold.put(row)
         outcome = self._fold.track("result").get(0)
         over = f"over: {outcome['outcome']}, {outcome['reason']}" if outcome else ""
-        self.sub_title = "  ".join(
-            filter(None, (f"{self._fold.now:.1f} s", "held" if self._is_held else "", over, wrong))
-        )
+        told = f"{self._fold.now:.1f} s", "held" if self._is_held else "", over, wrong
+        self.sub_title = "  ".join(filter(None, told))
         if self._is_held:
             return
         lines = {"tree": self._fold.tree(), "known": self._fold.known(), "adaptations": self._fold.adaptations()}

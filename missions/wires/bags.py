@@ -144,9 +144,7 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        raise MissionError(
-            f"{path} is no recording of ours; rosa replay {path} --mission NAME --report FILE.html shows it"
-        )
+        raise MissionError(f"{path} is none of ours; rosa replay {path} --mission NAME --report FILE.html shows it")
     now = [0.0]
     kb = KnowledgeBase(model_of(bag, path), clock=lambda: now[0])
     recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)

@@ -179,10 +179,8 @@ class RosComponents:
         self._node = node
         for name in names:
             _ = kb.components[name]
-        lifecycle = [name for name, one in kb.components.items() if one.kind is ComponentKind.LIFECYCLE]
-        self._names = {name: f"/{name}" for name in lifecycle} | {
-            name: f"/{one.strip('/')}" for name, one in names.items()
-        }
+        own = {name: name for name, one in kb.components.items() if one.kind is ComponentKind.LIFECYCLE}
+        self._names = {name: f"/{one.strip('/')}" for name, one in {**own, **names}.items()}
         self._states: dict[str, int] = {}
         for name, place in self._names.items():
             kind = "lifecycle_msgs/msg/TransitionEvent"
@@ -228,13 +226,10 @@ class RosComponents:
 
     def _change(self, component: str, transition: int, goal: int) -> Calls:
         request = {"transition": {"id": transition, "label": ""}}
-        answer = yield self._node.call(
-            f"{self._place(component)}/change_state", "lifecycle_msgs/srv/ChangeState", request
-        )
+        place = self._place(component)
+        answer = yield self._node.call(f"{place}/change_state", "lifecycle_msgs/srv/ChangeState", request)
         if not answer.get("success"):
-            raise RosError(
-                f"{self._place(component)} refuses the transition {transition} from {self._states[component]}"
-            )
+            raise RosError(f"{place} refuses the transition {transition} from {self._states[component]}")
         self._states[component] = goal
 
     def _set(self, component: str, parameters: Parameters) -> Calls:
@@ -243,9 +238,8 @@ class RosComponents:
         answer = yield self._node.call(f"{self._place(component)}/set_parameters_atomically", kind, request)
         result = answer.get("result") or {}
         if not result.get("successful"):
-            raise RosError(
-                f"{self._place(component)} refuses the parameters: {result.get('reason') or 'without a reason'}"
-            )
+            reason = result.get("reason") or "without a reason"
+            raise RosError(f"{self._place(component)} refuses the parameters: {reason}")
 
     def _place(self, component: str) -> str:
         if component not in self._names:

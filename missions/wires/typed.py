@@ -258,9 +258,8 @@ class TypedNode(ABC):
         if call is None:
             return
         if isinstance(answer, BaseException):
-            call.future.set_exception(
-                answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
-            )
+            failed = answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
+            call.future.set_exception(failed)
         else:
             call.future.set_result(told(self._types, f"{call.kind}_Response", answer))
 
