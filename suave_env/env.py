@@ -30,8 +30,6 @@ class Observation:
         speed: Speed [m/s].
         water_visibility: How far one can see [m].
         battery_level: Charge, 1.0 full to 0.0 empty.
-        thrusters_failed: Numbers of the thrusters that are stuck.
-        active: Names of the components that are active.
         spiral_altitude: Altitude that the spiral search is set to [m].
         recharged: How often the battery was recharged.
         distance_inspected_m: As in `Metrics` [m].
@@ -60,11 +58,9 @@ class SuaveEnv:
     Time is simulated and moves only in `advance`; the same settings and seed give the same floats.
 
     Args:
-        settings: Every constant.
         rng: The only source of chance: start position, vertical bias and the phases of the free-running timers.
 
     Attributes:
-        settings: As given.
         now: Time since GUIDED [s].
         components: The nodes, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.

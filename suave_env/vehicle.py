@@ -35,8 +35,6 @@ class Vehicle:
         x, y, z: Start position [m], world frame ENU, z up.
 
     Attributes:
-        model: The MuJoCo model (`mujoco.MjModel`).
-        data: The MuJoCo state (`mujoco.MjData`).
         state: What gives `pose`, and what gives velocity [m/s], world frame ENU, z up, and angular velocity [rad/s],
             body frame, (6,); for loops in which an attribute costs too much.
     """

@@ -29,14 +29,7 @@ LIMITED: Final = ("energy",)
 
 
 def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
-    """Make a mission of a map.
-
-    Args:
-        name: of the mission.
-        summary: what happens in it, in a line.
-        building: the map.
-        weights: what is minimised, see `missions.agv.joint.Question`.
-    """
+    """Make a mission of a map; what is minimised is as in `missions.agv.joint.Question`."""
     known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
     pddl = PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
 

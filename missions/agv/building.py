@@ -59,10 +59,7 @@ class Building:
     """Places and corridors.
 
     Attributes:
-        name: of the building.
         places: x and y of each place [m], world frame.
-        corridors: by name.
-        start, goal: places.
 
     Raises:
         BuildingError: something in it makes no sense, or not every place can be reached.

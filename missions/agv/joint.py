@@ -85,7 +85,6 @@ class Answer:
 
     Attributes:
         legs: none if there is no plan, or the robot is there already.
-        is_solved: whether there is a plan.
         cost: the weighted sum [thousandths].
         takes: in all.
         reason: what was chosen and why, or why there is no plan.
@@ -246,10 +245,7 @@ class JointPlanner:
     """Plans corridors and configurations together.
 
     Args:
-        building: the map.
         kb: what to ask for configurations; its facts count, except for measurements of the demands.
-        function: whose designs are chosen.
-        costs: what things take.
 
     Raises:
         MissionError: the model has no attributes for what corridors demand.

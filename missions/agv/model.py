@@ -51,11 +51,8 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 
     Estimations: `energy` is what is taken from it [J/s], `safety` the collisions expected for each obstacle that is
     passed, `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the
-    corridor to be crossed, and `energy`, what is left [J].
-
-    Args:
-        name: of the model.
-        actions: what a mission does with it; each requires to navigate.
+    corridor to be crossed, and `energy`, what is left [J]. The actions are what a mission does; each requires to
+    navigate.
     """
     model = Model(name)
     energy, safety = model.quality_attribute("energy", unit="J"), model.quality_attribute("safety")

@@ -48,10 +48,6 @@ class Modes:
     Conditions that violate the same constraints of the model allow the same modes, so that one situation serves all.
     What was answered is forgotten as soon as a fact or the model has changed.
 
-    Args:
-        kb: what to ask; its failures and measurements count.
-        function: for which designs are chosen.
-
     Raises:
         UnknownName: no such function.
     """

@@ -116,9 +116,7 @@ class AdaptationLog:
     action again, and whatever no news has led to.
 
     Args:
-        kb: the knowledge base to listen to.
         report: called with each adaptation once it is in force or has failed.
-        plans: returns the task plans made so far.
     """
 
     def __init__(

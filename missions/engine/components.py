@@ -118,11 +118,7 @@ class SimulatedComponents:
 
     Args:
         clock: gives the time [s].
-        components: what the commands have an effect on.
         takes: how long a command takes [s], by its verb; what is not named takes no time.
-
-    Attributes:
-        commands: every command that was given, in order.
     """
 
     def __init__(

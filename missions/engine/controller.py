@@ -33,11 +33,6 @@ class RosaController(Controller):
     """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
 
     Args:
-        mission: what is to be done.
-        task: the kind of the task layer.
-        world: where it happens.
-        settings: how it is run.
-        manager: the name of who chooses configurations.
         planner: who does; by priority if it is not given.
         hears: returns what is heard of a message.
 

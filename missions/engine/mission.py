@@ -121,7 +121,6 @@ class Verdict(NamedTuple):
     Attributes:
         outcome: a word, e.g. "inspected_all"; "time_limit" for what was done as well as time allowed; "not_found",
             "aborted" and "ended_early" (the task ended short of the goal) are no successes, all others are.
-        reason: why, in words.
         detail: what only a person at this machine has use for; no part of the result.
     """
 

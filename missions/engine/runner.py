@@ -70,7 +70,6 @@ class Controller(ABC):
 
     Attributes:
         manager: its name, as `rosa run --manager` takes it.
-        task: the kind of its task layer.
         kb: its knowledge base; None if it has none.
         inputs: figures of results that were put in, by name.
         compute_s: seconds of this machine's time by part, not part of any decision.

@@ -49,7 +49,6 @@ class Decisions:
 
     Attributes:
         actions: (name, start, end, result) of every action; end and result None where the recording ends first.
-        plans: every reconfiguration plan.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
         problems: (time, what) of every part of a message that could not be used; failures show them.
@@ -135,17 +134,9 @@ class Decisions:
     def assert_reconfigures(
         self, *, at: float, activate: Names = (), deactivate: Names = (), configure: Names = (), within: float = 1.0
     ) -> ReconfigurationPlan:
-        """Assert that a plan does at least this, and has been carried out in time.
+        """Assert that a plan does at least this, by names of components and configurations; return the plan.
 
-        Args:
-            at: when what calls for it happens [s].
-            activate: names of components.
-            deactivate: names of components.
-            configure: names of configurations.
-            within: how long after `at` the plan is carried out [s].
-
-        Returns:
-            The plan, for its reason and the like.
+        It has been carried out at most `within` [s] after `at` [s], when what calls for it happens.
         """
         __tracebackhide__ = True
         wanted = self._steps(activate, deactivate, configure)

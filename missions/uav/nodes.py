@@ -136,7 +136,6 @@ class Node:
     """A component that can be active or inactive.
 
     Attributes:
-        name: its identity.
         moves: whether it steers the vehicle.
         power: its power while it is active, a share of a setting [W].
     """

@@ -130,7 +130,6 @@ class Quadrotor:
     """A rigid body with four rotors, an arm that folds, and a load; drag is linear in the speed through the air.
 
     Args:
-        settings: the constants.
         wind: (x, y) [m/s], world frame.
 
     Raises:

@@ -22,12 +22,7 @@ def chain_of(
 ) -> list[dict[str, Any]]:
     """Return the links of the chain in order of cause and effect.
 
-    Args:
-        adaptation: whose chain it is.
-        events: of the knowledge base, as far as they are remembered.
-        task_plans: the records of plannings.
-        names: indices of elements by kind and name.
-        nodes: behaviours of the tree by the index of the action that they are about.
+    Elements are given by indices, by kind and name; behaviours by the index of the action that they are about.
     """
     links: list[dict[str, Any]] = []
 

@@ -69,17 +69,11 @@ class LiveView:
     It listens on this machine only. Elsewhere (`host`) whoever looks needs the token that is part of `url`.
 
     Args:
-        kb: what is known of the robot.
         tree: what decides; see `Recorder`, whose other arguments can be given too.
         port: where to listen; 0 for any that is free.
-        host: address to listen on.
         token: what pages have to know; None for one that is made up, and for none on this machine.
         recorder: what writes down what there is to see, if there is one already.
         steering: what a page may do to a simulation; None for nothing.
-
-    Attributes:
-        url: where to look.
-        recorder: what there is to see.
 
     Raises:
         MissionError: the extra `live` is not installed, or it cannot listen there.

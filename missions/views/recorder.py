@@ -50,7 +50,6 @@ class Recorder:
         recorder.report("run.html")
 
     Args:
-        kb: what is known of it.
         tree: what decides: a `TreeRunner`, a py_trees tree; None if none does. A tree that changes is followed.
         title: what the page is called; by default the name of the model.
         units: of attributes, by name, e.g. {"water_visibility": "m"}.
@@ -60,11 +59,6 @@ class Recorder:
         what_if: whether to work out, for each instant at which news has changed something, what would have been
             possible if another value had been measured.
         header: of a run whose adaptations are told by `adapted` or as rows, and not found here; its units count.
-
-    Attributes:
-        kb: what is known of it.
-        rows: what there was to see.
-        header: what was run.
 
     Raises:
         MissionError: the tree is none that ticks.

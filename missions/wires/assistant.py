@@ -33,7 +33,6 @@ class Assistant:
     """Answers as a knowledge base does; each method is a tool.
 
     Args:
-        kb: of the robot.
         mission: whose goals may be planned for; None if it has none.
     """
 

@@ -184,10 +184,6 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
 class Reader:
     """Yields the messages of a recording as they stand there, in order; up to where it is cut off or damaged.
 
-    Attributes:
-        cut: why it is not whole, in words; empty if it is.
-        problems: what is not read, in words.
-
     Raises:
         MissionError: there is no such file or folder, or nothing of it can be read; or the extra `mcap` is missing.
     """

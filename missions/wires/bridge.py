@@ -84,9 +84,6 @@ class Bridge:
     measured over it is stale.
 
     Args:
-        kb: of the robot.
-        node: by which it talks ROS 2.
-        settings: what of the robot is what of the model.
         percepts: hear the diagnostics too, for the conditions of a mission.
 
     Attributes:
@@ -170,8 +167,6 @@ class RosComponents:
     """Lifecycle nodes as a managed system: switched by change_state, given parameters by set_parameters_atomically.
 
     Args:
-        kb: whose components they are.
-        node: by which they are reached.
         names: of the nodes, by component; a lifecycle component that is not there is the node of its own name.
     """
 

@@ -61,7 +61,6 @@ class Groot2Publisher(VisitorBase):
     A tick writes down the statuses; all else happens in a thread of its own, so whoever watches slows nobody.
 
     Args:
-        tree: to be watched; until `close`.
         port: TCP port on 127.0.0.1; the next one is taken too, as clients listen there for breakpoints.
 
     Raises:

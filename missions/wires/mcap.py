@@ -152,7 +152,6 @@ class McapRecorder(Listener):
     Args:
         path: of the file.
         kb: whose events are recorded, those that its log holds and those to come.
-        tree: of py_trees, whose statuses are recorded tick by tick.
         page: what makes the rows of the report, if there is one already.
         run: how it is run, e.g. the mission and its settings; plain values.
 

@@ -63,9 +63,6 @@ def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
 class RclpyNode(TypedNode):
     """A node of rclpy, in a context and a thread of its own.
 
-    Args:
-        name: of the node.
-
     Raises:
         MissionError: rclpy is not installed.
     """

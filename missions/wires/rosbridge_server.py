@@ -49,9 +49,6 @@ class RosbridgeServer(Wire):
         host: where to listen; anything but this machine needs a token.
         token: what a client has to give, as `Authorization: Bearer TOKEN` or `?token=TOKEN`.
 
-    Attributes:
-        port: where it listens.
-
     Raises:
         MissionError: the port is taken, a token is missing, or the extra `ros2` is.
     """

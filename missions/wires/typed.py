@@ -126,15 +126,7 @@ class _Call:
 
 
 class TypedNode(ABC):
-    """What all nodes of a library have in common; a subclass says how the library does it.
-
-    Args:
-        name: what it is in sentences.
-        library: has the types.
-
-    Attributes:
-        refused: how many messages made no sense, by what was wrong.
-    """
+    """What all nodes of a library have in common; a subclass says how the library does it."""
 
     topics = ""
     """What topics begin with on the wire."""
