@@ -94,34 +94,26 @@ def flag(what: str, value: object) -> bool:
     return value
 
 
-def priority(field: str, name: str, value: object) -> float | None:
-    if value is None or (_is_number(value) and abs(value) <= sys.float_info.max):
+def is_number(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _number(what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True) -> Field:
+    """Return a field that is a finite number, or also an infinite one if it is a bound, that fits; what, in words."""
+
+    def check(field: str, name: str, value: object) -> float:
+        is_finite = is_number(value) and abs(value) <= sys.float_info.max
+        if is_number(value) and (is_finite or (is_bound and abs(value) == math.inf)) and fits(value):
+            return float(value)
+        raise ModelError(f"{what.format(field=field, name=name)}, not {shown(value)}")
+
+    return Field(check, can_change)
+
+
+def _priority(field: str, name: str, value: object) -> float | None:
+    if value is None or (is_number(value) and abs(value) <= sys.float_info.max):
         return value
     raise ModelError(f"the {field} of {name!r} is a finite number or None, not {shown(value)}")
-
-
-def age(field: str, name: str, value: object) -> float:
-    """Return a maximum age [s]."""
-    if _is_number(value) and (0 < value <= sys.float_info.max or value == math.inf):
-        return float(value)
-    raise ModelError(f"{field} of {name!r} is a time in seconds above 0, not {shown(value)}")
-
-
-def span(field: str, name: str, value: object) -> float:
-    if _is_number(value) and 0 <= value <= sys.float_info.max:
-        return float(value)
-    raise ModelError(f"the {field} of {name!r} is a number from 0, not {shown(value)}")
-
-
-def bound(field: str, name: str, value: object) -> float:
-    """Return an end of a range, infinity for none."""
-    if _is_number(value) and (abs(value) <= sys.float_info.max or abs(value) == math.inf):
-        return float(value)
-    raise ModelError(f"the {field} end of the range of {name!r} is a number, not {shown(value)}")
-
-
-def _is_number(value: object) -> TypeGuard[int | float]:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
@@ -207,6 +199,17 @@ def _parameter(configuration: str, key: str, value: object) -> object:
     )
 
 
+PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", int: "long", str: "string"}
+"""ROSA's words for the types of parameters."""
+
+
+def parameter_type(value: Parameter) -> str:
+    """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
+    if isinstance(value, list):
+        return f"{parameter_type(value[0])}_array" if value else "string_array"
+    return PARAMETER_TYPES[type(value)]
+
+
 def _is_scalar(value: object) -> bool:
     return abs(value) <= sys.float_info.max if isinstance(value, int | float) else isinstance(value, str)
 
@@ -248,10 +251,11 @@ class EstimationKind(StrEnum):
 _FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
 _TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), can_change=False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
-_PRIORITY: Final = Field(priority)
-_SPAN: Final = Field(span)
-_AGE: Final = Field(age)
-_BOUND: Final = Field(bound, can_change=False)
+_PRIORITY: Final = Field(_priority)
+_SPAN: Final = _number("the {field} of {name!r} is a number from 0", lambda value: value >= 0)
+_AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", lambda value: value > 0, is_bound=True)
+_RANGE: Final = "the {field} end of the range of {name!r} is a number"
+_BOUND: Final = _number(_RANGE, lambda _: True, is_bound=True, can_change=False)
 _AGREEMENT: Final = Field(agreement)
 _FORECASTING: Final = Field(forecasting)
 _RATES: Final = Field(rates)
@@ -373,6 +377,10 @@ class _Estimable(_Constrainable):
         self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
 
 
+def _comparing(operator: str) -> Callable[["Attribute", float], Expression]:
+    return lambda attribute, value: Expression(attribute.name, operator, finite_number(value), attribute.model)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Attribute(Element):
     """Something that is measured; comparing it with a number gives an expression.
@@ -439,17 +447,7 @@ class Attribute(Element):
         """Write a number with the unit."""
         return f"{number} {self.unit}" if self.unit else number
 
-    def __ge__(self, value: float) -> Expression:
-        return Expression(self.name, ">=", finite_number(value), self.model)
-
-    def __gt__(self, value: float) -> Expression:
-        return Expression(self.name, ">", finite_number(value), self.model)
-
-    def __le__(self, value: float) -> Expression:
-        return Expression(self.name, "<=", finite_number(value), self.model)
-
-    def __lt__(self, value: float) -> Expression:
-        return Expression(self.name, "<", finite_number(value), self.model)
+    __ge__, __gt__, __le__, __lt__ = map(_comparing, (">=", ">", "<=", "<"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -98,6 +98,26 @@ class PlanFact:
     result: str | None = None
 
 
+ROSA: Final[Mapping[type, str]] = {
+    elements.Attribute: "attribute",
+    elements.Component: "component",
+    elements.Configuration: "component configuration",
+    elements.Function: "function",
+    elements.FunctionDesign: "function design",
+    elements.Action: "action",
+    elements.Constraint: "constraint",
+    elements.Estimation: "estimation",
+    MeasurementFact: "measurement",
+    StatusFact: "asserted status",
+    RequiredFact: "asserted requirement",
+    SelectedFact: "selection",
+    ActiveFact: "activity",
+    RequiredActionFact: "required action",
+    ProcessFact: "component process",
+    PlanFact: "reconfiguration plan",
+}
+"""What each class of element and fact is called in ROSA's files, each after those that it refers to."""
+
 Fact = (
     MeasurementFact
     | StatusFact

@@ -66,7 +66,9 @@ def read_text(file: Path) -> str:
             raise ModelFileError(message, str(file))
         content = file.read_bytes()
     except FileNotFoundError:
-        raise ModelFileError(_missing(file), str(file)) from None
+        beside = sorted(one.name for suffix in SUFFIXES for one in file.parent.glob(f"*{suffix}"))
+        none = "there is no such file, and no other model in that folder"
+        raise ModelFileError(str(UnknownName("file", file.name, beside)) if beside else none, str(file)) from None
     except IsADirectoryError:
         raise ModelFileError("this is a folder; give the model file in it", str(file)) from None
     except (OSError, ValueError) as error:
@@ -74,7 +76,12 @@ def read_text(file: Path) -> str:
     try:
         return content.decode("utf-8").removeprefix(_MARK)
     except UnicodeDecodeError as error:
-        raise _undecodable(file, content, error.start) from None
+        before = content[: error.start]
+        column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
+        likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
+        message = f"byte {content[error.start]:#04x} at offset {error.start} is no UTF-8, which is expected; "
+        message += f"the file may be {likely}: save it as UTF-8"
+        raise ModelFileError(message, str(file), before.count(b"\n") + 1, column) from None
 
 
 @contextmanager
@@ -129,19 +136,3 @@ def write_text(file: Path, text: str) -> None:
     except OSError as error:
         why = "there is no such folder" if isinstance(error, FileNotFoundError) else error.strerror
         raise ModelFileError(f"the file cannot be written: {why}", str(file)) from None
-
-
-def _missing(file: Path) -> str:
-    beside = sorted(one.name for suffix in SUFFIXES for one in file.parent.glob(f"*{suffix}"))
-    if not beside:
-        return "there is no such file, and no other model in that folder"
-    return str(UnknownName("file", file.name, beside))
-
-
-def _undecodable(file: Path, content: bytes, offset: int) -> ModelFileError:
-    before = content[:offset]
-    column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
-    likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
-    message = f"byte {content[offset]:#04x} at offset {offset} is no UTF-8, which is expected; "
-    message += f"the file may be {likely}: save it as UTF-8"
-    return ModelFileError(message, str(file), before.count(b"\n") + 1, column)

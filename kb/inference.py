@@ -8,7 +8,7 @@ depends only on whether that is possible at all, so a status that stays on one s
 from collections.abc import Iterable
 from typing import Final
 
-from kb.elements import Component, Constraint, Function, StalePolicy
+from kb.elements import Constraint, StalePolicy
 from kb.events import StatusChange
 from kb.network import LEVELS, Node
 from kb.state import State
@@ -128,8 +128,8 @@ def is_adaptable(state: State, node: Node) -> bool:
     """Tell whether a function or component has to be chosen for, or may be chosen for better."""
     status = state.status[node.index]
     if status is Status.SOLVED:
-        return isinstance(node.element, Function | Component) and node.element.always_improve
-    return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR) and node.kind in ("function", "component")
+        return bool(node.element.always_improve)
+    return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR)
 
 
 def infer(state: State, node: Node) -> Status:
@@ -137,9 +137,8 @@ def infer(state: State, node: Node) -> Status:
     if asserted is not None:
         return asserted
     status, selected = state.status, state.selected
-    element = node.element
-    if isinstance(element, Constraint):
-        return _compared(state, node, element, node.parts[0])
+    if node.kind == "constraint":
+        return _compared(state, node, node.element, node.parts[0])
     constraints = [status[constraint.index] for constraint in node.constraints]
     if node.kind == "configuration":
         return configuration_status(constraints)

@@ -106,7 +106,7 @@ class Knowledge:
         index, state, measurements = node.index, self.state, self.measurements
         before, was_stale = state.value[index], state.stale[index]
         thresholds = self.network.thresholds(node)
-        recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)  # type: ignore[union-attr]  # of an attribute
+        recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)
         history = state.histories.get(index)
         if history is not None and len(history.pairs) >= history.many:
             history.forget()
@@ -424,14 +424,12 @@ class Knowledge:
             self.apply(now, "assert_selected", (self.network.find(fact.element).ref, True, ""))
         elif isinstance(fact, facts.ActiveFact):
             self.apply(now, "component_active", (fact.component, True, ""))
-        elif isinstance(fact, facts.RequiredActionFact):
-            self.records.begin_request(fact, number, now)
-            if fact.action in self.records.required:
+        else:
+            self.records.begin(fact, number, now)
+            if isinstance(fact, facts.RequiredActionFact) and fact.action in self.records.required:
                 node = self.network.actions[fact.action]
                 self.state.requested[node.index] = True
                 propagate(self.state, [node])
-        else:
-            self.records.begin(fact, number, now)
 
     def prepare(self) -> None:
         """Have time do what it has done by now, as before the model changes; what a clock raises stops that."""

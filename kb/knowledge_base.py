@@ -2,7 +2,6 @@
 
 import logging
 import math
-import os
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
@@ -11,12 +10,12 @@ from pathlib import Path
 from threading import RLock
 from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
-from weakref import WeakSet, finalize
+from weakref import finalize
 
 from kb import questions
 from kb.amendments import amend
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Parameters, finite_number, text
+from kb.elements import Parameters, finite_number, flag, text
 from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
@@ -46,7 +45,7 @@ from kb.records import (
 )
 from kb.state import Overlay, State
 from kb.status import STATUSES, Status
-from kb.store import KEPT, Store
+from kb.store import HELD_OVER_FORKS, KEPT, Store
 from kb.views import named, views_of
 
 _log = logging.getLogger(__name__)
@@ -94,22 +93,6 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
 
 def _own(value: object) -> object:
     return dict(value) if isinstance(value, Mapping) else value
-
-
-def _before_fork() -> None:
-    for lock in tuple(_LOCKS):
-        lock.acquire()
-        _held_over_fork.append(lock)
-
-
-def _after_fork() -> None:
-    while _held_over_fork:
-        _held_over_fork.pop().release()
-
-
-_LOCKS: Final[WeakSet[Any]] = WeakSet()
-_held_over_fork: Final[list[Any]] = []
-os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_after_fork)
 
 
 class KnowledgeBase:
@@ -178,7 +161,7 @@ class KnowledgeBase:
         views = views_of(self, known.network)
         self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
         model.watch(known)
-        _LOCKS.add(self._lock)
+        HELD_OVER_FORKS.add(self._lock)
         if self._store is not None:
             self._store.start(known, self._lock)
             finalize(self, self._store.close)
@@ -336,7 +319,7 @@ class KnowledgeBase:
         """Tell whether a component is running; why it is not, in words, stands in explanations as long as it is not."""
         node = self._component(component)
         text("the reason why a component is not active", reason)
-        if self._knowledge.state.active[node.index] != _yes("active", active):
+        if self._knowledge.state.active[node.index] != flag("active", active):
             self._tell("component_active", node.name, active, reason)
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
@@ -400,7 +383,7 @@ class KnowledgeBase:
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         node = self._node(element, ("action", "function", "component"))
         if required is not None:
-            _yes("required", required)
+            flag("required", required)
         self._tell("assert_required", node.ref, required)
 
     @_telling
@@ -409,7 +392,7 @@ class KnowledgeBase:
         text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
         if selected is not None:
-            _yes("selected", selected)
+            flag("selected", selected)
         self._tell("assert_selected", node.ref, selected, reason)
 
     # ---------------------------------------------------------------- told: actions and plans
@@ -606,7 +589,7 @@ class KnowledgeBase:
     @_telling
     def record_answer(self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = "") -> VetoAnswer:
         """Put on record what was answered about a plan before it was executed, and why it was forbidden if it was."""
-        _yes("is_vetoed", is_vetoed)
+        flag("is_vetoed", is_vetoed)
         text("the reason of an answer", reason)
         self._tell("record_answer", self._knowledge.records.plan_of(plan).number, is_vetoed, reason)
         return next(reversed(self._knowledge.records.answers.values()))
@@ -802,9 +785,3 @@ def _owned(node: Node, owner: Node) -> Node:
     if node.wholes[0] is not owner:
         raise InvalidValue(f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
     return node
-
-
-def _yes(what: str, value: object) -> bool:
-    if isinstance(value, bool):
-        return value
-    raise InvalidValue(f"{what} is True or False, not {value!r}")

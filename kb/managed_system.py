@@ -6,7 +6,7 @@ from inspect import isasyncgenfunction, iscoroutine, iscoroutinefunction, isgene
 from itertools import takewhile
 from typing import Protocol
 
-from kb.elements import Component, ComponentKind, Parameters
+from kb.elements import ComponentKind, Parameters
 from kb.exceptions import ProtocolError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.records import Attempt
@@ -176,7 +176,10 @@ class ActivityMonitor:
             return
         if kb is not self._known or kb.revision != self._believed_at:
             self._look_up(kb)
-            self._believed, self._believed_at = _believed_active(kb), kb.revision
+            with kb.reading() as state:
+                active = [node.element for node in state.network.components.values() if state.active[node.index]]
+            commanded = [one.name for one in active if one.kind is not ComponentKind.PLAIN]
+            self._believed, self._believed_at = commanded, kb.revision
         for name in [name for name in self._believed if self._is(name, False)]:
             reason, last = f"{name} is not running, though nobody has stopped it", self._switched.get(name)
             was_started = last is not None and (last.operation, last.result) == ("activate", "completed")
@@ -209,10 +212,3 @@ class ActivityMonitor:
         except Exception:
             return False  # nobody can tell at this moment
         return False
-
-
-def _believed_active(kb: KnowledgeBase) -> list[str]:
-    """Return the names of the components that are commanded and believed to be active."""
-    with kb.reading() as state:
-        active = [node.element for node in state.network.components.values() if state.active[node.index]]
-    return [one.name for one in active if isinstance(one, Component) and one.kind is not ComponentKind.PLAIN]

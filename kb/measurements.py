@@ -90,14 +90,14 @@ class Measurements:
         state.value[index], state.time[index], state.stale[index] = value, time, False
         if recent:
             self.recent[index] = recent
-        if element.max_age != math.inf:  # type: ignore[union-attr]  # it is an attribute
+        if element.max_age != math.inf:
             self._expire(attribute, time)
         history = state.histories.get(index) or self.history(attribute)
         if len(history.pairs) == count:
             history.add(time, value)
 
     def _expire(self, attribute: Node, measured: float) -> None:
-        max_age: float = attribute.element.max_age  # type: ignore[union-attr]  # it is an attribute
+        max_age: float = attribute.element.max_age
         if max_age != math.inf:
             self.alarms.set(attribute.index, math.nextafter(measured + max_age, math.inf))
 

@@ -12,6 +12,7 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 knowledge bases are at work on it: the next question that they are asked sees it.
 """
 
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -298,7 +299,7 @@ class Model:
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
             raise ModelError("no file is given to load a model from; give one path or several, in order")
-        owl = [file for file in files if not _is_folder(file) and _suffix(file) == ".owl"]
+        owl = [file for file in files if _suffix(file) == ".owl"]
         if owl and len(owl) < len(files):
             others = ", ".join(str(file) for file in files if file not in owl)
             raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(owl[0]))
@@ -313,7 +314,7 @@ class Model:
     def save(self, path: str | Path) -> None:
         """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
         file = Path(path)
-        if _suffix(file) == ".owl":
+        if _suffix(file, is_read=False) == ".owl":
             from kb.owl.rdfxml import owl_text as written
         else:
             from kb.typeql.writer import typeql_text as written
@@ -529,16 +530,10 @@ def _constraint(targets: tuple[Constrainable, ...], one: Expression) -> Constrai
     return Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
 
 
-def _is_folder(file: Path) -> bool:
-    try:
-        return file.is_dir()
-    except (OSError, ValueError):
-        return False
-
-
-def _suffix(file: Path) -> str:
+def _suffix(file: Path, *, is_read: bool = True) -> str:
+    """Return the suffix of a model's file; one that is read and is a folder, or cannot be, is refused when it is."""
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES:
+    if suffix not in SUFFIXES and not (is_read and os.path.isdir(file)):  # noqa: PTH112  # False for what is no path
         given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
         raise ModelFileError(f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}", str(file))
     return suffix
@@ -593,19 +588,21 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
     for cls, name in _named_by(fact):
         if not isinstance(name, str) or name not in tables[cls]:
             raise UnknownName(KINDS[cls], name, tables[cls])
+    given = {one.name: getattr(fact, one.name) for one in fields(fact)}
+    values: dict[str, Any] = {
+        name: finite_number(at) for name, at in given.items() if name in ("time", "start", "end") and at is not None
+    }
     if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
-        return replace(fact, value=model.attributes[fact.attribute].checked(fact.value), time=_time(fact.time))
-    if isinstance(fact, facts.ActiveFact):
-        return fact
+        values["value"] = model.attributes[fact.attribute].checked(fact.value)
     if isinstance(fact, facts.ProcessFact):
-        return replace(fact, pid=pid(fact.pid), start=_time(fact.start), end=_time(fact.end))
-    if fact.result is not None:
-        check_result(fact.result)
+        values["pid"] = pid(fact.pid)
+    if given.get("result") is not None:
+        check_result(given["result"])
     if isinstance(fact, facts.RequiredActionFact) and fact.preference is not None:
         weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
-        fact = replace(fact, preference=MappingProxyType(weights) if weights else None)
-    return replace(fact, start=_time(fact.start), end=_time(fact.end))
+        values["preference"] = MappingProxyType(weights) if weights else None
+    return replace(fact, **values)
 
 
 def _status(kind: str, given: object) -> Status:
@@ -614,10 +611,6 @@ def _status(kind: str, given: object) -> Status:
     if found is None:
         raise InvalidValue(f"a {kind} is never {given!s}; it can be {', '.join(known)}")
     return found
-
-
-def _time(time: float | None) -> float | None:
-    return None if time is None else finite_number(time)
 
 
 def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:

@@ -41,6 +41,7 @@ class Node:
 
     Attributes:
         index: its position in every array of a state.
+        element: what it stands for in the model; of which class, `kind` says.
         name: the element's; a constraint is called by its text.
         constraints: the constraints on it (of an attribute: those that compare it).
         parts: what its status is inferred from, one level or more below: a component's configurations, a design's
@@ -49,6 +50,8 @@ class Node:
     """
 
     __slots__ = ("constraints", "element", "index", "kind", "level", "name", "parts", "wholes")
+
+    element: Any
 
     def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
         self.index = index
@@ -63,19 +66,18 @@ class Node:
     @property
     def attribute(self) -> Attribute:
         """The attribute that it stands for, or which it compares."""
-        element = self.parts[0].element if self.kind == "constraint" else self.element
-        assert isinstance(element, Attribute)
-        return element
+        found: Attribute = self.parts[0].element if self.kind == "constraint" else self.element
+        return found
 
     @property
     def constraint(self) -> Constraint:
-        assert isinstance(self.element, Constraint)
-        return self.element
+        found: Constraint = self.element
+        return found
 
     @property
     def ref(self) -> Ref:
-        if isinstance(self.element, Element):
-            return self.kind, self.element.name
+        if self.kind != "constraint":
+            return self.kind, self.name
         owner = self.wholes[0]
         return owner.kind, owner.name, owner.constraints.index(self)
 

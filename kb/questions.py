@@ -20,8 +20,7 @@ from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
-from kb.planners.choice import Choice, Criterion, firsts_by_priority, summed_weights
-from kb.planners.encoding import encode
+from kb.planners.choice import Choice, firsts_by_priority
 from kb.reconfiguration import Obsolete, by_whole, reselect
 from kb.reconfiguration import obsolete as all_obsolete
 from kb.state import Overlay, State
@@ -60,26 +59,12 @@ def selectable_configurations(base: Readable, component: str) -> tuple[str, ...]
         return _selectable(state, named(state.network.components, "component", component).parts)
 
 
-def best_configuration(
-    base: Readable, action: str, preference: str | Mapping[str, float] | None = None
-) -> Choice | None:
-    """Return how the robot is best configured for an action by itself; None while it is unfeasible.
-
-    Args:
-        base: what is asked.
-        action: its name; it need not be required.
-        preference: name of the attribute to favour, or the weight of each of several; without one, and where no
-            estimation bears on it, the choice is by priority.
-    """
+def best_configuration(base: Readable, action: str) -> Choice | None:
+    """Return what comes first by priority for an action by itself, required or not; None while it is unfeasible."""
     with base.reading() as state:
         node = named(state.network.actions, "action", action)
         if state.status[node.index] is Status.UNFEASIBLE:
             return None
-        if preference is not None:
-            from kb.planners.solver import solve  # it takes a while to import
-
-            weights = summed_weights([preferred(state.network, preference)])
-            return solve(encode(state, Criterion(weights), node.parts)).choice
         designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
         return Choice(dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components))))

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
-from kb.elements import Component, ComponentKind
+from kb.elements import ComponentKind
 from kb.events import StatusChange
 from kb.inference import propagate
 from kb.network import Node
@@ -82,7 +82,7 @@ def planned(
 ) -> ReconfigurationPlan:
     activate, deactivate, *_ = selection
     elements = (state.network.components[name].element for name in (*activate, *deactivate))
-    plain = frozenset(one.name for one in elements if isinstance(one, Component) and one.kind is ComponentKind.PLAIN)
+    plain = frozenset(one.name for one in elements if one.kind is ComponentKind.PLAIN)
     return ReconfigurationPlan(*selection[:3], reason, now, plain=plain, cause=cause, number=number)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final, NamedTuple
 
-from kb.elements import Parameters
+from kb.elements import Parameters, is_number
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 from kb.notebook import table
@@ -38,7 +38,7 @@ class Memory:
             most = getattr(self, name)
             if type(most) is not int or most < 1:
                 raise InvalidValue(f"{name} of a memory is a whole number from 1, not {most!r}")
-        if not isinstance(self.span, int | float) or not self.span > 0:
+        if not is_number(self.span) or not self.span > 0:
             raise InvalidValue(f"the span of a memory is a time in seconds above 0, not {self.span!r}")
 
 
@@ -277,30 +277,27 @@ class Records:
                 finish(other, result=result if other is record else "abandoned", end=end)
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
 
-    def begin_request(self, fact: RequiredActionFact, number: int, now: float) -> None:
-        """Put a request on record that a model states; one that is open began now if nothing else is stated."""
+    def begin(self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float) -> None:
+        """Put on record what a model states; what is open began now if nothing else is stated."""
+        start = fact.start if fact.start is not None else fact.end if fact.end is not None else now
+        if isinstance(fact, ProcessFact):
+            self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
+            return
+        end = start if fact.end is None and fact.result is not None else fact.end
+        if isinstance(fact, PlanFact):
+            steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
+            number = next(reversed(self.plans), 0) + 1
+            self.plan(ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number))
+            return
         weights = fact.preference
         preference: str | Mapping[str, float] | None = MappingProxyType(dict(weights)) if weights else None
         if weights and list(weights.values()) == [1.0]:
             (preference,) = weights
-        start, end = _start(fact, now), _end(fact, now)
         record = RequiredAction(fact.action, preference, start, end, fact.result, number=number)
         if end is None and fact.action in self.required:
             self.requests[number] = record
         else:
             self.request(record)
-
-    def begin(self, fact: PlanFact | ProcessFact, number: int, now: float) -> None:
-        start = _start(fact, now)
-        if isinstance(fact, ProcessFact):
-            self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
-            return
-        steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
-        self.plan(
-            ReconfigurationPlan(
-                *steps, reason, start, _end(fact, now), fact.result, number=next(reversed(self.plans), 0) + 1
-            )
-        )
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan that is on record, given by itself or its number."""
@@ -402,16 +399,6 @@ def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **e
 
 def _ended(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> float | None:
     return record.time if isinstance(record, VetoAnswer) else record.end
-
-
-def _start(fact: RequiredActionFact | PlanFact | ProcessFact, now: float) -> float:
-    return fact.start if fact.start is not None else fact.end if fact.end is not None else now
-
-
-def _end(fact: RequiredActionFact | PlanFact, now: float) -> float | None:
-    if fact.end is None and fact.result is not None:
-        return fact.start if fact.start is not None else now
-    return fact.end
 
 
 def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> dict[str, Any]:

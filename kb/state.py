@@ -56,13 +56,6 @@ class _Layer(dict[int, T], Generic[T]):
         return self.below[index]
 
 
-def _quick_layer(below: list[T]) -> "_Layer[T]":
-    """Return a layer over a list that finds what is below without a call; it takes longer to make."""
-    quick = type("_QuickLayer", (_Layer,), {"__slots__": (), "__missing__": below.__getitem__})
-    layer: _Layer[T] = quick(below)
-    return layer
-
-
 class Marked:
     """A set of nodes; one on top of another answers from its own changes first."""
 
@@ -317,7 +310,8 @@ class Overlay(State):
         self._layers: dict[str, _Layer[Any]] = {}
         for name in (*FACTS, *_INFERRED):
             column = getattr(below, name)
-            layer: _Layer[Any] = _quick_layer(column) if lasting else _Layer(column)
+            quick = {"__slots__": (), "__missing__": column.__getitem__}  # without a call; it takes longer to make
+            layer = (type("_QuickLayer", (_Layer,), quick) if lasting else _Layer)(column)
             self._layers[name] = layer
             setattr(self, name, layer)
         self.reasons = {}

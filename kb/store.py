@@ -53,6 +53,7 @@ class Store:
         left: actions that were required when it was opened, by a program that has ended; a task layer settles them.
         model: what is spoken of; without one given, that of the file.
         time: of the last event in it when it was opened [s].
+        using: is held while the file is used.
 
     Raises:
         InvalidValue: the path is none.
@@ -68,7 +69,7 @@ class Store:
         self.left: tuple[str, ...] = ()
         self.is_new = model is not None and store_file.make(self.path, _declared(model))
         self._guard, self._mark = store_file.guarded(self.path), -1
-        self._using = threading.Lock()
+        self.using = threading.Lock()
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
@@ -123,7 +124,7 @@ class Store:
         Once it is closed, none but the newest measurements are there, which the state holds.
         """
         self.check_owner()
-        with self._using, _blamed(self.path):
+        with self.using, _blamed(self.path):
             if self._closing:
                 past = [event for event in self._past if event.number > after]
                 return past[:most] if most >= 0 else past
@@ -132,7 +133,7 @@ class Store:
     def check(self) -> int:
         """Check all of it; returns how many events it holds, or raises StoreError."""
         self.check_owner()
-        with self._using:
+        with self.using:
             found = store_file.survey(
                 self._connection, store_file.Mark(self._id, self._written, self._tail), is_whole=True
             )
@@ -238,7 +239,7 @@ class Store:
     def _end(self) -> None:
         with suppress(store_file.StoreError):
             self._past = self.events(measurements=False)
-        with self._using, suppress(sqlite3.Error):
+        with self.using, suppress(sqlite3.Error):
             if self._mark >= 0 and self.error is None:
                 self._live(is_open=False)
                 self._connection.execute("PRAGMA journal_mode=DELETE")
@@ -246,11 +247,6 @@ class Store:
         self._release()
         with self._progress:
             self._progress.notify_all()
-
-    @property
-    def locks(self) -> tuple[Any, Any]:
-        """What is held while something is told, and while the file is used."""
-        return self._lock, self._using
 
     def orphan(self) -> None:
         """Be of no use in a forked process; the connection is never dropped there."""
@@ -300,7 +296,7 @@ class Store:
         """Check a part of a history that is too long to be checked before the file is used."""
         until = min(self._checked + _SLICE, self._to_check)
         try:
-            with self._using:
+            with self.using:
                 for _ in store_file.history(self._connection, self._checked, until):
                     pass
             self._checked = until
@@ -324,7 +320,7 @@ class Store:
             return
         try:
             if batch:
-                with self._using:
+                with self.using:
                     self._commit(batch, snapshot)
             self._acknowledge()
         except (sqlite3.Error, OSError) as error:
@@ -421,12 +417,17 @@ def _blamed(path: Path) -> Iterator[None]:
 
 # -------------------------------------------------------------------- forks
 
+HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
+"""The locks of all knowledge bases."""
 _OPEN: Final[WeakSet[Store]] = WeakSet()
 
 
-def _held() -> None:
-    """Have nothing half-done while a process is forked; who waits for the one who forks waits no longer than that."""
-    _HELD.extend(lock for store in _OPEN for lock in store.locks if lock.acquire(timeout=1.0))
+def _hold() -> None:
+    """Have nothing half-done while a process is forked."""
+    for lock in tuple(HELD_OVER_FORKS):
+        lock.acquire()
+        _HELD.append(lock)
+    _HELD.extend(store.using for store in _OPEN if store.using.acquire(timeout=1.0))
 
 
 def _let_go() -> None:
@@ -442,4 +443,4 @@ def _orphaned() -> None:
 
 
 _HELD: Final[list[Any]] = []
-os.register_at_fork(before=_held, after_in_parent=_let_go, after_in_child=_orphaned)
+os.register_at_fork(before=_hold, after_in_parent=_let_go, after_in_child=_orphaned)

@@ -62,7 +62,8 @@ class ElementView:
     @property
     def element(self) -> Element | Constraint:
         """The element of the model that this is a view of, e.g. to amend it there."""
-        return self.node.element
+        found: Element | Constraint = self.node.element
+        return found
 
     def __repr__(self) -> str:
         return f"<{self.node.kind} {self.name!r}>"

@@ -6,36 +6,40 @@ from itertools import groupby, pairwise
 from typing import Final
 
 from kb.checks.findings import Finding, found, listing
-from kb.elements import Configuration, Element
 from kb.explanation.requirements import Interval, bounds
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
-from kb.planners.choice import choosable
 
 PREFERRED: Final = 32
 """How many of the alternatives that are preferred to one are compared with it."""
 
 Bounds = Mapping[str, Interval]
+_Names = dict[Node, dict[str, None]]
 
 
 def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
-    estimated = _Estimated(model)
+    directly, estimated = _estimated(model, network)
     for whole in (*network.functions.values(), *network.components.values()):
         if whole.kind == "component":
             yield from _excluded(whole)
         if len(whole.parts) < 2:
             continue
         yield from _ties(whole)
-        if not any(estimated.by(part) for part in whole.parts):  # a preference may choose what priority never would
+        by_part = {part: estimated.get(part, {}) for part in whole.parts}
+        if not any(by_part.values()):  # a preference may choose what priority never would
             yield from _dominated(whole)
-        yield from _unevenly_estimated(whole, estimated)
+        yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
         if whole.kind == "component":
             yield from _missing_parameters(whole)
-    yield from _preferences(model, network, estimated)
+    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
+    for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
+        if attribute not in estimated.get(network.actions[action], ()):
+            message = f"action {action} is to favour {attribute}, which is estimated for nothing that it can use"
+            yield found("missing-estimation", f"action {action}", message)
 
 
 def _priority(node: Node) -> float:
-    priority = choosable(node).priority
+    priority: float | None = node.element.priority
     return math.inf if priority is None else priority
 
 
@@ -107,48 +111,30 @@ def _dominated(whole: Node) -> Iterator[Finding]:
                 break
 
 
-class _Estimated:
-    """Which attributes are estimated for which elements, in order."""
-
-    def __init__(self, model: Contents) -> None:
-        self._direct: dict[Element, dict[str, None]] = {}
-        for one in model.estimations:
-            self._direct.setdefault(one.causer, {})[one.attribute] = None
-        self._known: dict[Node, Mapping[str, None]] = {}
-
-    def by(self, node: Node) -> Mapping[str, None]:
-        if self._direct and node not in self._known:
-            names = dict(self.directly(node))
-            for part in node.parts:
-                names |= self.by(part)
-            self._known[node] = names
-        return self._known.get(node, {})
-
-    def directly(self, node: Node) -> Mapping[str, None]:
-        assert isinstance(node.element, Element)
-        return self._direct.get(node.element, {})
+def _estimated(model: Contents, network: Network) -> tuple[_Names, _Names]:
+    """Return which attributes are estimated for which elements, and for which with all that they are made of."""
+    directly: _Names = {}
+    for one in model.estimations:
+        directly.setdefault(network.find(one.causer), {})[one.attribute] = None
+    estimated: _Names = {}
+    for node in sorted(network.present(), key=lambda node: node.level) if directly else ():
+        estimated[node] = dict(directly.get(node, {}))
+        for part in node.parts:
+            estimated[node] |= estimated.get(part, {})
+    return directly, estimated
 
 
-def _unevenly_estimated(whole: Node, estimated: _Estimated) -> Iterator[Finding]:
-    by_part = {part: estimated.by(part) for part in whole.parts}
+def _unevenly_estimated(whole: Node, by_part: _Names, directly: Mapping[str, None]) -> Iterator[Finding]:
     for attribute in dict.fromkeys(name for names in by_part.values() for name in names):
         without = [part.name for part, names in by_part.items() if attribute not in names]
-        if without and attribute not in estimated.directly(whole):
+        if without and attribute not in directly:
             what, kind = f"{whole.kind} {whole.name}", whole.parts[0].kind
             message = f"{attribute} is estimated for some {kind}s of {what} but not for {listing(without)}"
             yield found("missing-estimation", what, message)
 
 
-def _preferences(model: Contents, network: Network, estimated: _Estimated) -> Iterator[Finding]:
-    requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
-    for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
-        if attribute not in estimated.by(network.actions[action]):
-            message = f"action {action} is to favour {attribute}, which is estimated for nothing that it can use"
-            yield found("missing-estimation", f"action {action}", message)
-
-
 def _missing_parameters(component: Node) -> Iterator[Finding]:
-    parts = [part.element for part in component.parts if isinstance(part.element, Configuration)]
+    parts = [part.element for part in component.parts]
     keys = dict.fromkeys(key for one in parts for key in one.parameters)
     usual = [key for key in keys if sum(key in one.parameters for one in parts) == len(parts) - 1]
     for one in parts:

@@ -9,7 +9,7 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 from kb.checks.findings import Finding, found, listing
-from kb.explanation.requirements import Box, Interval, Requirements, bounds, constraints_on
+from kb.explanation.requirements import Box, Interval, Requirements, bounds
 from kb.network import Network, Node
 
 QUICK: Final = 4
@@ -51,7 +51,7 @@ def _roots(node: Node, impossible: set[Node], requirements: Requirements) -> Ite
 
 def _contradiction(node: Node, attribute: str) -> str:
     """Name two constraints that exclude one another; one suffices if no number satisfies it."""
-    own = [constraint for constraint in constraints_on(node) if constraint.attribute == attribute]
+    own = [one.constraint for one in node.constraints if one.constraint.attribute == attribute]
     for one in own:
         if Interval.of(one).is_empty:
             return f"{one}, which no number satisfies"
@@ -93,8 +93,8 @@ class _Need(NamedTuple):
 
 def _needs(node: Node, requirements: Requirements) -> list[_Need]:
     own = [
-        _Need(f"its own constraint {one}", (), (Box({one.attribute: Interval.of(one)}),))
-        for one in constraints_on(node)
+        _Need(f"its own constraint {one.name}", (), (Box({one.constraint.attribute: Interval.of(one.constraint)}),))
+        for one in node.constraints
     ]
     if node.kind == "component":
         boxes = tuple(box for part in node.parts for box in requirements.of(part).boxes)
@@ -128,7 +128,7 @@ def _path(nodes: Iterable[Node], attribute: str, interval: Interval) -> list[str
     paths = {node: [f"{node.kind} {node.name}"] for node in nodes}
     waiting = list(paths)
     for node in waiting:
-        own = (one.value for one in constraints_on(node) if one.attribute == attribute)
+        own = (one.constraint.value for one in node.constraints if one.constraint.attribute == attribute)
         if any(value in (interval.low, interval.high) for value in own):
             return paths[node]
         for part in node.parts:

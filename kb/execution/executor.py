@@ -5,9 +5,9 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from kb.elements import Component, ComponentKind, Configuration, choice
+from kb.elements import ComponentKind, Configuration, choice, is_number
 from kb.exceptions import InvalidValue, ProtocolError
-from kb.execution.safeguards import Budgets, Quarantine, Quarantined, is_number
+from kb.execution.safeguards import Budgets, Quarantine, Quarantined
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
 from kb.network import Node
@@ -188,7 +188,7 @@ class StagedExecutor:
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
             running = _running(state, parameters).items()
-            stops = [name for name, one in running if _component(one).stops_to_configure]
+            stops = [name for name, one in running if one.element.stops_to_configure]
             self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
             stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *self._paused])
         yield stopping
@@ -238,7 +238,7 @@ class StagedExecutor:
             configuration = _selected(state, component) if operation == "configure" else None
             if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
                 continue
-            kind = _component(component).kind
+            kind = component.element.kind
             policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
             managed = None if configuration is None and kind is ComponentKind.PLAIN else self._managed
             commands.append(_Command(kb, plan, policy, managed, name, operation, configuration))
@@ -423,10 +423,4 @@ def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
 
 
 def _selected(state: State, component: Node) -> Configuration | None:
-    chosen = (one.element for one in component.parts if state.selected[one.index])
-    return next((one for one in chosen if isinstance(one, Configuration)), None)
-
-
-def _component(node: Node) -> Component:
-    assert isinstance(node.element, Component)
-    return node.element
+    return next((one.element for one in component.parts if state.selected[one.index]), None)

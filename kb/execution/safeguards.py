@@ -7,7 +7,7 @@ from contextlib import suppress
 from decimal import Decimal
 from typing import NamedTuple
 
-from kb.elements import Configuration, EstimationKind, finite_number
+from kb.elements import EstimationKind, finite_number, is_number
 from kb.exceptions import InvalidValue, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import words_of
@@ -111,7 +111,6 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
     if causer is component:
         return True
     if component.name in failed or not any(state.selected[one.index] for one in component.parts):
-        assert isinstance(causer.element, Configuration)
         return dict(kb.components[component.name].parameters_in_force) == dict(causer.element.parameters)
     return state.selected[causer.index]
 
@@ -172,10 +171,6 @@ class Quarantine:
             kb.retract_status(kb.configurations[one.configuration])
             del self.held[one.configuration]
         self._failed = failed
-
-
-def is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _stands(state: State, configuration: str) -> bool:

@@ -7,7 +7,7 @@ from kb.explanation.reasons import why
 from kb.inference import is_adaptable
 from kb.network import Node
 from kb.notebook import table
-from kb.planners.choice import choosable, ranked
+from kb.planners.choice import ranked
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
 from kb.status import Status
@@ -112,18 +112,13 @@ class _Chooser:
         self.possible = ranked(self.state, self.node)
         self.selected = next((part for part in self.node.parts if self.state.selected[part.index]), None)
         self.said = self.state.reason("selected", self.selected).text if self.selected else ""
-        self.first = self._preferred()
+        preferred = self.possible[:1] if not self.said else [one for one in self.possible if one is self.selected]
+        self.first = next(iter(() if self.nothing else preferred), None)  # only whoever gave a reason knows another
         self.chosen = self.selected or self.first
-
-    def _preferred(self) -> Node | None:
-        """Return the part that is preferred; None for none, and where only whoever gave a reason can tell."""
-        if self.said and not self.nothing:
-            return self.selected if self.selected in self.possible else None
-        return self.possible[0] if self.possible and not self.nothing else None
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
-            Alternative(part.name, self.state.status[part.index], choosable(part).priority, self._why_not(part))
+            Alternative(part.name, self.state.status[part.index], part.element.priority, self._why_not(part))
             for part in self.node.parts
             if part is not self.chosen
         )
@@ -149,7 +144,7 @@ class _Chooser:
         return self.node.kind == "component" and not self.following.served[self.node.index]
 
     def _advantage(self, chosen: Node) -> str:
-        what, priority = _PARTS[self.node.kind], choosable(chosen).priority
+        what, priority = _PARTS[self.node.kind], chosen.element.priority
         if self.nothing:
             return f"it was preferred before; now nothing would be: {self.nothing}"
         if chosen is not self.first:
@@ -158,7 +153,7 @@ class _Chooser:
             return self.said
         if len(self.possible) == 1:
             return f"it is the only {what}" if len(self.node.parts) == 1 else f"no other {what} is feasible"
-        if any(choosable(other).priority == priority for other in self.possible if other is not chosen):
+        if any(other.element.priority == priority for other in self.possible if other is not chosen):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
 
@@ -172,7 +167,7 @@ class _Chooser:
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
         assert self.first is not None  # something is possible, so something is preferred
-        mine, best = choosable(part).priority, choosable(self.first).priority
+        mine, best = part.element.priority, self.first.element.priority
         if mine == best:
             return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"
         return f"it has {_in_words(mine)}, which comes after {best}"

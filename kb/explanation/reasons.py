@@ -10,7 +10,6 @@ from kb.elements import Attribute, exact
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
-from kb.notebook import causes
 from kb.state import Reason, State
 from kb.status import OPERATORS, Status
 
@@ -98,7 +97,11 @@ class Explanation:
         return f"{self.sentence}{self._what_would_help()}{selected}"
 
     def _repr_html_(self) -> str:
-        return f"{causes(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
+        def unfolding(one: Explanation) -> str:
+            below, said = "".join(f"<li>{unfolding(cause)}</li>" for cause in one.causes), escape(one.sentence)
+            return f"<details><summary>{said}</summary><ul>{below}</ul></details>" if below else said
+
+        return f"{unfolding(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
 
     def text(self, subject: str) -> str:
         """Return the sentence about the element, called as one likes."""
@@ -269,18 +272,19 @@ def _comparison(state: State, node: Node) -> Comparison:
     constraint, attribute = node.constraint, node.parts[0]
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
     what = constraint.attribute, constraint.operator, constraint.value
-    return Comparison(*what, value, time, is_stale, _attribute(attribute).unit)
+    return Comparison(*what, value, time, is_stale, attribute.element.unit)
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
-    bound = f"{one.operator} {_attribute(node).amount(exact(one.threshold))}"
+    attribute: Attribute = node.parts[0].element
+    bound = f"{one.operator} {attribute.amount(exact(one.threshold))}"
     if one.value is None:
         return f"{one.attribute} is not measured (wanted {bound})"
     shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
     if one.is_stale:
         return f"{shown} {_stale(one.time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
-        return f"{shown} is not confirmed: {_votes(_attribute(node))} have to agree"
+        return f"{shown} is not confirmed: {_votes(attribute)} have to agree"
     holds = OPERATORS[one.operator](one.value, one.threshold)
     fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
     if verdict is None or holds == (verdict is Status.SATISFIED):
@@ -290,7 +294,7 @@ def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -
 
 def _hold(value: float, node: Node, verdict: Status) -> str:
     """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
-    constraint, attribute = node.constraint, _attribute(node)
+    constraint, attribute = node.constraint, node.attribute
     turn = turning_point(constraint, verdict)
     beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
     is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
@@ -314,7 +318,8 @@ def _reading(state: State, attribute: Node, now: float) -> str:
 
 def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
     """Write a value with its unit, with as few digits as `shortest` does."""
-    return _attribute(attribute).amount(shortest(value, thresholds))
+    element: Attribute = attribute.element
+    return element.amount(shortest(value, thresholds))
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:
@@ -335,19 +340,13 @@ def _age(time: float | None, now: float) -> str:
 
 
 def _stale(time: float | None, attribute: Node, now: float) -> str:
-    most = _attribute(attribute).max_age
+    most = attribute.element.max_age
     is_over = time is not None and now - time > most  # else somebody has told so
     return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
 
 
 def _votes(attribute: Attribute) -> str:
     return "{} of the last {} measurements".format(*attribute.agreement)
-
-
-def _attribute(node: Node) -> Attribute:
-    element = node.parts[0].element if node.kind == "constraint" else node.element
-    assert isinstance(element, Attribute)
-    return element
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:

@@ -78,14 +78,10 @@ class Interval:
         return " and ".join(shown)
 
 
-def constraints_on(node: Node) -> list[Constraint]:
-    return [one.element for one in node.constraints if isinstance(one.element, Constraint)]
-
-
 def bounds(*nodes: Node) -> dict[str, Interval]:
     """Return the values that elements' own constraints leave together, by attribute; some may be empty."""
     intervals: dict[str, Interval] = {}
-    for constraint in (one for node in nodes for one in constraints_on(node)):
+    for constraint in (one.constraint for node in nodes for one in node.constraints):
         interval, known = Interval.of(constraint), intervals.get(constraint.attribute)
         intervals[constraint.attribute] = known.meet(interval) if known else interval
     return intervals

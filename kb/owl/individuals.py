@@ -39,33 +39,8 @@ class Individual(NamedTuple):
 
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
-CLASSES: Final[Mapping[type, str]] = {
-    elements.Attribute: "Attribute",
-    elements.Component: "Component",
-    elements.Configuration: "ComponentConfiguration",
-    elements.Function: "Function",
-    elements.FunctionDesign: "FunctionDesign",
-    elements.Action: "Action",
-    elements.Constraint: "Constraint",
-    elements.Estimation: "Estimation",
-    facts.MeasurementFact: "Measurement",
-    facts.StatusFact: "AssertedStatus",
-    facts.RequiredFact: "AssertedRequirement",
-    facts.SelectedFact: "Selection",
-    facts.ActiveFact: "Activity",
-    facts.RequiredActionFact: "RequiredAction",
-    facts.ProcessFact: "ComponentProcess",
-    facts.PlanFact: "ReconfigurationPlan",
-}
+CLASSES: Final[Mapping[type, str]] = {cls: word.title().replace(" ", "") for cls, word in facts.ROSA.items()}
 """The kind of each class of element and fact, in the order in which they can be declared."""
-
-GENERAL: Final[Mapping[str, str]] = {
-    "QualityAttribute": "Attribute",
-    "EnvironmentalAttribute": "Attribute",
-    "ProcessComponent": "Component",
-    "LifecycleComponent": "Component",
-}
-"""The kind of which another is a special one."""
 
 SPECIAL: Final[Mapping[tuple[type, str], str]] = {
     (elements.Attribute, "quality"): "QualityAttribute",
@@ -74,6 +49,9 @@ SPECIAL: Final[Mapping[tuple[type, str], str]] = {
     (elements.Component, "lifecycle"): "LifecycleComponent",
 }
 """The special kind of elements of a class by their own `kind`, where they have one."""
+
+GENERAL: Final[Mapping[str, str]] = {special: CLASSES[cls] for (cls, _), special in SPECIAL.items()}
+"""The kind of which another is a special one."""
 
 _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
     (elements.Action, "functions"): "requires",
@@ -158,8 +136,7 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
         if kind == PREFERENCE:
             yield Individual(kind, inner, {"prefers": (Ref(named_id(elements.Attribute, key)),), "weight": (value,)})
         else:
-            written = json.dumps(value)
-            sort = _sort(value)
+            written, sort = json.dumps(value), elements.parameter_type(value)
             yield Individual(kind, inner, {"key": (key,), "parameterValue": (written,), "parameterType": (sort,)})
 
 
@@ -234,12 +211,6 @@ def named_id(cls: type, name: str) -> str:
 def _escaped(name: str) -> str:
     """Write a name so that no two names look the same, with nothing in it that means something elsewhere."""
     return _UNSAFE.sub(lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name)
-
-
-def _sort(value: object) -> str:
-    if isinstance(value, list):
-        return f"{_sort(value[0])}_array" if value else "string_array"
-    return {bool: "boolean", int: "long", float: "double"}.get(type(value), "string")
 
 
 # -------------------------------------------------------------------- and back

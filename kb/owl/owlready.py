@@ -2,10 +2,10 @@
 
 import re
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, TypeVar
 from xml.parsers import expat
 
 from pyoxigraph import Literal, NamedNode, RdfFormat, parse
@@ -27,28 +27,23 @@ _STRAY: Final = re.compile(r"Unexpected text event: '(.*)'", re.DOTALL)
 ModelT = TypeVar("ModelT", bound=Contents)
 
 
-class _Triple(NamedTuple):
-    subject: str
-    predicate: str
-    value: Value
-
-
 def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | None) -> ModelT:
     """Read a model from OWL files in RDF/XML, as they are taken together; see `Model.load`."""
     told: dict[str, dict[str, list[Value]]] = {}
     for path in paths:
         read = list(_triples(path))
-        if not any(one.predicate == _TYPE and _local(one.value) for one in read):
+        if not any(predicate == _TYPE and _local(value) for _, predicate, value in read):
             raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
-        for triple in read:
-            told.setdefault(triple.subject, {}).setdefault(triple.predicate, []).append(triple.value)
+        for subject, predicate, value in read:
+            told.setdefault(subject, {}).setdefault(predicate, []).append(value)
     try:
         found = [_individual(subject, values) for subject, values in told.items()]
         given = [one for one in found if one is not None]
         for one in given:
             if one.kind not in _KINDS:
                 raise ModelError(f"{one.id}: {UnknownName('class', one.kind, sorted(_KINDS))}")
-        model = cls(name or _model_name(given) or paths[0].stem)
+        names = [str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())]
+        model = cls(name or next(iter(names), paths[0].stem))
         Declarer(model).declare(given)
     except KnowledgeBaseError as error:
         raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
@@ -82,7 +77,8 @@ def inconsistency(text: str) -> str | None:
     return f"HermiT finds that nothing can be a {', '.join(empty)}" if empty else None
 
 
-def _triples(path: Path) -> Iterator[_Triple]:
+def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
+    """Yield subject, predicate and value of all that a file says."""
     content = read_text(path)
     if not content.strip():
         raise ModelFileError("the file is empty", str(path))
@@ -90,11 +86,8 @@ def _triples(path: Path) -> Iterator[_Triple]:
         expat.ParserCreate().Parse(content, True)  # says where it is no XML, and expands no entity without end
         for one in parse(content.encode(), format=RdfFormat.RDF_XML, base_iri=_BASE):
             about = one.subject.value if isinstance(one.subject, NamedNode) else str(one.subject)
-            if isinstance(one.object, Literal):
-                value = value_of(one.object)
-                yield _Triple(about, one.predicate.value, plain_text(value) if isinstance(value, str) else value)
-            else:
-                yield _Triple(about, one.predicate.value, Ref(str(answer_of(one.object))))
+            value = value_of(one.object) if isinstance(one.object, Literal) else Ref(str(answer_of(one.object)))
+            yield about, one.predicate.value, plain_text(value) if isinstance(value, str) else value
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
         raise ModelFileError(f"this is no RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
@@ -122,28 +115,18 @@ def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual
     if len(kinds) > 1:
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
     values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != _TYPE}
-    places = _places(str(*values.pop("order", ("",))))
-    ordered = {name: tuple(_ordered(each, places.get(name, []))) for name, each in values.items() if name}
+    listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
+    places = {name: players for name, *players in listed}
+    ordered = {name: _ordered(each, places.get(name, [])) for name, each in values.items() if name}
     return Individual(kinds[0], subject, ordered)
 
 
-def _places(text: str) -> dict[str, list[str]]:
-    listed = [part.split() for part in text.split(";") if part.strip()]
-    return {name: players for name, *players in listed}
-
-
-def _ordered(values: Sequence[Value], places: Sequence[str]) -> Iterable[Value]:
+def _ordered(values: Sequence[Value], places: Sequence[str]) -> tuple[Value, ...]:
     """Return values in the order that is stated, with repetitions; what is not in it comes last."""
     by_place: dict[str, Value] = {one.id.rpartition("#")[2]: one for one in values if isinstance(one, Ref)}
     known = [by_place[place] for place in places if place in by_place]
-    rest = sorted((one for one in values if one not in known), key=str)
-    return (*known, *rest)
+    return (*known, *sorted((one for one in values if one not in known), key=str))
 
 
 def _local(value: Value) -> str:
     return value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
-
-
-def _model_name(given: Iterable[Individual]) -> str | None:
-    names: list[Any] = [name for one in given if one.kind == MODEL for name in one.values.get("name", ())]
-    return names[0] if names else None

@@ -101,16 +101,13 @@ class Book:
         ordered: dict[str, tuple[Value, ...]] = {"order": (text,)} if (text := order(one)) else {}
         for name, values in {**one.values, **ordered}.items():
             for value in values:
-                written = self._iri(value.id) if isinstance(value, Ref) else Literal(_storable(value))
+                if isinstance(value, str):  # without halves of characters
+                    value = value.encode("utf-8", "backslashreplace").decode()
+                written = self._iri(value.id) if isinstance(value, Ref) else Literal(value)
                 yield Quad(subject, NamedNode(f"{ROSA}{name}"), written, graph)
 
     def _iri(self, own: str) -> NamedNode:
         return NamedNode(f"{self._base}#{own}")
-
-
-def _storable(value: str | bool | int | float) -> str | bool | int | float:
-    """Return a value without halves of characters."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:

@@ -8,7 +8,7 @@ import json
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from itertools import chain
+from itertools import chain, count
 from threading import Lock
 from types import MappingProxyType, SimpleNamespace
 from typing import Any, Final
@@ -35,7 +35,6 @@ from kb.owl.rdfxml import BASE, metamodel
 from kb.owl.worker import Answer, Worker, give_back, stopped, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
-from kb.status import Status
 from kb.store import Store
 
 Values = dict[str, tuple[Value, ...]]
@@ -51,7 +50,7 @@ _PRESENT: Final[Mapping[str, str]] = {
     "AssertedRequirement": "asserted_required",
 }
 """What can be so now, by the facts of the state that say so."""
-Period = tuple[str, str, Mapping[str, str | float | None], Parameters]
+Period = tuple[str, str, Mapping[str, Any]]
 """What is so for a time: its kind, what it is about, and what else is known of it."""
 Told = tuple[tuple[str, str, type | None], ...]
 """Properties, the fields that they tell, and of which class the elements are that these name."""
@@ -210,14 +209,15 @@ class World:
 
     def _inferred(self, state: State) -> Iterator[Individual]:
         nodes = [node for node in state.network.present() if node.kind != "attribute"]
-        now = [(node.kind, node.element, state.status[node.index], state.required[node.index]) for node in nodes]
-        return (self._status(*one) for one in now)
-
-    def _status(self, kind: str, element: Changeable, status: Status, is_required: bool) -> Individual:
-        values: Values = {"status": (str(status),)}
-        if kind in _REQUIRABLE:
-            values["isRequired"] = (is_required,)
-        return Individual("", element_id(element, self._known.serials), values)
+        now = [(node, str(state.status[node.index]), state.required[node.index]) for node in nodes]
+        return (
+            Individual(
+                "",
+                element_id(node.element, self._known.serials),
+                {"status": (status,), **({"isRequired": (is_required,)} if node.kind in _REQUIRABLE else {})},
+            )
+            for node, status, is_required in now
+        )
 
 
 class _Chronicle:
@@ -225,7 +225,7 @@ class _Chronicle:
 
     def __init__(self, known: Knowledge) -> None:
         self._known = known
-        self._count = 0
+        self._count = count(1)
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
         self._ids: dict[int, str] = {}
@@ -244,15 +244,15 @@ class _Chronicle:
                 if value := state.columns[column][node.index]:
                     said = state.reason(column, node)
                     status = {"status": str(value), "until": said.until} if column == "asserted" else {}
-                    found.append((word, self._id(node.element), {**status, "reason": said.text}, {}))
+                    found.append((word, self._id(node.element), {**status, "reason": said.text}))
         given = state.parameters.items()
-        return [*found, *(("ParametersInForce", named_id(Component, name), {}, values) for name, values in given)]
+        return [*found, *(("ParametersInForce", self._about(name), {"parameters": values}) for name, values in given)]
 
     def older(self, present: Iterable[Period]) -> Iterator[Individual]:
         """Yield what is so now and began before the events that are known: it has no start."""
-        for word, about, values, parameters in present:
+        for word, about, values in present:
             if (word, about) not in self._open:
-                yield from self._began(word, about, None, parameters, **values)
+                yield from self._began(word, about, None, **values)
 
     # ---------------------------------------------------------------- what was so for a time
 
@@ -266,25 +266,25 @@ class _Chronicle:
             case "measure", (name, value):
                 yield self.measurement(name, value, time)
             case "component_failed", (name, reason):
-                yield from self._is_so("Failure", named_id(Component, name), time, True, reason)
+                yield from self._is_so("Failure", self._about(name), time, True, reason)
             case "component_recovered", (name,):
-                about = named_id(Component, name)
-                yield from self._is_so("Failure", about, time, False)
+                about = self._about(name)
+                yield from self._ended("Failure", about, time)
                 if about in self._asserted_failed:
                     yield from self._ended("AssertedStatus", about, time)
             case "component_active", (name, active, _):
-                yield from self._is_so("Activity", named_id(Component, name), time, active)
+                yield from self._is_so("Activity", self._about(name), time, active)
             case "component_configured", (name, parameters):
-                yield from self._configured(time, name, parameters)
+                yield from self._is_so("ParametersInForce", self._about(name), time, True, parameters=parameters)
             case "finish_attempt", (serial, "completed", _):
                 attempt = self._known.records.attempts.get(serial)
                 if attempt is not None and attempt.operation == "configure":
-                    yield from self._configured(time, attempt.component, attempt.parameters)
+                    given, about = attempt.parameters, self._about(attempt.component)
+                    yield from self._is_so("ParametersInForce", about, time, True, parameters=given)
             case "assert_status", (ref, status, reason, until):
                 about = self._about(ref)
                 (self._asserted_failed.add if status == "failure" else self._asserted_failed.discard)(about)
-                yield from self._ended("AssertedStatus", about, time)
-                yield from self._began("AssertedStatus", about, time, status=status, reason=reason, until=until)
+                yield from self._is_so("AssertedStatus", about, time, True, reason, status=status, until=until)
             case ("retract_status", (ref,)) | ("lapse", (ref, _)):
                 yield from self._ended("AssertedStatus", self._about(ref), time)
             case "assert_required", (ref, is_so):
@@ -299,19 +299,12 @@ class _Chronicle:
                 for fact in self._known.model.facts:
                     yield from self._stated(time, fact)
 
-    def _configured(self, time: float, component: str, parameters: Parameters) -> Iterator[Individual]:
-        about = named_id(Component, component)
-        yield from self._ended("ParametersInForce", about, time)
-        yield from self._began("ParametersInForce", about, time, parameters)
-
     def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
-        for kind, name, is_so in event.effects:
-            yield from self._is_so("Selection", named_id(_CLASSES[kind], name), event.time, is_so, reason)
-        changed = {(kind, name) for kind, name, _ in event.effects}
-        for kind, name in ((kind, name) for kind, by_whole in chosen.items() for name in by_whole.values()):
-            about = named_id(_CLASSES[kind], name)
-            if (kind, name) not in changed and ("Selection", about) in self._open:
-                yield from self._is_so("Selection", about, event.time, True, reason)
+        changed = {self._about((kind, name)): is_so for kind, name, is_so in event.effects}
+        kept = (self._about((kind, name)) for kind, by_whole in chosen.items() for name in by_whole.values())
+        changed |= {about: True for about in kept if about not in changed and ("Selection", about) in self._open}
+        for about, is_so in changed.items():
+            yield from self._is_so("Selection", about, event.time, is_so, reason)
 
     def _amended(self, time: float, how: str, written: object) -> Iterator[Individual]:
         change = json.dumps({how: written})
@@ -322,20 +315,34 @@ class _Chronicle:
 
     def _stated(self, time: float, fact: Fact) -> Iterator[Individual]:
         if isinstance(fact, ActiveFact):
-            yield from self._began("Activity", named_id(Component, fact.component), time)
+            yield from self._began("Activity", self._about(fact.component), time)
         elif isinstance(fact, StatusFact):
             yield from self._began("AssertedStatus", self._id(fact.element), time, status=str(fact.status))
         elif isinstance(fact, RequiredFact | SelectedFact):
             word = "Selection" if isinstance(fact, SelectedFact) else "AssertedRequirement"
             yield from self._began(word, self._id(fact.element), time)
 
-    def _is_so(self, word: str, about: str, time: float, is_so: bool, reason: str = "") -> Iterator[Individual]:
+    def _is_so(
+        self,
+        word: str,
+        about: str,
+        time: float,
+        is_so: bool,
+        reason: str = "",
+        **values: Any,  # noqa: ANN401  # of properties
+    ) -> Iterator[Individual]:
         yield from self._ended(word, about, time)
         if is_so:
-            yield from self._began(word, about, time, reason=reason)
+            yield from self._began(word, about, time, reason=reason, **values)
 
     def _began(
-        self, word: str, about: str, time: float | None, parameters: Parameters = _NOTHING, **values: str | float | None
+        self,
+        word: str,
+        about: str,
+        time: float | None,
+        *,
+        parameters: Parameters = _NOTHING,
+        **values: Any,  # noqa: ANN401  # of properties
     ) -> Iterator[Individual]:
         self._open[word, about] = own = self._next()
         within = list(nested(PARAMETER, own, parameters))
@@ -349,8 +356,8 @@ class _Chronicle:
         if own is not None:
             yield Individual("", own, {"end": (float(time),)})
 
-    def _about(self, ref: Any) -> str:  # noqa: ANN401  # a reference of an event
-        kind, name, *position = ref
+    def _about(self, ref: Any) -> str:  # noqa: ANN401  # a reference of an event, or the name of a component
+        kind, name, *position = ("component", ref) if isinstance(ref, str) else ref
         if not position:
             return named_id(_CLASSES[kind], name)
         try:
@@ -412,8 +419,7 @@ class _Chronicle:
         return said
 
     def _next(self) -> str:
-        self._count += 1
-        return f"{STATED}.{self._count}"
+        return f"{STATED}.{next(self._count)}"
 
 
 def _refs(name: str, within: Iterable[Individual]) -> Values:

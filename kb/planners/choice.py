@@ -132,12 +132,7 @@ def by_priority(candidate: FunctionDesign | Configuration | DesignView | Configu
 def ranked(state: State, whole: Node) -> list[Node]:
     """Return what can be chosen for a function or component, the first by priority first."""
     possible = (part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE)
-    return sorted(possible, key=lambda part: by_priority(choosable(part)))
-
-
-def choosable(part: Node) -> FunctionDesign | Configuration:
-    assert isinstance(part.element, FunctionDesign | Configuration)
-    return part.element
+    return sorted(possible, key=lambda part: by_priority(part.element))
 
 
 def choice_by_priority(state: State) -> Choice | None:

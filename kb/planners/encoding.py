@@ -5,13 +5,13 @@ component, of which one configuration is chosen if a chosen design needs it; the
 numbers are whole, so that of two choices one is better or they are exactly as good.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
 from functools import reduce
 from typing import Final, NamedTuple
 
-from kb.elements import Component, ComponentKind, EstimationKind
+from kb.elements import ComponentKind, EstimationKind
 from kb.network import Network, Node
 from kb.planners.choice import Choice, Criterion, ranked
 from kb.state import State
@@ -39,11 +39,6 @@ class Effect(NamedTuple):
     def costing(self, cost: int) -> "Effect":
         return self._replace(gain=self.gain - cost, cost=self.cost + cost)
 
-    def is_no_worse_than(self, other: "Effect") -> bool:
-        """Tell whether this can stand in place of the other whatever else is chosen."""
-        lighter = all(mine <= its for mine, its in zip(self.loads, other.loads, strict=True))
-        return lighter and self.gain >= other.gain and self.levels == other.levels
-
 
 class Option(NamedTuple):
     """One possibility: a design or configuration, or None for a component that has nothing to be chosen."""
@@ -51,7 +46,7 @@ class Option(NamedTuple):
     node: Node | None
     effect: Effect  # that of a configuration includes that its component runs
     is_now: bool = False  # it is selected now
-    needs: frozenset[int] = frozenset()  # positions of the slots of a design's components that make a difference
+    needs: frozenset[int] = frozenset()  # positions of the slots of a design's components
 
 
 class Slot(NamedTuple):
@@ -66,11 +61,6 @@ class Slot(NamedTuple):
     @property
     def is_function(self) -> bool:
         return self.node.kind == "function"
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether it makes no difference how a component runs, and if."""
-        return not self.is_function and all(option.effect == self.idle for option in self.options)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +106,7 @@ class Problem:
         return sum(levels.values(), highest)
 
     def needed(self, picks: Picks) -> set[int]:
-        """Return the positions of the slots that a choice needs, of those that make a difference."""
+        """Return the positions of the slots that a choice needs."""
         needed = {place for place, slot in enumerate(self.slots) if slot.is_needed}
         return needed.union(*(slot.options[pick].needs for slot, pick in zip(self.slots, picks, strict=True)))
 
@@ -147,21 +137,15 @@ class Problem:
         return Choice({node.name: design.name for node, design in designs.items()}, configurations)
 
 
-def encode(state: State, criterion: Criterion, functions: Iterable[Node] | None = None) -> Problem:
-    """Return what is to be chosen in a state.
-
-    Args:
-        state: the facts and statuses.
-        criterion: what makes a choice better.
-        functions: to choose for these alone, as if nothing ran yet; by default for all that are required, from what
-            runs and is selected now.
+def encode(state: State, criterion: Criterion) -> Problem:
+    """Return what is to be chosen in a state for all that is required, from what runs and is selected now.
 
     Raises:
         UnknownName: the criterion names an attribute or a component that the model does not have.
     """
     check_names(state.network, criterion)
     with localcontext(Context(prec=60)):
-        return _Encoder(state, criterion, functions).problem()
+        return _Encoder(state, criterion).problem()
 
 
 def check_names(network: Network, criterion: Criterion) -> None:
@@ -176,18 +160,16 @@ def check_names(network: Network, criterion: Criterion) -> None:
 class _Encoder:
     """Encodes one problem; see `encode`."""
 
-    def __init__(self, state: State, criterion: Criterion, functions: Iterable[Node] | None) -> None:
+    def __init__(self, state: State, criterion: Criterion) -> None:
         self._state = state
         self._criterion = criterion
-        self._afresh = functions is not None
-        if functions is None:
-            functions = (node for node in state.network.functions.values() if state.required[node.index])
-        self._designs = {node: ranked(state, node) for node in functions}
+        required = (node for node in state.network.functions.values() if state.required[node.index])
+        self._designs = {node: ranked(state, node) for node in required}
         stuck = [node for node, designs in self._designs.items() if not designs]
-        self._kept = [design for node in stuck for design in node.parts if self._is_selected(design)]
+        self._kept = [design for node in stuck for design in node.parts if state.selected[design.index]]
         all_designs = [design for node in self._designs for design in node.parts]
         self._parts = list(dict.fromkeys(part for design in all_designs for part in design.parts))
-        self._obsolete = [] if self._afresh else [one for one in state.obsolete.nodes() if one.kind == "component"]
+        self._obsolete = [one for one in state.obsolete.nodes() if one.kind == "component"]
         self._nothing = Effect(0, (0,) * len(criterion.budgets))
         self._estimated: dict[Node, Effect] = {}
         self._costs: dict[Node, int] = {}
@@ -196,7 +178,7 @@ class _Encoder:
     def problem(self) -> Problem:
         components = [self._component(node) for node in sorted(self._parts, key=lambda node: node.index)]
         functions = {node: designs for node, designs in self._designs.items() if designs}
-        places = {one.node: place for place, one in enumerate(components, len(functions)) if not one.is_silent}
+        places = {one.node: place for place, one in enumerate(components, len(functions))}
         concerned = [*self._parts, *(one for node in self._parts for one in node.parts), *self._kept]
         concerned += [design for designs in self._designs.values() for design in designs]
         stopping = sum(self._cost_to_switch(node) for node in self._obsolete)
@@ -219,8 +201,7 @@ class _Encoder:
         estimations = [one for one in network.model.estimations if one.attribute in weights or one.attribute in limits]
         values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in estimations]
         gains = [weights.get(one.attribute, 0) * value for one, value in zip(estimations, values, strict=True)]
-        switched = [] if self._afresh else [*self._parts, *self._obsolete]
-        costs = {node: _decimal(criterion.cost_of(node.name)) for node in switched}
+        costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
         amounts = [*gains, *costs.values()]
         self._unit, is_exact = _unit(amounts)
         self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
@@ -243,27 +224,25 @@ class _Encoder:
         """Return what is estimated of nodes together."""
         return reduce(Effect.plus, (self._estimated[node] for node in nodes if node in self._estimated), self._nothing)
 
-    def _is_selected(self, node: Node) -> bool:
-        return not self._afresh and self._state.selected[node.index]
-
     def _cost_to_switch(self, component: Node) -> int:
         """Return what it costs to start or stop a component; a plain one is only booked."""
-        assert isinstance(component.element, Component)
-        return 0 if component.element.kind is ComponentKind.PLAIN else self._costs.get(component, 0)
+        return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
 
     def _function(self, node: Node, designs: Iterable[Node], places: Mapping[Node, int]) -> Slot:
-        options = []
-        for one in designs:
-            needs = frozenset(places[part] for part in one.parts if part in places)
-            options.append(Option(one, self._effect(one), self._is_selected(one), needs))
-        return Slot(node, _undominated(options), self._nothing)
+        options = (
+            Option(
+                one, self._effect(one), self._state.selected[one.index], frozenset(map(places.__getitem__, one.parts))
+            )
+            for one in designs
+        )
+        return Slot(node, tuple(options), self._nothing)
 
     def _component(self, node: Node) -> Slot:
-        cost, to_switch, nodes = self._costs.get(node, 0), self._cost_to_switch(node), ranked(self._state, node)
-        active = not self._afresh and self._state.active[node.index]
-        asserted = not self._afresh and self._state.asserted_required[node.index]
-        selected = [one for one in node.parts if self._is_selected(one)]
-        given_up = any(self._designs.get(design.wholes[0]) for design in self._state.users[node.index])
+        state, nodes = self._state, ranked(self._state, node)
+        cost, to_switch = self._costs[node], self._cost_to_switch(node)
+        active, asserted = state.active[node.index], state.asserted_required[node.index]
+        selected = [one for one in node.parts if state.selected[one.index]]
+        given_up = any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
         stays = active and not given_up  # even if nothing needs it: a plan stops what it replaces, and what is obsolete
         running = self._effect(node) if active else self._effect(node).costing(to_switch)
         options = [
@@ -279,28 +258,11 @@ class _Encoder:
         is_kept = any(node in design.parts for design in self._kept)
         return Slot(
             node,
-            _undominated(options or [Option(None, running.plus(self._effect(*selected)))]),
+            tuple(options or [Option(None, running.plus(self._effect(*selected)))]),
             idle,
             idle_node,
             is_kept or (stays and asserted),
         )
-
-
-def _undominated(options: Sequence[Option]) -> tuple[Option, ...]:
-    """Leave out each option for which another is as good wherever they stand, and better or earlier.
-
-    What is selected now and what is first by priority stay, to be compared with.
-    """
-
-    def is_dominated(place: int, option: Option) -> bool:
-        return any(
-            rival.needs == option.needs
-            and rival.effect.is_no_worse_than(option.effect)
-            and (rival.effect.gain > option.effect.gain or earlier < place)
-            for earlier, rival in enumerate(options)
-        )
-
-    return tuple(one for place, one in enumerate(options) if not place or one.is_now or not is_dominated(place, one))
 
 
 def _uses_more(component: Slot, pick: int) -> bool:

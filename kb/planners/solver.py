@@ -50,7 +50,7 @@ def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
 
 
 class _Program:
-    """A problem as a CP-SAT model: `picks` are the literals of each slot's options, none if they make no difference."""
+    """A problem as a CP-SAT model: `picks` are the literals of each slot's options."""
 
     def __init__(self, problem: Problem) -> None:
         self.model: Any = cp_model.CpModel()
@@ -84,9 +84,6 @@ class _Program:
 
     def _slot(self, slot: Slot, users: Sequence[Literals], all_users: Sequence[list[Literals]]) -> Literals:
         """Encode that one option is chosen exactly if the slot is needed, and enter who needs which component."""
-        if slot.is_silent:
-            self._effects.append((1, slot.idle))
-            return ()
         if slot.is_function:
             literals = self._literals(slot)
             self.model.add_exactly_one(literals)

@@ -21,7 +21,7 @@ from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import quote
 
-from kb.elements import Parameters
+from kb.elements import Parameters, is_number
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
@@ -83,7 +83,7 @@ class Program:
             raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
         for what in ("grace", "back_off", "steady"):
             value = getattr(self, what)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value < math.inf:
+            if not is_number(value) or not 0 <= value < math.inf:
                 raise InvalidValue(f"{what} is a finite number of seconds from 0, not {value!r}")
 
     def check(self) -> None:
@@ -200,7 +200,10 @@ class ProcessComponents:
         with self._lock:
             if not self._is_open:
                 raise KnowledgeBaseError(f"{component!r} cannot be started: its processes are closed for good")
-            self._have_guardian()
+            if self._guardian is not None and self._guardian.poll() is not None:
+                _dismiss(self._guardian, self._grace)
+                self._guardian = None
+            self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
             return _Switch(handle, self._lock, self._mark)
 
     def deactivate(self, component: str) -> "_Switch":
@@ -264,8 +267,13 @@ class ProcessComponents:
                 handle.output.close()
             if self._private is not None:
                 shutil.rmtree(self._private, ignore_errors=True)
-        if self._observed is not None:
-            self._tell_the_end(self._observed)
+        try:  # an end is never an error, also if it cannot be told any more
+            if (kb := self._observed) is not None:
+                self._tell(kb)
+                for name in (one for one in self._handles if one in kb.components):
+                    kb.component_active(name, False, f"the process of {name} was ended with all others")
+        except KnowledgeBaseError as error:
+            _log.warning("the knowledge base was not told that the processes have ended: %s", error)
 
     def __enter__(self) -> "ProcessComponents":
         return self
@@ -314,22 +322,6 @@ class ProcessComponents:
             if arguments[0] in kb.components:
                 getattr(kb, verb)(*arguments)
 
-    def _tell_the_end(self, kb: KnowledgeBase) -> None:
-        """Tell what has become of everything; an end is never an error, also if it cannot be told any more."""
-        try:
-            self._tell(kb)
-            for name in self._handles:
-                if name in kb.components:
-                    kb.component_active(name, False, f"the process of {name} was ended with all others")
-        except KnowledgeBaseError as error:
-            _log.warning("the knowledge base was not told that the processes have ended: %s", error)
-
-    def _have_guardian(self) -> None:
-        if self._guardian is not None and self._guardian.poll() is not None:
-            _dismiss(self._guardian, self._grace)
-            self._guardian = None
-        self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
-
 
 @dataclass(slots=True, eq=False)
 class _Handle:
@@ -367,7 +359,9 @@ class _Handle:
     def start(self, mark: str) -> int | None:
         """Go on towards running; returns the process number once it does."""
         self.look()
-        if self.process is None and self.clock() >= self._not_before and self._is_free():
+        left = {pid: began for pid, began in self.predecessors.items() if began is not None}
+        self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
+        if self.process is None and self.clock() >= self._not_before and not self.predecessors:
             self._spawn(mark)
         return None if self.process is None or self._kill_at is not None else self.process.pid
 
@@ -398,11 +392,6 @@ class _Handle:
         elif self.clock() >= self._kill_at:
             _signal_group(process.pid, signal.SIGKILL)
 
-    def _is_free(self) -> bool:
-        left = {pid: began for pid, began in self.predecessors.items() if began is not None}
-        self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
-        return not self.predecessors
-
     def _spawn(self, mark: str) -> None:
         program = self.program
         program.check()
@@ -432,7 +421,9 @@ class _Handle:
     def _note_crash(self, process: subprocess.Popen[bytes]) -> None:
         _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
         self._bury(process)
-        now, reason = self.clock(), f"the process of {self.name} ended by itself ({_manner(process.returncode)})"
+        code, signals = process.returncode, {one.value: one.name for one in signal.Signals}
+        manner = f"exit status {code}" if code >= 0 else signals.get(-code, f"signal {-code}")
+        now, reason = self.clock(), f"the process of {self.name} ended by itself ({manner})"
         if words := self.output.last_lines():
             reason += f"; it last wrote: {words}"
         self.crash = (process.pid, reason)
@@ -471,12 +462,6 @@ def _signal_group(leader: int, number: signal.Signals) -> None:
         return
     except PermissionError as error:
         _log.warning("process group %d could not be sent %s: %s", leader, number.name, error)
-
-
-def _manner(code: int) -> str:
-    """Say how a process ended, by what `subprocess` gives as its return code."""
-    names = {one.value: one.name for one in signal.Signals}
-    return f"exit status {code}" if code >= 0 else names.get(-code, f"signal {-code}")
 
 
 @dataclass(slots=True)

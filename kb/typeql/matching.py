@@ -6,9 +6,9 @@ from typing import Final, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import ModelFileError, Place
-from kb.typeql.store import ANONYMOUS, Bindings, Store, Thing, literal
-from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
-from kb.typeql.vocabulary import Kind, Literal, Type, field_of
+from kb.typeql.store import ANONYMOUS, Bindings, Store, Thing
+from kb.typeql.syntax import Clause, Equal, Has, Isa, Literal, Player, Players, Statement, Word, place_of
+from kb.typeql.vocabulary import Kind, Type, field_of
 
 T = TypeVar("T")
 Found = dict[str, Thing | Literal]
@@ -35,7 +35,7 @@ class _Question:
     def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
         """The most telling statements come first: those with a name, then relations."""
         equal = [(one.variable, each) for one in patterns for each in one.clauses if isinstance(each, Equal)]
-        found: list[Found] = [{str(name): self._literal(each.value) for name, each in equal}]
+        found: list[Found] = [{str(name): each.value for name, each in equal}]
         statements = (one for one in patterns if not any(isinstance(each, Equal) for each in one.clauses))
         for one in sorted(statements, key=self._effort):
             place = place_of(self.file, one.word)
@@ -80,7 +80,7 @@ class _Question:
 
     def _having(self, known: Found, thing: Thing, wanted: Has) -> Iterator[Found]:
         meant = field_of(thing.kind, str(wanted.label)) if thing.kind else None
-        value = self._value(wanted.value, known)
+        value = known.get(str(wanted.value)) if isinstance(wanted.value, Word) else wanted.value
         for own in thing.owns:
             if wanted.label == own.label or (meant is not None and own.field is meant):
                 if value is None:
@@ -118,17 +118,16 @@ class _Question:
         """Return the name that is written in a statement that says the type."""
         kind = self._kind(one)
         for clause in one.clauses if kind else ():
-            if isinstance(clause, Has) and clause.value.type == "STRING" and kind:
+            if (
+                isinstance(clause, Has)
+                and isinstance(clause.value, str)
+                and not isinstance(clause.value, Word)
+                and kind
+            ):
                 field = field_of(kind, str(clause.label))
                 if field and field.name == "name":
-                    return str(self._value(clause.value, {}))
+                    return clause.value
         return None
-
-    def _value(self, word: Word, known: Found) -> Thing | Literal | None:
-        return known.get(str(word)) if word.type == "VARIABLE" else self._literal(word)
-
-    def _literal(self, word: Word) -> Literal:
-        return literal(word, place_of(self.file, word))
 
     def _nothing(self, one: Statement, place: Place) -> ModelFileError:
         name, kind, what = self._name(one), self._kind(one), "no thing known so far is like this"

@@ -19,8 +19,8 @@ from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.matching import answers
 from kb.typeql.store import Own, Store, Thing, shown
-from kb.typeql.syntax import Define, parse
-from kb.typeql.vocabulary import CLASSES, PARAMETER_TYPES, ROLES, SPECIAL, Kind, Literal, Vocabulary, seconds
+from kb.typeql.syntax import Define, Literal, parse
+from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Kind, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Stated = tuple[int, facts.Fact, Place]
@@ -232,26 +232,23 @@ class _Reading:
                 yield _order(thing), fact, own.place
 
     def _plan(self, thing: Thing) -> facts.PlanFact:
-        steps: dict[str, list[str]] = {one.label: [] for one in (Kind.ACTIVATION, Kind.DEACTIVATION, Kind.ADAPTATION)}
-        self._add_steps(steps, thing)
-        activate, deactivate, parameters = map(tuple, steps.values())
+        activate, deactivate = (self._steps(thing, one, "component") for one in (Kind.ACTIVATION, Kind.DEACTIVATION))
+        parameters = self._steps(thing, Kind.ADAPTATION, "component-configuration")
         return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
 
-    def _add_steps(self, steps: dict[str, list[str]], whole: Thing) -> None:
-        for part in whole.parts:
-            step, role = part.thing, part.role.name if part.role else ""
-            if step.kind in (Kind.COMPONENT, Kind.CONFIGURATION):
-                steps[role].append(step.name)
-            elif step.kind is Kind.STRUCTURAL:
-                self._add_steps(steps, step)
-            elif step.kind in (Kind.ACTIVATION, Kind.DEACTIVATION):
-                steps[step.kind.label] += _names(step, "component")
-            elif step.kind is Kind.ADAPTATION:
-                chosen = _names(step, "component-configuration")
-                steps["parameter-adaptation"] += chosen
+    def _steps(self, whole: Thing, kind: Kind, role: str) -> tuple[str, ...]:
+        """Return the names of what a plan activates, deactivates or configures, in steps of a kind or directly."""
+        names: list[str] = []
+        for one in whole.parts:
+            if one.thing.kind is Kind.STRUCTURAL:
+                names += self._steps(one.thing, kind, role)
+            elif one.thing.kind is kind:
+                names += (chosen := _names(one.thing, role))
                 if not chosen:
-                    label = step.type.label
-                    self.store.note(step.place, f"this {label} names no component-configuration; it is passed over")
+                    self.store.note(one.thing.place, f"this {one.thing.type.label} names no {role}; it is passed over")
+            elif one.thing.kind in (Kind.COMPONENT, Kind.CONFIGURATION) and one.role and one.role.name == kind.label:
+                names.append(one.thing.name)
+        return tuple(names)
 
     def _result(self, thing: Thing) -> str | None:
         own = thing.own("result")
@@ -338,7 +335,7 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter
     word = re.sub(r"[-\s]", "_", type_name.strip().lower()).removeprefix("parameter_").replace("[]", "_array")
     base = word.removesuffix("_array")
     if base not in _READERS:
-        known = [*PARAMETER_TYPES.values(), *(f"{one}_array" for one in PARAMETER_TYPES.values())]
+        known = [*elements.PARAMETER_TYPES.values(), *(f"{one}_array" for one in elements.PARAMETER_TYPES.values())]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
         if word == base:

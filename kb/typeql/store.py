@@ -1,24 +1,21 @@
 """What files say, statement by statement: things with their attributes, and which play which role in which relation."""
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Final, NamedTuple
 
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, Place
-from kb.typeql.syntax import Clause, Equal, Has, Isa, Player, Players, Statement, Word, place_of
-from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Literal, Role, Type, Value, Vocabulary, field_of
+from kb.typeql.syntax import Equal, Has, Isa, Literal, Player, Players, Statement, Word, place_of
+from kb.typeql.vocabulary import ATTRIBUTES, Field, Kind, Role, Type, Value, Vocabulary, field_of
 
 ANONYMOUS: Final = "$_"
 """A variable that stands for something else each time."""
 
 _REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
 """What may be said again later: facts, of which the last one stands."""
-_ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
-_ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 _TYPES: Final[Mapping[Value, tuple[type, ...]]] = {
     Value.TEXT: (str,),
     Value.FLAG: (bool,),
@@ -152,7 +149,10 @@ class _Insertion:
             if thing is not None:
                 thing.order = thing.order or order
                 for clause in statement.clauses:
-                    self._take_in(thing, clause)
+                    if isinstance(clause, Has):
+                        self._has(thing, clause)
+                    for player in clause.players if isinstance(clause, Players) else ():
+                        self._player(thing, player)
 
     def _subject(self, statement: Statement) -> Thing | None:
         """Return the thing that a statement declares; None if it is declared elsewhere, or a value."""
@@ -160,7 +160,7 @@ class _Insertion:
         isa = [clause for clause in statement.clauses if isinstance(clause, Isa)]
         equal = [clause for clause in statement.clauses if isinstance(clause, Equal)]
         if equal and name:
-            self.values[name] = literal(equal[-1].value, place_of(self.file, equal[-1].value))
+            self.values[name] = equal[-1].value
             return None
         for other in isa[1:]:
             raise place_of(self.file, other.label).error(f"a second type, `{other.label}`; a thing has one")
@@ -175,19 +175,13 @@ class _Insertion:
             self.things[name] = thing
         return thing
 
-    def _take_in(self, thing: Thing, clause: Clause) -> None:
-        if isinstance(clause, Has):
-            self._has(thing, clause)
-        elif isinstance(clause, Players):
-            for player in clause.players:
-                self._player(thing, player)
-
     def _has(self, thing: Thing, clause: Has) -> None:
-        word, place = clause.value, place_of(self.file, clause.label)
-        if word.type == "VARIABLE" and str(word) not in self.values:
-            raise self._unknown(word, self.values, f'a value is given by `{word} "..."`')
-        value = self.values[word] if word.type == "VARIABLE" else literal(word, place_of(self.file, word))
-        self.store.give(thing, str(clause.label), value, place)
+        value = clause.value
+        if isinstance(value, Word):
+            if str(value) not in self.values:
+                raise self._unknown(value, self.values, f'a value is given by `{value} "..."`')
+            value = self.values[value]
+        self.store.give(thing, str(clause.label), value, place_of(self.file, clause.label))
 
     def _player(self, thing: Thing, player: Player) -> None:
         one = self._thing(player.variable)
@@ -207,31 +201,10 @@ class _Insertion:
         return place_of(self.file, word).error(f"{what}; {advice}")
 
 
-def literal(word: Word, place: Place) -> Literal:
-    """Return what a written value stands for; a date without a zone is in UTC."""
-    text = str(word)
-    if word.type == "STRING":
-        return _ESCAPE.sub(_unescaped, text[1:-1])
-    if word.type == "BOOLEAN":
-        return text == "true"
-    try:
-        if word.type == "DATETIME":
-            moment = datetime.fromisoformat(text)
-            return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-        return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
-    except ValueError as error:
-        raise place.error(f"`{text:.40}` is no value: {error!s:.60}") from None
-
-
 def shown(value: Literal) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     return f"the date {value.isoformat()}" if isinstance(value, datetime) else f"{value!r:.60}"
-
-
-def _unescaped(found: re.Match[str]) -> str:
-    what = found.group(1)
-    return chr(int(what[1:], 16)) if len(what) > 1 else _ESCAPED.get(what, f"\\{what}")
 
 
 def _checked(field: Field, value: Literal, label: str, place: Place) -> Literal:

@@ -5,6 +5,7 @@ A `Word` is a piece of the text that knows its `line` and `column`, and as its `
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from datetime import UTC, datetime
 from functools import cache
 from types import SimpleNamespace
 from typing import Final, NamedTuple
@@ -16,12 +17,16 @@ from lark.lark import PostLex
 from kb.files import ModelFileError, Place
 
 Word = Token
+Literal = bool | int | float | str | datetime
 
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
 
 _QUOTED: Final = re.compile(r"""#[^\r\n]*|"(?:[^"\\]|\\[\s\S])*"|'(?:[^'\\]|\\[\s\S])*'""")
 """A comment or a text."""
+
+_ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
+_ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 
 _KEYWORDS: Final = "sub owns relates plays abstract value regex as isa has when then rule define insert match"
 _EXPECTED: Final = {
@@ -46,13 +51,13 @@ class Has(NamedTuple):
     """`has LABEL value` or `has LABEL $variable`."""
 
     label: Word
-    value: Word
+    value: Word | Literal
 
 
 class Equal(NamedTuple):
     """`$variable "value"` or `$variable == "value"`."""
 
-    value: Word
+    value: Literal
 
 
 class Player(NamedTuple):
@@ -144,6 +149,29 @@ def _statement(first: Word | Players, *clauses: Clause) -> Statement:
     return Statement(first, str(first), clauses)
 
 
+def _value(word: Word) -> Word | Literal:
+    """Return what a written value stands for, or a variable as it is; a date without a zone is in UTC."""
+    text = str(word)
+    if word.type == "VARIABLE":
+        return word
+    if word.type == "STRING":
+        return _ESCAPE.sub(_unescaped, text[1:-1])
+    if word.type == "BOOLEAN":
+        return text == "true"
+    try:
+        if word.type == "DATETIME":
+            moment = datetime.fromisoformat(text)
+            return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+        return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
+    except ValueError as error:
+        raise _Refused(word, f"`{text:.40}` is no value: {error!s:.60}") from None
+
+
+def _unescaped(found: re.Match[str]) -> str:
+    what = found.group(1)
+    return chr(int(what[1:], 16)) if len(what) > 1 else _ESCAPED.get(what, f"\\{what}")
+
+
 def _player(*words: Word) -> Player:
     return Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1])
 
@@ -160,8 +188,8 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "match": lambda patterns, insert: Insert(insert.statements, patterns),
     "statement": _statement,
     "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
-    "has": lambda _, label, value: Has(label, value),
-    "value": Equal,
+    "has": lambda _, label, value: Has(label, _value(value)),
+    "value": lambda value: Equal(_value(value)),
     "players": lambda word, *players: Players(word, players),
     "player": _player,
 }

@@ -14,11 +14,6 @@ from kb.exceptions import UnknownName
 from kb.files import Place
 from kb.typeql.syntax import Define, Word, place_of
 
-Literal = bool | int | float | str | datetime
-
-PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", int: "long", str: "string"}
-"""ROSA's words for the types of parameters."""
-
 _WORDS: Final[dict[str, Any]] = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text())
 EXTENSIONS: Final[Mapping[str, list[str]]] = _WORDS["extensions"]
 """What ROSA's schema has no words for: the sort of value of each such attribute, and what has it."""
@@ -55,20 +50,7 @@ class Kind(StrEnum):
         return self.replace(" ", "-")
 
 
-CLASSES: Final[Mapping[type, Kind]] = {
-    elements.Attribute: Kind.ATTRIBUTE,
-    elements.Component: Kind.COMPONENT,
-    elements.Configuration: Kind.CONFIGURATION,
-    elements.Function: Kind.FUNCTION,
-    elements.FunctionDesign: Kind.DESIGN,
-    elements.Action: Kind.ACTION,
-    elements.Constraint: Kind.CONSTRAINT,
-    elements.Estimation: Kind.ESTIMATION,
-    facts.MeasurementFact: Kind.MEASUREMENT,
-    facts.RequiredActionFact: Kind.REQUIRED_ACTION,
-    facts.ProcessFact: Kind.PROCESS,
-    facts.PlanFact: Kind.PLAN,
-}
+CLASSES: Final[Mapping[type, Kind]] = {cls: Kind(word) for cls, word in facts.ROSA.items() if word in tuple(Kind)}
 """What each class of elements and facts is in a file, each after those that it refers to."""
 
 SPECIAL: Final[Mapping[str, str]] = {

@@ -7,10 +7,20 @@ from dataclasses import fields
 from datetime import UTC, datetime, timedelta
 from typing import Final
 
-from kb.elements import Action, Changeable, Component, Configuration, Element, Estimation, Function, Parameter, called
+from kb.elements import (
+    Action,
+    Changeable,
+    Component,
+    Configuration,
+    Element,
+    Estimation,
+    Function,
+    called,
+    parameter_type,
+)
 from kb.exceptions import ModelError
 from kb.facts import ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact, tables_of
-from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, PARAMETER_TYPES, ROLES, SPECIAL, Field, Value, seconds
+from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, Value, seconds
 
 _STEPS: Final = {
     "component-activation": ("component", "activate", Component),
@@ -64,7 +74,8 @@ class _Writer:
     def _element(self, one: Changeable) -> Iterator[str]:
         players = []
         for key, value in one.parameters.items() if isinstance(one, Configuration) else ():
-            text, sort = _written_parameter(value)
+            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
+            sort = parameter_type(value)
             variable = self._fresh("parameter", key)
             players.append(("parameter", variable))
             given = {"parameter-key": quoted(key), "parameter-value": quoted(text), "parameter-type": quoted(sort)}
@@ -132,13 +143,6 @@ def written_time(time: float) -> str | None:
         return None
     text = moment.replace(tzinfo=None).isoformat(timespec="milliseconds")
     return text if seconds(datetime.fromisoformat(text).replace(tzinfo=UTC)) == time else None
-
-
-def _written_parameter(value: Parameter) -> tuple[str, str]:
-    if isinstance(value, list):
-        name = PARAMETER_TYPES[type(value[0])] if value else "string"
-        return json.dumps(value, ensure_ascii=False), f"{name}_array"
-    return (value if isinstance(value, str) else json.dumps(value)), PARAMETER_TYPES[type(value)]
 
 
 def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, given: Mapping[str, str | None]) -> str:

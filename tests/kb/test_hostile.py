@@ -237,7 +237,7 @@ TOLD = {
     "is_feasible": (("a",), 1),
     "selectable_designs": (("f",), 1),
     "selectable_configurations": (("c",), 1),
-    "best_configuration": (("a", "v"), 2),
+    "best_configuration": (("a",), 1),
     "adaptable_components": ((["d"],), 1),
     "explain": (("a",), 1),
     "why": (("a",), 1),
