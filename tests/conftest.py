@@ -5,7 +5,8 @@ from hypothesis import settings
 from kb import KnowledgeBase
 from rosa_pddl import Planner
 
-settings.register_profile("ci", derandomize=True, deadline=None, max_examples=100, print_blob=True)
+settings.register_profile("ci", derandomize=True, deadline=None, max_examples=50, print_blob=True)
+settings.register_profile("long", derandomize=True, deadline=None, max_examples=1000, print_blob=True)
 settings.load_profile("ci")
 
 PATIENCE_S = 120.0

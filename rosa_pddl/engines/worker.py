@@ -8,6 +8,7 @@ import os
 import pickle
 import signal
 import sys
+from types import ModuleType
 from typing import Any
 
 
@@ -15,6 +16,8 @@ def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     # what an engine prints is a complaint, not an answer
     os.dup2(2, 1)
+    # unified-planning imports it to name a type, and with it scipy.stats for seconds; who needs it imports it anew
+    sys.modules["ConfigSpace"] = _Unneeded("ConfigSpace")
     try:
         answer = _solved(**pickle.load(sys.stdin.buffer))
     except MemoryError:
@@ -27,9 +30,14 @@ def main() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+class _Unneeded(ModuleType):
+    ConfigurationSpace = object
+
+
 def _solved(engine: str, problem: Any) -> dict[str, Any]:  # noqa: ANN401  # unified-planning ships no types
     import unified_planning.environment as module
 
+    del sys.modules["ConfigSpace"]
     # some engines look at the global environment, whatever they are given
     module.GLOBAL_ENVIRONMENT = problem.environment
     problem.environment.credits_stream = None

@@ -154,7 +154,7 @@ def amend(twins, data):
     forget(twins)
 
 
-@settings(suppress_health_check=SLOW, max_examples=150)
+@settings(suppress_health_check=SLOW)
 @given(models(aging=True), st.data())
 def test_after_every_amendment_the_quick_engine_answers_as_the_naive_twin_does(model, data):
     twins = Twins(model)

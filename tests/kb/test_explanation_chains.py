@@ -13,7 +13,7 @@ from kb.inference import propagate
 from kb.state import Overlay
 from kb.status import STATUSES
 
-SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=150)
+SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 BETTER = (
     Status.FAILURE,
     Status.UNFEASIBLE,

@@ -11,7 +11,7 @@ from kb import KnowledgeBase, Model, Status
 slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
 
 
-@settings(slow_to_generate, max_examples=200)
+@settings(slow_to_generate, max_examples=100)
 @given(stories(max_size=25))
 def test_after_every_event_the_quick_engine_answers_as_the_naive_twin_does(story):
     model, happenings = story

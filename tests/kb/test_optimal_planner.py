@@ -70,7 +70,7 @@ def criteria(draw):
     return Criterion(draw(weights), costs, draw(st.just({}) | limits))
 
 
-@settings(SLOW, max_examples=300)
+@settings(SLOW)
 @given(robots(), criteria())
 def test_best_choice_is_the_one_found_by_trying_all(kb, criterion):
     expected = best_by_trying(state_of(kb), criterion)

@@ -64,7 +64,7 @@ settings_of_constraints = st.fixed_dictionaries(
 steps = st.lists(st.tuples(st.sampled_from((0.0, 0.25, 0.5, 1.0, 3.0)), st.none() | VALUES), min_size=1, max_size=40)
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(settings_of_constraints, steps)
 def test_a_steady_constraint_is_what_the_letter_says_after_every_step(given_settings, story):
     clock = Clock(0.0)

@@ -180,7 +180,7 @@ def happen(what, number, kb, runner, spare):
     return []
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(TREES, st.lists(HAPPENINGS, min_size=3, max_size=10), TREES)
 def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened(plan, happenings, spare):
     kb = rover()
@@ -215,7 +215,7 @@ def is_holding(node):
     return isinstance(node, RosaAction | ForAction) and node.status is Status.RUNNING
 
 
-@settings(max_examples=150)
+@settings(max_examples=80)
 @given(TREES, st.lists(st.sampled_from([0.1, 0.9]), min_size=2, max_size=10))
 def test_no_guarded_action_runs_after_the_tick_that_follows_its_becoming_unfeasible(plan, light):
     kb = rover()

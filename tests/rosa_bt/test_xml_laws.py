@@ -109,7 +109,7 @@ def run(file):
 
 
 @given(files())
-@settings(max_examples=150)
+@settings(max_examples=100)
 def test_every_start_is_followed_by_an_end_or_a_halt(file):
     tree, said, clock = loaded(file)
     lines = trace(each_second(clock, tree.tick_once), tree, said, TICKS)
@@ -226,7 +226,7 @@ def py_trees_trees(draw):
 
 
 @given(py_trees_trees())
-@settings(max_examples=200)
+@settings(max_examples=100)
 def test_exported_py_trees_tree_behaves_as_it_did(drawn):
     make, leaves = drawn
     said = []

@@ -64,7 +64,6 @@ def by_exhaustion(task):
     return min(reached, default=None)
 
 
-@settings(max_examples=250)
 @given(tasks())
 def test_the_search_finds_what_trying_everything_finds(task):
     found = TaskGraph(task).plan(task.start, task.limits)
@@ -79,7 +78,6 @@ def test_the_search_finds_what_trying_everything_finds(task):
     assert all(amount <= limit for amount, limit in zip(used, task.limits, strict=True))
 
 
-@settings(max_examples=100)
 @given(tasks())
 def test_what_is_lacking_at_least_never_falls_by_more_than_a_step_takes(task):
     graph = TaskGraph(task)
