@@ -61,8 +61,7 @@ def halt(root: Behaviour) -> None:
         raise interrupt
 
 
-_SAVE_S: Final = 1.0
-"""How often where a running action is goes to the store [s]."""
+_SAVE_S: Final = 1.0  # how often where a running action is goes to the store [s]
 _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
 

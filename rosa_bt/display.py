@@ -30,8 +30,7 @@ _SIGNS: Final = {
     **{Parallel: "=>", Decorator: "^"},
 }
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
-_WIDTH: Final = 44
-"""After how many characters a line of a note is broken."""
+_WIDTH: Final = 44  # after how many characters a line of a note is broken
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,8 +35,7 @@ class _Empty:
 
 
 EMPTY: Final = _Empty()
-_EXACT: Final = 2**53
-"""From here on, whole numbers are no doubles any more."""
+_EXACT: Final = 2**53  # from here on, whole numbers are no doubles any more
 _NUMBER: Final = re.compile(
     r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )

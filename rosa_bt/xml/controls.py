@@ -268,4 +268,3 @@ _KINDS: Final[dict[str, tuple[type[Control], dict[str, Any]]]] = {
     **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},
 }
 CONTROLS: Final[dict[str, type[Control]]] = {tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()}
-"""By tag."""

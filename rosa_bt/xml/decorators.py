@@ -233,4 +233,3 @@ _KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {
     **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},
 }
 DECORATORS: Final[dict[str, type[OneChild]]] = {tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()}
-"""By tag."""

@@ -126,4 +126,3 @@ LEAVES: Final[dict[str, type[XmlLeaf]]] = {
     **{tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always}) for tag, always in _CONSTANT.items()},
     **{kind.__name__: kind for kind in _KINDS},
 }
-"""By tag."""

@@ -153,4 +153,3 @@ NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {
     **{kind.__name__: kind for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
     **{kind.__name__: kind for kind in (RateController, SingleTrigger, GoalUpdatedController)},
 }
-"""By tag."""

@@ -27,8 +27,7 @@ from rosa_bt.xml.scripts import parse_script
 
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""
-_MOST_SHOWN: Final = 200
-"""Letters of what is no path, in a message."""
+_MOST_SHOWN: Final = 200  # letters of what is no path, in a message
 MAX_DEPTH: Final = 100
 """Levels of elements in a file, and of nodes in a tree with all its subtrees."""
 

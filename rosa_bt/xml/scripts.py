@@ -3,7 +3,9 @@
 import math
 import operator
 import re
+from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -26,8 +28,7 @@ Script = Callable[[Blackboard], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
 
 
-_EPSILON: Final = 2.0**-23
-"""Numbers that are nearer than this are equal, but not less or more."""
+_EPSILON: Final = 2.0**-23  # numbers that are nearer than this are equal, but not less or more
 _MAX_NESTED: Final = 50
 
 
@@ -84,17 +85,15 @@ def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa:
     return _COMPARED[sign](*map(double, sides))
 
 
-def _assign(target: Script | str, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    if not isinstance(target, str):
+def _assign(target: Script, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
+    if not isinstance(target, _Name):
         raise ScriptError("what is assigned to is no entry")
-    entry = board.entry(target)
-    if entry is None:
-        if sign != ":=":
-            raise ScriptError(f"there is no {target!r} on the blackboard; `{target} := ...` makes it")
-        entry = board.make(target)
-    given = value(board)
+    name = target.name
+    if sign != ":=" and board.entry(name) is None:
+        raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
+    entry, given = board.make(name), value(board)
     if given is EMPTY:
-        raise ScriptError(f"what is assigned to {target!r} has no value")
+        raise ScriptError(f"what is assigned to {name!r} has no value")
     held = entry.value
     if sign in ("+=", "-=", "*=", "/="):
         if held is EMPTY or isinstance(held, str) != isinstance(given, str) or (isinstance(held, str) and sign != "+="):
@@ -108,13 +107,19 @@ def _assign(target: Script | str, sign: str, value: Script, board: Blackboard) -
     return new
 
 
-def _read(name: str, board: Blackboard) -> Any:  # noqa: ANN401  # a value of any kind
-    if name in board.enums:
-        return float(board.enums[name])
-    entry = board.entry(name)
-    if entry is None:
-        raise ScriptError(f"there is no {name!r} on the blackboard (yet)")
-    return entry.value
+@dataclass(frozen=True, slots=True)
+class _Name:
+    """Reads an enum, or else an entry; what is assigned to is one."""
+
+    name: str
+
+    def __call__(self, board: Blackboard) -> Any:  # noqa: ANN401  # a value of any kind
+        if self.name in board.enums:
+            return float(board.enums[self.name])
+        entry = board.entry(self.name)
+        if entry is None:
+            raise ScriptError(f"there is no {self.name!r} on the blackboard (yet)")
+        return entry.value
 
 
 # -------------------------------------------------------------------- reading
@@ -141,97 +146,76 @@ def parse_script(code: str) -> Script:
     Raises:
         ScriptError: it cannot be read; says where.
     """
-    parser = _Parser(code)
-    return parser.script()
+    parser, statements = _Parser(code), []
+    while not parser.is_at_end():
+        statements.append(parser.expression())
+        while parser.took(";"):
+            pass
+    if not statements:
+        raise ScriptError("the script is empty")
+    return lambda board: [statement(board) for statement in statements][-1]
 
 
 class _Parser:
+    """Reads expressions by descending from what binds least to what binds most."""
+
     def __init__(self, code: str) -> None:
         self._code = code
-        found = [match for match in _TOKEN.finditer(code) if match.lastgroup]
-        self._tokens = [(str(match.lastgroup), match.group(str(match.lastgroup))) for match in found]
-        self._at = 0
+        found = [(str(match.lastgroup), match[match.lastgroup]) for match in _TOKEN.finditer(code) if match.lastgroup]
+        self._left = deque([*found, ("end", "the end")])
         self._depth = 0
-        for kind, text in self._tokens:
+        for kind, text in found:
             if kind == "other":
                 raise self._refused(text)
 
-    def script(self) -> Script:
-        statements = []
-        while self._at < len(self._tokens):
-            statements.append(self._value(self._expression()))
-            while self._took(";"):
-                pass
-        if not statements:
-            raise ScriptError("the script is empty")
-        return lambda board: [statement(board) for statement in statements][-1]
+    def is_at_end(self) -> bool:
+        return len(self._left) == 1
+
+    def took(self, *signs: str) -> str:
+        kind, text = self._left[0]
+        return self._left.popleft()[1] if kind == "sign" and text in signs else ""
+
+    def expression(self) -> Script:
+        left = self._choice()
+        sign = self.took(*_ASSIGNING)
+        return partial(_assign, left, sign, self._deeper(self.expression)) if sign else left
 
     def _refused(self, text: str) -> ScriptError:
         return ScriptError(f"the script {self._code!r} cannot be read at {text!r}; texts stand in single quotes")
 
-    def _next(self) -> tuple[str, str]:
-        return self._tokens[self._at] if self._at < len(self._tokens) else ("end", "the end")
-
-    def _took(self, *signs: str) -> str:
-        kind, text = self._next()
-        if kind != "sign" or text not in signs:
-            return ""
-        self._at += 1
-        return text
-
-    def _need(self, sign: str) -> None:
-        if not self._took(sign):
-            raise self._refused(self._next()[1])
-
-    @staticmethod
-    def _value(read: Script | str) -> Script:
-        """Return what evaluates an expression; a name by itself is a str until it is read or assigned to."""
-        return partial(_read, read) if isinstance(read, str) else read
-
-    def _expression(self) -> Script | str:
-        left = self._choice()
-        sign = self._took(*_ASSIGNING)
-        return partial(_assign, left, sign, self._value(self._deeper(self._expression))) if sign else left
-
-    def _deeper(self, read: Callable[[], Script | str]) -> Script | str:
+    def _deeper(self, read: Callable[[], Script], closing: str = "") -> Script:
         self._depth += 1
         if self._depth > _MAX_NESTED:
             raise ScriptError(f"a script has at most {_MAX_NESTED} parentheses and signs in each other")
         inner = read()
         self._depth -= 1
+        if closing and not self.took(closing):
+            raise self._refused(self._left[0][1])
         return inner
 
-    def _choice(self) -> Script | str:
+    def _choice(self) -> Script:
         asked = self._level(0)
-        if not self._took("?"):
+        if not self.took("?"):
             return asked
-        yes = self._value(self._deeper(self._expression))
-        self._need(":")
-        return partial(_choose, self._value(asked), yes, self._value(self._deeper(self._choice)))
+        return partial(_choose, asked, self._deeper(self.expression, ":"), self._deeper(self._choice))
 
-    def _level(self, level: int) -> Script | str:
+    def _level(self, level: int) -> Script:
         """Read what binds at least as much as the signs of a level."""
         if level == len(_LEVELS):
             return self._operand()
-        left = self._level(level + 1)
-        chain: list[tuple[str, Script]] = []
-        while sign := self._took(*_LEVELS[level]):
-            chain.append((sign, self._value(self._level(level + 1))))
-        if not chain:
-            return left
-        return partial(_compare if level == _LEVELS.index(tuple(_COMPARED)) else _fold, self._value(left), chain)
+        left, chain = self._level(level + 1), []
+        while sign := self.took(*_LEVELS[level]):
+            chain.append((sign, self._level(level + 1)))
+        return partial(_compare if _LEVELS[level] == tuple(_COMPARED) else _fold, left, chain) if chain else left
 
-    def _operand(self) -> Script | str:
-        if sign := self._took("!", "-", "~"):
-            return partial(_prefixed, sign, self._value(self._deeper(self._operand)))
-        if self._took("("):
-            inner = self._deeper(self._expression)
-            self._need(")")
-            return inner
-        kind, text = self._next()
-        self._at += 1
+    def _operand(self) -> Script:
+        if sign := self.took("!", "-", "~"):
+            return partial(_prefixed, sign, self._deeper(self._operand))
+        if self.took("("):
+            return self._deeper(self.expression, ")")
+        kind, text = self._left.popleft()
         if kind == "name" and text not in ("true", "false"):
-            return text
+            return _Name(text)
         if kind not in ("number", "text", "name"):
             raise self._refused(text)
         constant = text[1:-1] if kind == "text" else _number(text) if kind == "number" else float(text == "true")

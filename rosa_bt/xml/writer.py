@@ -1,4 +1,7 @@
-"""From behaviours back to XML: what was read from it, and what of py_trees means exactly the same there."""
+"""From behaviours back to XML.
+
+`export_xml` writes what can be read again, exactly, and refuses the rest; a `NumberedTree` shows any tree of py_trees.
+"""
 
 import inspect
 from collections.abc import Mapping
@@ -7,8 +10,8 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Failure, Success
-from py_trees.composites import Selector, Sequence
-from py_trees.decorators import FailureIsSuccess, Inverter, SuccessIsFailure
+from py_trees.composites import Composite, Selector, Sequence
+from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIsFailure
 from py_trees.ports import PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
@@ -31,8 +34,9 @@ BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
     Sequence: {True: "Sequence", False: "ReactiveSequence"},
     Selector: {True: "Fallback", False: "ReactiveFallback"},
 }
-
-
+MAIN: Final = "MainTree"
+MOST_NODES: Final = 2**16 - 1
+"""Of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
 
@@ -70,7 +74,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
     if isinstance(behaviour, SubTree):
         main = writer.tree(behaviour)
     else:
-        main = "MainTree"
+        main = MAIN
         writer.trees[main] = writer.element(slot_of(behaviour))
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
     for name, content in writer.trees.items():
@@ -113,44 +117,36 @@ class _Writer:
         return name
 
     def element(self, slot: Slot) -> Element:
-        node, source = slot.node, slot.source
+        node = slot.node
         if type(node) is Branch:
             return self.element(node.child)
-        if source is None:
-            element = self._of_py_trees(node)
-            element.attrib.update(slot.rules.written if slot.rules else {})
-            self.conditions[element.tag] = is_plain(node)
-            return element
-        element = Element(source[0], dict(source[1]))
-        self.conditions[source[1].get("ID", source[0])] = slot.is_condition
+        tag, attributes = slot.source or self._of_py_trees(slot)
+        element = Element(tag, dict(attributes))
+        self.conditions[attributes.get("ID", tag)] = slot.is_condition if slot.source else is_plain(node)
         if isinstance(node, SubTree):
-            if element.tag == "SubTree":
+            if tag == "SubTree":
                 element.set("ID", self.tree(node))
-        elif isinstance(node, XmlNode):
-            element.extend([self.element(child) for child in node.slots])
-        else:
-            element.extend([self.element(child.child) for child in node.children if type(child) is Branch])
+            return element
+        written = slots_of(node)  # a decorator of the user's may have children of its own beside those of the file
+        if slot.source is not None and not isinstance(node, XmlNode):
+            written = [child for child in written if type(child.node) is Branch]
+        element.extend([self.element(child) for child in written])
         return element
 
-    def _of_py_trees(self, node: Behaviour) -> Element:
-        kind, ours = type(node), _of_ours(node)
-        if ours is not None:
-            tag = kind.__name__
-        elif isinstance(node, Selector | Sequence) and kind in BY_MEMORY and node.children:
-            tag = BY_MEMORY[kind][node.memory]
-        elif kind in SAME:
-            tag = SAME[kind]
-        elif node.children or isinstance(node, XmlNode) or kind in BY_MEMORY:
+    def _of_py_trees(self, slot: Slot) -> tuple[str, dict[str, str]]:
+        """Return the tag and the attributes of what did not come from a file."""
+        node = slot.node
+        tag, ours = _tag_of(node), _of_ours(node)
+        is_same = type(node) in SAME or (type(node) in BY_MEMORY and node.children)
+        if ours is None and not is_same and (node.children or isinstance(node, XmlNode) or type(node) in BY_MEMORY):
             known = ", ".join(sorted(one.__name__ for one in (*BY_MEMORY, *SAME)))
-            what = f"{kind.__name__} {node.name!r}{'' if node.children else ' without children'}"
+            what = f"{type(node).__name__} {node.name!r}{'' if node.children else ' without children'}"
             raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
-        else:
-            return self._leaf(node)
-        element = Element(tag, {"name": node.name, **(ours or {})})
-        element.extend([self.element(slot_of(child)) for child in node.children])
-        return element
+        if ours is None and not is_same:
+            tag, ours = self._leaf(node)
+        return tag, {"name": node.name, **(ours or {}), **(slot.rules.written if slot.rules else {})}
 
-    def _leaf(self, leaf: Behaviour) -> Element:
+    def _leaf(self, leaf: Behaviour) -> tuple[str, dict[str, str]]:
         tag = type(leaf).__name__ if self._registry is None else self._registry.name_of(leaf)
         if tag is None:
             raise ExportError(f"{type(leaf).__name__} {leaf.name!r} is not registered; register its class")
@@ -160,16 +156,14 @@ class _Writer:
             raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
         if self._registry is None or self._registry[tag].factory is type(leaf):
             self._check_arguments(leaf)
-        element = Element(tag, name=leaf.name)
-        if isinstance(leaf, ActionBehaviour):
-            if leaf.port_arguments["action"] is None:
-                raise ExportError(f"{leaf.name!r} names no action; make it with one")
-            element.set("action", leaf.action)
-            if isinstance(leaf, RosaAction) and leaf.preference:
-                element.set("preference", leaf.preference)
-            if isinstance(leaf, IsActionFeasible) and leaf.during:
-                element.set("during", f"{leaf.during:g}")
-        return element
+        if not isinstance(leaf, ActionBehaviour):
+            return tag, {}
+        if leaf.port_arguments["action"] is None:
+            raise ExportError(f"{leaf.name!r} names no action; make it with one")
+        preference = leaf.preference if isinstance(leaf, RosaAction) else None
+        during = f"{leaf.during:g}" if isinstance(leaf, IsActionFeasible) and leaf.during else None
+        said = {"action": leaf.action, "preference": preference, "during": during}
+        return tag, {key: text for key, text in said.items() if text}
 
     def _check_arguments(self, leaf: Behaviour) -> None:
         bound = {"kb"} if self._registry is None else set(self._registry.bound)
@@ -196,6 +190,17 @@ def slot_of(behaviour: Behaviour) -> Slot:
     return Slot(behaviour)
 
 
+def slots_of(node: Behaviour) -> list[Slot]:
+    """Return the places of a node's children."""
+    return node.slots if isinstance(node, XmlNode) else [slot_of(child) for child in node.children]
+
+
+def _tag_of(node: Behaviour) -> str:
+    if isinstance(node, Sequence | Selector) and type(node) in BY_MEMORY:
+        return BY_MEMORY[type(node)][node.memory]
+    return SAME.get(type(node), type(node).__name__.lstrip("_"))
+
+
 def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
     """Return what Groot2 shows of a registered behaviour; what a function makes is an action unless it was seen."""
     most = entry.children()[1]
@@ -213,3 +218,90 @@ def _copied(model: Read) -> Element:
     element = Element(model.tag, dict(model.attributes))
     element.extend([_copied(child) for child in model.children])
     return element
+
+
+class NumberedTree:
+    """A tree as other programs watch it: as XML in which each node has a number; made anew when it has changed.
+
+    Args:
+        root: of any tree of py_trees.
+
+    Attributes:
+        xml: the text. Each node has its number as `_uid`; each tree in a tree is a `BehaviorTree` of its own, whose
+            place is its `_fullpath`.
+        numbers: by behaviour, from 1, in the order in which they are written.
+        subtrees: by the name under which their blackboards are asked for; None for a tree that was not read from XML.
+
+    Raises:
+        ExportError: it has more nodes than there are numbers.
+    """
+
+    def __init__(self, root: Behaviour) -> None:
+        self._root = root
+        self._children = [(node, list(node.children)) for node in root.iterate() if node.children]
+        self.numbers: dict[Behaviour, int] = {}
+        self.subtrees: dict[str, SubTree | None] = {}
+        self._trees: list[Element] = []
+        self._kinds: dict[str, str] = {}
+        whole = Element("root", BTCPP_format="4")
+        if isinstance(root, SubTree):
+            whole.set("main_tree_to_execute", root.tree)
+            self._tree(root, "")
+        else:
+            whole.set("main_tree_to_execute", MAIN)
+            self.subtrees[MAIN] = None
+            tree = self._begin(MAIN, "")
+            tree.append(self._element(slot_of(root), ""))
+        whole.extend(self._trees)
+        models = SubElement(whole, "TreeNodesModel")
+        for tag, kind in sorted(self._kinds.items()):
+            SubElement(models, kind, ID=tag)
+        self.xml: Final = tostring(whole, encoding="unicode")
+
+    def shows(self, root: Behaviour) -> bool:
+        """Tell whether it still shows the tree below that root: no child has come, gone or moved."""
+        return root is self._root and all(node.children == children for node, children in self._children)
+
+    def _begin(self, name: str, path: str) -> Element:
+        tree = Element("BehaviorTree", ID=name, _fullpath=path)
+        self._trees.append(tree)
+        return tree
+
+    def _tree(self, subtree: SubTree, path: str) -> None:
+        name, number = path or subtree.tree, 1
+        while name in self.subtrees:
+            number += 1
+            name = f"{path or subtree.tree}_{number}"
+        self.subtrees[name] = subtree
+        self._begin(subtree.tree, path).append(self._element(subtree.child, path))
+
+    def _element(self, slot: Slot, path: str) -> Element:
+        node = slot.node
+        if isinstance(node, Branch) and not isinstance(node, SubTree):
+            return self._element(node.child, path)  # it is there for py_trees only
+        tag, attributes = slot.source or (_tag_of(node), {})
+        element = Element(tag, {**attributes, "name": node.name, "_uid": str(self._number(node))})
+        if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
+            element.set("action", node.action)
+        if isinstance(node, SubTree):
+            element.set("ID", node.tree)
+            self._tree(node, f"{path}/{node.name}" if path else node.name)
+            return element
+        if tag not in BUILT_IN:
+            self._kinds[attributes.get("ID", tag)] = _kind_of(node)
+        element.extend([self._element(child, path) for child in slots_of(node)])
+        return element
+
+    def _number(self, node: Behaviour) -> int:
+        number = len(self.numbers) + 1
+        if number > MOST_NODES:
+            raise ExportError(f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits")
+        return self.numbers.setdefault(node, number)
+
+
+def _kind_of(node: Behaviour) -> str:
+    if isinstance(node, Decorator):
+        return "Decorator"
+    if isinstance(node, Composite) or node.children:
+        return "Control"
+    return "Condition" if is_plain(node) else "Action"
