@@ -166,6 +166,8 @@ class _Conditional(Control):
             if verdict is RUNNING:
                 return RUNNING
             if verdict is SKIPPED:
+                if self.asks_always:
+                    self.reset_children()
                 raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
             chosen = 1 if verdict is SUCCESS else 2
             for other in slots[3 - chosen : 4 - chosen] if self.asks_always else ():

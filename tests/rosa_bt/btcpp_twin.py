@@ -300,6 +300,7 @@ class WhileDoElse(Node):
         if status == RUNNING:
             return RUNNING
         if status == SKIPPED:
+            self.reset_all()
             raise Thrown
         if status == SUCCESS:
             for other in rest[1:]:

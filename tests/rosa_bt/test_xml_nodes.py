@@ -473,6 +473,16 @@ def test_behaviortree_cpp_was_seen_to_raise_in_the_first_tick(text, told):
         tree.tick_once()
 
 
+def test_branch_that_runs_is_halted_before_a_skipped_condition_is_an_error():
+    said = []
+    text = '<WhileDoElse><AlwaysSuccess _skipIf="v == 1"/><a/></WhileDoElse>'
+    tree = load_xml(wrapped(text), registry_of({"a": ("A", "R")}, said))
+    perform(tree, said, "v=0", Hand())
+    with pytest.raises(RosaBtError):
+        perform(tree, said, "v=1", Hand())
+    assert said == ["a:halt"]
+
+
 def test_round_robin_that_does_not_wrap_around_fails_after_its_last_child():
     said = []
     registry = registry_of({"a": ("A", "SF"), "b": ("A", "FS")}, said)
