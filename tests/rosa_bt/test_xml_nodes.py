@@ -475,7 +475,7 @@ def test_behaviortree_cpp_was_seen_to_raise_in_the_first_tick(text, told):
 
 def test_branch_that_runs_is_halted_before_a_skipped_condition_is_an_error():
     said = []
-    text = '<WhileDoElse><AlwaysSuccess _skipIf="v == 1"/><a/></WhileDoElse>'
+    text = '<WhileDoElse><Inverter><AlwaysFailure _skipIf="v == 1"/></Inverter><a/></WhileDoElse>'
     tree = load_xml(wrapped(text), registry_of({"a": ("A", "R")}, said))
     perform(tree, said, "v=0", Hand())
     with pytest.raises(RosaBtError):
