@@ -148,6 +148,8 @@ class ActionRequest:
             behaviour does not wait for that.
     """
 
+    BOOKKEEPING = "_since"
+
     def __init__(self, kb: KnowledgeBase, timeout: float | None) -> None:
         if timeout is not None and not timeout > 0:
             raise ValueError(f"a time-out is more than 0 s, or math.inf for none; not {timeout!r}")
@@ -243,6 +245,7 @@ class KbBehaviour(PortsMixin, Behaviour):
         known: number of the last event that it knew of when it was ticked; None of an action, which takes its time.
     """
 
+    BOOKKEEPING = "known"
     INPUT_PORTS = _ports()
     OUTPUT_PORTS = _ports()
 
@@ -522,6 +525,7 @@ class RosaAction(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
+    BOOKKEEPING = "_saved_s"
     INPUT_PORTS = ActionBehaviour.INPUT_PORTS | _ports(default="", preference="attribute to favour")
 
     def __init__(

@@ -81,6 +81,8 @@ class Belief:
         sense: returns what is sensed now.
     """
 
+    BOOKKEEPING = "_taken_in passed_over"
+
     def __init__(self, domain: Domain, kb: Feasibility, sense: Sense) -> None:
         self.domain, self._kb, self._sense = domain, kb, sense
         self._now = _Believed(without_feasibility(domain, initial_state(domain)))

@@ -40,6 +40,8 @@ class RunningStep:
     released; that may be done again when it was interrupted itself.
     """
 
+    BOOKKEEPING = "began_s"
+
     def __init__(self, step: Step, number: int | None, began_s: float) -> None:
         self.step, self.number, self.began_s = step, number, began_s
         self.behaviour: Behaviour | None = None
@@ -191,6 +193,8 @@ class PlanExecutor(Behaviour):
         MissingBehaviourError: a PDDL action has no behaviour, or something that makes none.
         UnknownNameError: a behaviour is given for a PDDL action that there is not.
     """
+
+    BOOKKEEPING = "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy"
 
     def __init__(
         self,

@@ -80,6 +80,8 @@ class ReplanningPolicy:
 class Decision:
     """That a plan is to be made."""
 
+    BOOKKEEPING = "reason cause"
+
     reason: str
     is_needed: bool
     cause: int | None = None
@@ -116,6 +118,8 @@ def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> floa
 
 class Setbacks:
     """What has failed, a step or, by None, the planner: how often in a row, and until when it is left alone."""
+
+    BOOKKEEPING = "_failed"
 
     def __init__(self, clock: Callable[[], float], policy: ReplanningPolicy) -> None:
         self._clock, self._policy = clock, policy
@@ -372,6 +376,8 @@ class _Found:
 
 class Replanning:
     """Asks for plans as a policy allows, and finds out why there is none."""
+
+    BOOKKEEPING = "records _last_asked_s"
 
     def __init__(
         self,

@@ -8,6 +8,7 @@ state of the knowledge base; a tick is run in each state of both, for all answer
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
@@ -17,11 +18,11 @@ from py_trees.visitors import VisitorBase
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.elements import ComponentKind, Parameters
 from kb.execution.safeguards import Budgets
-from kb.manager import Planner
+from kb.manager import Planner, PriorityPlanner
 from missions.proof.leaves import Answer, Choices, Leaf, take_over
-from missions.proof.memory import Content, Memory
-from missions.proof.planned import nodes
-from missions.proof.surroundings import STALE, Change, Surroundings
+from missions.proof.memory import Memory
+from missions.proof.planned import nodes, stage_of
+from missions.proof.surroundings import Change, Surroundings
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import kept
 
@@ -99,12 +100,8 @@ class Rig(VisitorBase):
         super().__init__(full=False)
         self.clock, self._start = 0.0, setup.start
         self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
-        with self.kb.reading() as state:
-            for index in range(len(state.columns["status"])):
-                state.users.of(index)  # so that they are there in every state, also while nobody uses anything
-        planner = None if setup.planner is None else setup.planner()
-        self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(planner, "budgets", None))
-        self.manager = ConfigurationManager(self.kb, self._robot, planner=planner)
+        self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
+        self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
         self.root = setup.build(self.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         self.choices = Choices() if choices is None else choices
@@ -145,9 +142,10 @@ class Rig(VisitorBase):
         """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
         self._robot.faults.clear()
         try:
+            manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)  # it looks at each state anew
             for _ in range(_MOST_TURNS):
                 revision = self.kb.revision
-                if self.manager.update() is None and self.kb.revision == revision:
+                if manager.update() is None and self.kb.revision == revision:
                     break
             else:
                 self._robot.faults.append("the manager does not come to rest")
@@ -171,6 +169,7 @@ class Known(NamedTuple):
     occurring: frozenset[tuple[str, str]]  # kind and name of what is selected or required
     failed: tuple[str, ...]
     values: tuple[tuple[str, float | str | None], ...]
+    feasible: tuple[str, ...]  # of all actions
 
 
 class Doing(NamedTuple):
@@ -178,6 +177,8 @@ class Doing(NamedTuple):
 
     status: Status
     running: frozenset[str]  # the actions of its behaviours that run
+    stage: tuple[object, ...]  # where the sequences that remember it have got to, and what plans believe
+    is_over: bool  # it has succeeded, or ended for good
 
 
 class Step(NamedTuple):
@@ -196,9 +197,9 @@ class Situation(NamedTuple):
 
 
 class Move(NamedTuple):
-    """A round that may follow a situation, up to its tick: changes lead to a moment, of that number."""
+    """A round that may follow a situation, up to its tick: changes lead to a moment."""
 
-    moment: int
+    moment: Situation
     changes: tuple[Change, ...]
     is_late: bool
 
@@ -211,32 +212,14 @@ class Tick(NamedTuple):
     is_late: bool
 
 
-class _Table:
-    """States by number, each once."""
-
-    def __init__(self, memory: Memory) -> None:
-        self.memory, self.contents, self._numbers = memory, list[Content](), dict[tuple[int, ...], int]()
-
-    def read(self) -> int:
-        contents = self.memory.read()
-        number = self._numbers.setdefault(tuple(map(id, contents)), len(self.contents))
-        if number == len(self.contents):
-            self.contents.append(contents)
-        return number
-
-    def write(self, number: int) -> None:
-        self.memory.write(self.contents[number])
-
-
 class Exploration:
     """All situations that can be reached, as far as they were found.
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number, that in the beginning first, then by the fewest rounds that lead there.
-        moments: by number.
         moves: by number of situation, the rounds that may follow.
-        ticks: by number of moment, what may follow.
+        ticks: by moment, what may follow.
         known, doing: what matters of states, by their numbers.
         faults: of the manager, in words, with the rounds that lead there first.
         holds: by predicate, in which situations it does.
@@ -247,25 +230,19 @@ class Exploration:
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
         self.rig = rig = Rig(setup)
-        with rig.kb.reading() as state:  # which parameters are in force is asked by budgets, and by users
-            apart = [] if setup.planner or predicates else [state.parameters]
         self._slow, self.faults = setup.slow, {fault: list[Step]() for fault in rig.begin()}
-        self._known = _Table(Memory([rig.kb, rig.manager], apart))
-        self._tree = _Table(Memory([rig.root, *kept(rig.kb)], apart=[rig.kb, rig.manager, rig.choices]))
+        self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
+        self._tree = Memory([rig.root, *kept(rig.kb)], apart=[rig.kb, rig.planner, rig.choices])
         self.known: dict[int, Known] = {}
         self.doing: dict[int, Doing] = {}
         self.situations: list[Situation] = []
-        self.moments: list[Situation] = []
-        self.origins: list[tuple[int, Move]] = []  # of moments: from which situation first
         self.moves: list[list[Move]] = []
-        self.ticks: list[list[Tick]] = []
+        self.ticks: dict[Situation, list[Tick]] = {}
         self._steps: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
-        self._moment_numbers: dict[Situation, int] = {}
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
         self._settled: dict[int, int] = {}
         self._changed: dict[int, list[tuple[int, tuple[Change, ...], bool]]] = {}
-        self._told: dict[tuple[object, ...], int] = {}
         self.is_finished, self.transitions, self.seconds = False, 0, 0.0
         self._waiting: list[int] = []
         self._reach(Situation(self._tree.read(), self._known.read()), -1, Step())
@@ -303,39 +280,32 @@ class Exploration:
 
     def _round(self, layer: Sequence[int], most: int, end: float) -> None:
         """Find what follows situations; those for which there is no room or time any more wait for the next call."""
-        new: list[tuple[int, int]] = []
+        new: list[tuple[int, int, Move]] = []
         for place, number in enumerate(layer):
             if time.perf_counter() > end or len(self.situations) >= most:
                 self._waiting += layer[place:]
                 break
             tree, known = self.situations[number]
-            for after, changes, is_late in self._changes(known, number) if self._goes_on(tree) else ():
-                moment = Situation(tree, after)
-                move = Move(self._moment_numbers.setdefault(moment, len(self.moments)), changes, is_late)
-                if move.moment == len(self.moments):
-                    self.moments.append(moment)
-                    self.origins.append((number, move))
-                    self.ticks.append([])
-                    self._describe(moment)
-                    new.append((after, move.moment))
+            for after, changes, is_late in () if self.doing[tree].is_over else self._changes(known, number):
+                move = Move(Situation(tree, after), changes, is_late)
+                if move.moment not in self.ticks:
+                    self.ticks[move.moment] = []
+                    self._describe(move.moment)
+                    new.append((after, number, move))
                 self.moves[number].append(move)
                 self.transitions += 1
-        for _, place in sorted(new):  # those of one state of the knowledge base together, for it is written only once
-            self._tick(place)
+        for _, before, move in sorted(new, key=itemgetter(0)):  # what is known is written only once
+            self._tick(before, move)
 
-    def _goes_on(self, tree: int) -> bool:
-        return self.doing[tree].status is not Status.SUCCESS
-
-    def _tick(self, place: int) -> None:
+    def _tick(self, before: int, move: Move) -> None:
         """Tick in a moment with every combination of answers."""
-        before, move = self.origins[place]
-        for after_tree, after, answers in self._outcomes(self.moments[place]):
+        for after_tree, after, answers in self._outcomes(move.moment):
             step = Step(move.changes, answers, (move.is_late, False))
             settled = self._settle(after, before, step)
             for reached in dict.fromkeys((settled, after) if self._slow else (settled,)):
                 late = Step(step.changes, step.answers, (move.is_late, reached != settled))
                 number = self._reach(Situation(after_tree, reached), before, late)
-                self.ticks[place].append(Tick(number, step.answers, late.late[1]))
+                self.ticks[move.moment].append(Tick(number, step.answers, late.late[1]))
                 self.transitions += 1
 
     def _outcomes(self, moment: Situation) -> Iterator[tuple[int, int, tuple[Answer, ...]]]:
@@ -346,31 +316,9 @@ class Exploration:
             self._known.write(known)
             self._tree.write(tree)
             rig.choices.begin(scripts.pop())
-            last = rig.kb.log.last
             rig.runner.tick()
             scripts += rig.choices.others()
-            yield self._tree.read(), self._after_tick(known, last), tuple(rig.choices.taken)
-
-    def succeeds_anew(self, facts: Known, goal: Predicate | None) -> bool:
-        """Tell whether the mission, begun anew while these facts hold, can reach its goal as long as they do."""
-        rig, faults, ticked = self.rig, dict(self.faults), set(self.rig.ticked)
-        self._known.write(self.situations[0].known)
-        for change in (*(Change(name, True) for name in facts.failed), *(Change(*one) for one in facts.values)):  # type: ignore[arg-type]  # None is left out
-            if change.to not in (None, STALE):
-                change.tell(rig.kb)
-        pending = [Situation(self.situations[0].tree, self._settle(self._known.read(), 0, Step()))]
-        seen, is_reached = set(pending), False
-        while pending and not is_reached:
-            for tree, after, _ in self._outcomes(pending.pop()):
-                following = Situation(tree, self._settle(after, 0, Step()))
-                if following not in seen:
-                    seen.add(following)
-                    pending.append(following)
-                    self._known.write(following.known)
-                    self._tree.write(tree)
-                    is_reached |= rig.root.status is Status.SUCCESS if goal is None else goal(rig)
-        self.faults, rig.ticked = faults, ticked
-        return is_reached
+            yield self._tree.read(), self._known.read(), tuple(rig.choices.taken)
 
     def _reach(self, situation: Situation, before: int, step: Step) -> int:
         number = self._numbers.setdefault(situation, len(self.situations))
@@ -384,18 +332,6 @@ class Exploration:
                 if predicate(self.load(number)):
                     holds.add(number)
         return number
-
-    def _after_tick(self, known: int, last: int) -> int:
-        """Return what is known after a tick: what the tree told decides it."""
-        log = self.rig.kb.log
-        if log.last == last:
-            return known
-        key = (known, *((event.verb, str(event.arguments)) for event in log.since(last)))
-        if key in self._told:
-            self._known.memory.assume(self._known.contents[self._told[key]])
-        else:
-            self._told[key] = self._known.read()
-        return self._told[key]
 
     def _settle(self, known: int, before: int, step: Step) -> int:
         """Return what is known when the manager has nothing to do any more; its faults are noted with the way there."""
@@ -433,7 +369,8 @@ class Exploration:
         if tree not in self.doing:
             self._tree.write(tree)
             running = frozenset(one.action for one in rig.doing if one.status is Status.RUNNING)
-            self.doing[tree] = Doing(rig.root.status, running)
+            is_over = rig.root.status is Status.SUCCESS or getattr(rig.root, "final_status", None) is not None
+            self.doing[tree] = Doing(rig.root.status, running, stage_of(rig.root), is_over)
         if known not in self.known:
             self._known.write(known)
             chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
@@ -441,4 +378,5 @@ class Exploration:
             attributes = [kb.attributes[name] for name in rig.surroundings.values]
             values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
             failed = rig.surroundings.failed()
-            self.known[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values)
+            feasible = tuple(kb.selectable_actions())
+            self.known[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible)

@@ -10,6 +10,7 @@ import types
 import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Sequence as Items
 from enum import Enum
 from operator import is_
 from typing import Any, Final, NamedTuple
@@ -20,26 +21,22 @@ from py_trees.common import Status
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator
 
-from kb import ConfigurationManager, Model
+from kb import Model
 from kb.elements import Element
 from kb.events import Log, Publisher
-from kb.execution.executor import StagedExecutor
 from kb.knowledge import Knowledge
-from kb.measurements import Alarms, Measurements
 from kb.network import Network, Node
-from kb.records import HistoryView, Records, RequiredAction
-from kb.state import History, Marked, Overlay, State
+from kb.records import HistoryView, RequiredAction
+from kb.state import FACTS
 from kb.views import Views
 from missions.engine.mission import MissionError
-from rosa_bt.behaviours import ActionRequest
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
-from rosa_pddl import Domain, PlanExecutor, Planner
-from rosa_pddl.belief import Belief, FeasibilityEvents
+from rosa_pddl import Domain, Planner
+from rosa_pddl.belief import FeasibilityEvents
 from rosa_pddl.executor import RunningStep
 from rosa_pddl.goals import Goals, PlanningTask, Relevance
 from rosa_pddl.plan_monitor import PlanMonitor
-from rosa_pddl.replanning import Decision, Replanning, Setbacks
 from rosa_pddl.resource_usage import ResourceUsage
 
 Content = tuple[Any, ...]
@@ -49,33 +46,16 @@ _ATOMS: Final = (int, float, str, bytes, bool, type(None), type, Enum, UUID)
 _FIXED: Final = (Model, Network, Node, Element, Domain)
 """What does not change while a mission runs; it may be held anew by whoever remembers something."""
 _LEFT: Final = (
-    *(*_FIXED, Log, Publisher, History, HistoryView, Views, Overlay, Alarms, logging.Logger, types.ModuleType),
+    *(*_FIXED, Log, Publisher, HistoryView, Views, logging.Logger, types.ModuleType),
     *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
     *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, PlanningTask, Relevance, ResourceUsage),
     FeasibilityEvents,
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
-_IDLE: Final[Mapping[type, str]] = {
-    Behaviour: "iterator feedback_message logger id known _saved_s tick stop",
-    ActionRequest: "_since",
-    Knowledge: "changed_by feasibility revision now pending _before _amended _is_laid _layer serials in_words",
-    State: "reasons histories version visited",
-    Marked: "_most",
-    Records: "requests plans processes attempts answers ended last_end begins rejected _full",
-    StagedExecutor: "_known _plan _stages _stage _failed _commanded _paused",
-    RequiredAction: "number cause start",
-    PlanExecutor: "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy",
-    Replanning: "records _last_asked_s",
-    Setbacks: "_failed",
-    Decision: "reason cause",
-    RunningStep: "began_s",
-    Belief: "_taken_in passed_over",
-}
-"""What decides nothing: the past, what is said of it, and guards. A plan has ended whenever a state is read."""
-_REPLACED: Final[Mapping[type, str]] = {Marked: "_own", Records: "open_plans"}
-"""Containers that are replaced by others now and then, and that nobody else holds."""
-_UNORDERED: Final = (Marked, Measurements, State)
-"""Whose mappings are asked by key, never in order."""
+_FOREIGN: Final[Mapping[type, str]] = {Behaviour: "iterator feedback_message logger id"}
+"""What of classes that are not ours decides nothing; ours name it themselves, as `BOOKKEEPING`."""
+_HOOKS: Final = frozenset({"tick", "stop"})
+"""What a runner puts into behaviours and takes out again."""
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
 """Composites, and decorators with those of py_trees, to which a child that has ended is as one that never ran."""
 _KINDS: Final[Mapping[str, Any]] = {
@@ -97,77 +77,77 @@ class Memory:
     Args:
         roots: where to begin; what they lead to is found once, so what comes later belongs to what holds it.
         apart: objects that belong to another memory.
-        reduced: leave out how behaviours ended where it decides nothing.
+        parameters: with the parameters that are in force, which only budgets and users ask for.
 
     Raises:
-        MissionError: something cannot be written back, such as a generator that is under way; it is named.
+        MissionError: something cannot be written back, such as a generator that is under way, or a class names as
+            `BOOKKEEPING` what it does not have; it is named.
     """
 
-    def __init__(self, roots: Iterable[object], apart: Iterable[object] = (), *, reduced: bool = True) -> None:
-        self._objects: list[Any] = []
+    def __init__(self, roots: Iterable[object], apart: Iterable[object] = (), *, parameters: bool = True) -> None:
+        self.objects: list[Any] = []
         self._numbers: dict[int, int] = {}
         self._cells: list[_Cell] = []
         self._pool: dict[Any, Any] = {}
         self._shared: dict[Any, Any] = {}  # what is one thing wherever it is held
-        self._is_reduced = reduced
+        self._states: list[Content] = []
+        self._by_ids: dict[tuple[int, ...], int] = {}
+        self.with_parameters = parameters
         for one in apart:
             self._note(one)
         for root in roots:
             self._find(root)
-        self._loaded = self.read()
+        self._loaded = self._states[self.read()]
 
-    def read(self) -> Content:
-        """Return what is remembered now; equal contents of an object are the same ones."""
+    def read(self) -> int:
+        """Return the number of the state that it is in now; equal ones have the same."""
         pool = self._pool
-        contents = [cell.read() for cell in self._cells]
-        self._loaded = tuple([pool.setdefault(one, one) for one in contents])
-        return self._loaded
+        self._loaded = state = tuple([pool.setdefault(one, one) for one in [cell.read() for cell in self._cells]])
+        number = self._by_ids.setdefault(tuple(map(id, state)), len(self._states))
+        if number == len(self._states):
+            self._states.append(state)
+        return number
 
-    def assume(self, contents: Content) -> None:
-        """Take it from whoever knows that this is what would be read now."""
-        self._loaded = contents
-
-    def write(self, contents: Content) -> None:
-        """Have everything be as it was when this was read."""
-        for cell, wanted, present in zip(self._cells, contents, self._loaded, strict=True):
+    def write(self, number: int) -> None:
+        """Have everything be as it was in the state of that number."""
+        wanted_state = self._states[number]
+        for cell, wanted, present in zip(self._cells, wanted_state, self._loaded, strict=True):
             if wanted is not present:
                 cell.write(wanted)
-        self._loaded = contents
+        self._loaded = wanted_state
 
     def _note(self, what: object) -> None:
-        self._numbers[id(what)] = len(self._objects)
-        self._objects.append(what)
+        self._numbers[id(what)] = len(self.objects)
+        self.objects.append(what)
 
-    def _find(self, what: Any, of: object = None) -> None:  # noqa: ANN401  # whatever a program holds
+    def _find(self, what: Any) -> None:  # noqa: ANN401  # whatever a program holds
         if isinstance(what, _ATOMS) or id(what) in self._numbers:
             return
         self._note(what)
-        if isinstance(what, _LEFT):
+        if isinstance(what, Knowledge):
+            self._cells.append(_facts(what, self))
+        if isinstance(what, (*_LEFT, Knowledge)):
             return
         below: list[Any] = []
         if isinstance(what, dict):
             below += [*what, *what.values()]
-            in_order: Callable[[Iterable[Any]], Any] = frozenset if isinstance(of, _UNORDERED) else tuple
-            self._cells.append(_Cell(lambda: in_order(self._held(what)), lambda held: self._refill(what, held)))
         elif isinstance(what, list | set | deque | tuple | frozenset):
             below += what
-            if not isinstance(what, tuple | frozenset):
-                self._cells.append(_Cell(lambda: self._held(what), lambda held: self._refill(what, held)))
-        named, replaced, idle = dict(_attributes(what)), _names(_REPLACED, type(what)), _names(_IDLE, type(what))
-        for name in replaced:
-            del named[name]
+        if isinstance(what, dict | list | set | deque):
+            self._cells.append(_Cell(lambda: self.held(what), lambda held: self.refill(what, held)))
+        named, idle = dict(_attributes(what)), _idle(type(what))  # type: ignore[arg-type]  # a type can be hashed
+        if missing := idle - named.keys() - _HOOKS:
+            raise MissionError(f"{type(what).__name__} has no {min(missing)}, which it names as its BOOKKEEPING")
         for value in (*below, *(value for name, value in named.items() if name not in idle)):
-            self._find(value, what)
-        if named or replaced:
+            self._find(value)
+        if named:
             self._cells.append(self._cell_of(what, named, idle))
 
     def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401  # whatever object
         """Return the cell of an object's attributes: only what is not as it was at first."""
-        encoded = {name: self._of(value) for name, value in base.items() if name not in idle}
+        encoded = {name: self.of(value) for name, value in base.items() if name not in idle}
         own = vars(what) if _attributes(what) is getattr(what, "__dict__", None) else None
-        in_order: Callable[[Any], Any] = frozenset if isinstance(what, _UNORDERED) else tuple
-        of_no_use = _of_no_use(what) if isinstance(what, Behaviour) and self._is_reduced else None
-        afresh = {"_planned_at": -1} if isinstance(what, ConfigurationManager) else {}  # it looks at each state anew
+        of_no_use = _of_no_use(what) if isinstance(what, Behaviour) else None
         last: tuple[Any, ...] = (_ABSENT,)
         known: Content = ()
 
@@ -179,10 +159,8 @@ class Memory:
                 return known
             found = [(name, ("gone",)) for name in base if name not in now] if len(now) < len(base) else []
             for name, value in now.items():
-                if value is not base.get(name, _ABSENT) and name not in idle and name not in afresh:
-                    content = self._of(value)
-                    if type(content) is tuple and content[0] == "dict":
-                        content = ("dict", in_order(content[1]))
+                if value is not base.get(name, _ABSENT) and name not in idle:
+                    content = self.of(value)
                     if name not in encoded or content != encoded[name]:
                         found.append((name, content))
             left = of_no_use(dict(found)) if of_no_use is not None else ()
@@ -191,7 +169,7 @@ class Memory:
             return known
 
         def write(content: Content) -> None:
-            wanted = {**base, **afresh, **{name: self._decoded(value) for name, value in content}}
+            wanted = {**base, **{name: self.decoded(value) for name, value in content}}
             for name in [name for name in _attributes(what) if name not in wanted and name not in idle]:
                 object.__delattr__(what, name)
             for name, value in wanted.items():
@@ -200,20 +178,20 @@ class Memory:
 
         return _Cell(read, write)
 
-    def _held(self, what: Any) -> Content:  # noqa: ANN401  # a container
+    def held(self, what: Any) -> Any:  # noqa: ANN401  # a container
         if isinstance(what, Mapping):
-            return tuple([(self._of(key), self._of(value)) for key, value in what.items()])
-        values = tuple(what)
-        return values if all(map(_is_atomic, set(map(type, values)))) else tuple([self._of(one) for one in values])
+            return tuple([(self.of(key), self.of(value)) for key, value in what.items()])
+        in_order: Callable[[Iterable[Any]], Any] = frozenset if isinstance(what, set | frozenset) else tuple
+        return in_order(what if all(map(_is_atomic, set(map(type, what)))) else [self.of(one) for one in what])
 
-    def _refill(self, what: Any, content: Iterable[Any]) -> None:  # noqa: ANN401  # a container
+    def refill(self, what: Any, content: Iterable[Any]) -> None:  # noqa: ANN401  # a container
         what.clear()
         if isinstance(what, dict):
-            what.update((self._decoded(key), self._decoded(value)) for key, value in content)
+            what.update((self.decoded(key), self.decoded(value)) for key, value in content)
         else:
-            (what.update if isinstance(what, set) else what.extend)([self._decoded(value) for value in content])
+            (what.update if isinstance(what, set) else what.extend)([self.decoded(value) for value in content])
 
-    def _of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
+    def of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
         """Return a value as something that can be compared and hashed."""
         kind = type(value)
         if _is_atomic(kind):  # type: ignore[arg-type]  # a type can be hashed
@@ -222,39 +200,40 @@ class Memory:
         if number is not None:
             return ("known", number)
         if kind in _KINDS.values():
-            return (type(value).__name__, self._held(value))
+            return (type(value).__name__, self.held(value))
         if isinstance(value, tuple):
-            return ("made", kind, tuple([self._of(one) for one in value]))
-        if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and kind not in _IDLE and _is_value(value)):
+            return ("made", kind, tuple([self.of(one) for one in value]))
+        idle = _idle(kind)  # type: ignore[arg-type]  # a type can be hashed
+        if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and not idle and _is_value(value)):
             return ("value", value)
-        named, idle = _attributes(value), _names(_IDLE, kind)
+        named = _attributes(value)
         if not named or isinstance(value, _LEFT) or hasattr(value, "__next__"):
             raise MissionError(f"{value!r:.120} came to be while the mission ran and cannot be restored")
-        held = [(name, self._of(one) if name not in idle else one and type(one)()) for name, one in named.items()]
+        held = [(name, self.of(one) if name not in idle else one and type(one)()) for name, one in named.items()]
         content = ("object", kind, tuple(held))
         if kind is RunningStep:
             self._shared[content] = value
         return content
 
-    def _decoded(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
+    def decoded(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
         if type(content) is not tuple:
             return content
         kind, first, *rest = content
         if kind == "known":
-            return self._objects[first]
+            return self.objects[first]
         if kind == "value":
             return first
         if kind == "made":
-            return tuple.__new__(first, map(self._decoded, rest[0]))
+            return tuple.__new__(first, map(self.decoded, rest[0]))
         if kind == "object":
             made = self._shared.get(content) or object.__new__(first)
             for name, value in rest[0]:
-                object.__setattr__(made, name, self._decoded(value))
+                object.__setattr__(made, name, self.decoded(value))
             return made
         if kind in ("dict", "mappingproxy"):
-            items = {self._decoded(key): self._decoded(value) for key, value in first}
+            items = {self.decoded(key): self.decoded(value) for key, value in first}
             return items if kind == "dict" else types.MappingProxyType(items)
-        return _KINDS[kind](map(self._decoded, first))
+        return _KINDS[kind](map(self.decoded, first))
 
 
 def _attributes(what: object) -> dict[str, Any]:
@@ -311,5 +290,57 @@ def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # whatever type
     return tuple(name for name in flat if name not in ("__dict__", "__weakref__"))
 
 
-def _names(table: Mapping[type, str], kind: type) -> frozenset[str]:
-    return frozenset(name for one, names in table.items() if issubclass(kind, one) for name in names.split())
+@functools.cache
+def _idle(kind: Any) -> frozenset[str]:  # noqa: ANN401  # whatever type
+    """Return the attributes of a class's objects that decide nothing that comes."""
+    named = [vars(one).get("BOOKKEEPING", _FOREIGN.get(one, "")) for one in kind.__mro__]
+    return frozenset(" ".join(named).split()) | (_HOOKS if issubclass(kind, Behaviour) else frozenset())
+
+
+class _Facts(tuple[Any, ...]):
+    """The facts of a knowledge base, and beside them what follows from these."""
+
+    columns: Items[tuple[Any, ...]]
+    marks: Items[tuple[int, Items[int]]]
+
+
+def _facts(known: Knowledge, memory: Memory) -> _Cell:
+    """Return the cell of a knowledge base."""
+    state, measurements, records = known.state, known.measurements, known.records
+    facts = [state.columns[name] for name in FACTS]
+    inferred = [column for name, column in state.columns.items() if name not in FACTS]
+    tables: tuple[dict[Any, Any], ...] = (measurements.recent, measurements.since, records.progress)
+    seen: dict[_Facts, _Facts] = {}
+
+    def read() -> _Facts:
+        requests = [(one.action, memory.of(one.preference)) for one in records.required.values()]
+        given = frozenset(memory.held(state.parameters) if memory.with_parameters else ())
+        others = tuple(requests), *(frozenset(one.items()) for one in tables), given
+        now = _Facts((*map(tuple, facts), *others))
+        if now not in seen:
+            seen[now] = now
+            every = [(-3, state.lacking), (-2, state.obsolete), (-1, state.adaptable), *state.users.items()]
+            now.marks = [(place, [node.index for node in marked]) for place, marked in every if marked]
+            now.columns = [tuple(one) for one in inferred]
+        return seen[now]
+
+    def write(content: _Facts) -> None:
+        for column, values in (*zip(facts, content, strict=False), *zip(inferred, content.columns, strict=True)):
+            column[:] = values
+        requests, *kept, given = content[len(facts) :]
+        records.required.clear()
+        for action, preference in requests:
+            records.required[action] = RequiredAction(action, memory.decoded(preference), known.now)
+        for table, held in zip(tables, kept, strict=True):
+            table.clear()
+            table.update(held)
+        if memory.with_parameters:
+            memory.refill(state.parameters, given)
+        for inference in state.marks:
+            inference.clear()
+        for place, nodes in content.marks:
+            marked = state.users.of(place) if place >= 0 else (state.lacking, state.obsolete, state.adaptable)[place]
+            for index in nodes:
+                marked.mark(state.network.nodes[index], True)
+
+    return _Cell(read, write)

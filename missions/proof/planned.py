@@ -6,6 +6,7 @@ from inspect import signature
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.composites import Sequence
 from py_trees.decorators import Decorator, FailureIsRunning
 
 from kb import KnowledgeBase
@@ -57,6 +58,14 @@ def nodes(root: Behaviour) -> list[Behaviour]:
     every = list(root.iterate())
     steps = [step for one in every if isinstance(one, Planned) for step in one.steps]
     return list(dict.fromkeys([*every, *(node for step in steps for node in step.iterate())]))
+
+
+def stage_of(root: Behaviour) -> tuple[object, ...]:
+    """Return how far a tree is: which child each sequence with memory has got to, and what plan executors believe."""
+    every = nodes(root)
+    sequences = [one for one in every if isinstance(one, Sequence) and one.memory]
+    places = [one.current_child and one.current_child.name for one in sequences if one.status is Status.RUNNING]
+    return (*places, *(one.state for one in every if isinstance(one, PlanExecutor)))
 
 
 def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from py_trees.common import Status
 
-from missions.proof.exploration import Exploration, Predicate, Step
+from missions.proof.exploration import Exploration, Predicate, Situation, Step
 from missions.proof.planned import nodes
 
 Wrong = tuple[str, Sequence[Step] | None]
@@ -96,7 +96,7 @@ class Graph:
         ended = (one for one in self.every if found.doing[found.situations[one].tree].status is Status.SUCCESS)
         self.goals = set(ended) if goal is None else found.holds[goal]
 
-    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, int, int]]:
+    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Situation, int]]:
         """Yield each round that may follow, its moment and where it leads; if still, those in which nothing happens."""
         for moment, changes, was_late in self.found.moves[number]:
             for after, answers, is_late in self.found.ticks[moment] if not (still and (changes or was_late)) else ():
@@ -173,7 +173,7 @@ def _unfeasible(graph: Graph, reaction: int) -> Wrong | None:
         following: dict[tuple[str, int], list[Step]] = {}
         for number in graph.every if not count else dict.fromkeys(number for _, number in layer):
             for step, moment, after in graph.following(number):
-                both = found.known[found.moments[moment].known].unfeasible
+                both = found.known[moment.known].unfeasible
                 for action in both and set(both).intersection(found.known[found.situations[after].known].unfeasible):
                     if not count or (action, number) in layer:
                         way = layer[action, number] if count else found.path(number)
@@ -201,16 +201,16 @@ def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
 
 
 def _stuck(graph: Graph) -> Wrong | None:
-    """Look for a situation from which the goal is not reached while facts stand, but begun anew with them it is."""
-    good = graph.reaching(graph.goals | graph.found.unexplored, still=True)
-    known = [graph.found.known[one.known] for one in graph.found.situations]
-    facts = [(one.failed, one.values) for one in known]
-    possible = {facts[number] for number in graph.reaching(graph.goals, still=True)}
-    first = {facts[one]: one for one in reversed(graph.every) if one not in good and facts[one] in possible}
-    for bad in sorted(first.values()):
-        if graph.found.succeeds_anew(known[bad], graph.goal):
-            return "it is not then, but begun anew with the same facts it is", graph.found.path(bad)
-    return None
+    """Look for a situation that does not lead to the end while facts stand, though another of its stage does."""
+    found = graph.found
+    ended = {one for one in graph.every if found.doing[found.situations[one].tree].is_over}
+    good = graph.reaching(graph.goals | ended | found.unexplored, still=True)
+    both = [(found.doing[tree], found.known[known]) for tree, known in found.situations]
+    here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known in both]
+    possible = {here[number] for number in graph.reaching(graph.goals, still=True).difference(graph.goals)}
+    bad = next((one for one in graph.every if one not in good and here[one] in possible), None)
+    why = "it is not then, but in another situation of this stage with the same facts it is"
+    return None if bad is None else (why, found.path(bad))
 
 
 def _wavering(graph: Graph) -> Wrong | None:
