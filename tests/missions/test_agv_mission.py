@@ -76,7 +76,7 @@ def ways_and_modes(steps):
     return [tuple(told.split(", ")[0::4]) for name, told in words if name == "cross"]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_planned_step_by_step_it_answers_in_the_same_way(seed):
     data = result(AGV, "pddl", seed)
     assert data["outcome"] == "arrived"

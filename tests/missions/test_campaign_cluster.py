@@ -17,11 +17,11 @@ ROOT = Path(__file__).parents[2]
 SMALL = """
 missions = ["suave"]
 managers = ["none", "bt", "ours"]
-runs = 8
+runs = 4
 [settings]
 duration_s = 20
 """
-RUNS = 3 * 8
+RUNS = 3 * 4
 FATAL = """
 import os
 
@@ -40,6 +40,7 @@ class Machines:
 
     def __init__(self, folder):
         self.folder, self.path, self.workers = folder, [str(folder / "code"), str(folder)], []
+        self.foreign = False
         for package in PACKAGES:
             unwanted = shutil.ignore_patterns("__pycache__")
             shutil.copytree(ROOT / package, folder / "code" / package, ignore=unwanted)
@@ -56,12 +57,21 @@ class Machines:
         with (self.folder / "log.txt").open("a") as log:
             return subprocess.Popen(command, stdout=log, stderr=log, env=settings, cwd=self.folder)
 
-    def add_workers(self, count, path=None):
+    def have_workers(self, count, path=None):
+        """Have so many workers that see some code; those that live and see the same stay."""
         options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
-        for _ in range(count):
-            started = self.start("distributed.cli.dask_worker", self.address, *options, path=path or self.path)
-            self.workers.append(started)
-        self.wait_for(lambda: self.count() == len([one for one in self.workers if one.poll() is None]))
+        living = [one for one in self.workers if one.poll() is None]
+        stay = living[:count] if path is None and not self.foreign else []
+        for one in living:
+            if one not in stay:
+                one.kill()
+                one.wait()
+        more = [
+            self.start("distributed.cli.dask_worker", self.address, *options, path=path or self.path)
+            for _ in range(count - len(stay))
+        ]
+        self.workers, self.foreign = [*stay, *more], path is not None
+        self.wait_for(lambda: self.count() == count)
 
     def count(self):
         from distributed import Client
@@ -99,15 +109,15 @@ class Machines:
         self.workers.clear()
 
 
-@pytest.fixture
-def machines(tmp_path):
-    found = Machines(tmp_path)
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory):
+    found = Machines(tmp_path_factory.mktemp("machines"))
     yield found
     found.end()
 
 
 def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(machines):
-    machines.add_workers(3)
+    machines.have_workers(3)
     running = machines.rosa("campaign", "small.toml", "--cluster", machines.address, "--out", "far")
     machines.wait_for(lambda: running.poll() is not None or len(machines.lines("far")) > 2)
     machines.workers[0].kill()
@@ -116,14 +126,14 @@ def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(ma
     assert f"{RUNS} of {RUNS} runs done, {RUNS} of them now" in out
     names = [json.loads(line)["run"] for line in machines.lines("far")]
     assert len(names) == len(set(names)) == RUNS
-    local = machines.rosa("campaign", "small.toml", "--workers", "2", "--out", "near")
+    local = machines.rosa("campaign", "small.toml", "--workers", "1", "--out", "near")
     local.communicate()
     for name in TABLES:
         assert (machines.folder / "far" / name).read_bytes() == (machines.folder / "near" / name).read_bytes()
 
 
 def test_run_that_kills_its_workers_is_recorded_and_the_others_go_on(machines):
-    machines.add_workers(3)
+    machines.have_workers(3)
     (machines.folder / "c.toml").write_text(
         'missions = ["suave"]\nmanagers = ["none", "fatal:Fatal"]\nruns = 1\n[settings]\nduration_s = 5\n'
     )
@@ -145,24 +155,21 @@ def refused(machines, *arguments):
 
 
 def test_cluster_that_cannot_do_it_is_refused_at_once(machines):
+    machines.have_workers(0)
     assert f"the scheduler at {machines.address} has no workers" in refused(machines, "--cluster", machines.address)
 
     shutil.rmtree(machines.folder / "refused")
     other = machines.folder / "other"
     shutil.copytree(machines.folder / "code", other)
     (other / "kb" / "changed.py").touch()
-    machines.add_workers(1, path=[str(other)])
+    machines.have_workers(1, path=[str(other)])
     assert "has code" in refused(machines, "--cluster", machines.address)
 
     shutil.rmtree(machines.folder / "refused")
-    gone = machines.workers.pop()
-    gone.kill()
-    gone.wait()
     bare = machines.folder / "bare" / "missions"
     bare.mkdir(parents=True)
     (bare / "__init__.py").touch()
-    machines.wait_for(lambda: machines.count() == 0)
-    machines.add_workers(1, path=[str(bare.parent)])
+    machines.have_workers(1, path=[str(bare.parent)])
     said = refused(machines, "--cluster", machines.address)
     assert "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'" in said
 

@@ -38,7 +38,7 @@ def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     file = folder / "small.toml"
     file.write_text(CAMPAIGN)
-    running = campaign(folder / "c", file, "--workers", 2)
+    running = campaign(folder / "c", file, "--workers", 1)
     assert running.wait(300) == 0
     running.stdout.close()
     return file, tables(folder / "c")
@@ -46,7 +46,7 @@ def whole(tmp_path_factory):
 
 def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(whole, tmp_path):
     file, tables_of_whole = whole
-    running = campaign(tmp_path / "c", file, "--workers", 2, most_bytes=3000)
+    running = campaign(tmp_path / "c", file, "--workers", 1, most_bytes=3000)
     said, _ = running.communicate(timeout=300)
     assert running.returncode == 2
     assert "make room, then go on with --resume" in said

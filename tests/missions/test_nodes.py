@@ -9,6 +9,7 @@ import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -56,18 +57,32 @@ def rclpy():
             peer.close()
 
 
-@contextmanager
-def dds():
+@cache
+def dds_peer():
+    """Start the program that all nodes here talk to."""
     command = [sys.executable, str(HERE / "ros_peer.py"), str(DOMAIN)]
     path = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])}
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=path) as program:
-        ours = DdsNode(DOMAIN)
-        try:
-            program.stdout.readline()
-            yield ours
-        finally:
-            ours.close()
-            program.stdin.close()
+    program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=path)
+    program.stdout.readline()
+    return program
+
+
+@pytest.fixture(scope="module", autouse=True)
+def peer_ends():
+    yield
+    if dds_peer.cache_info().currsize:
+        dds_peer().communicate()  # its input ends
+        dds_peer.cache_clear()
+
+
+@contextmanager
+def dds():
+    assert dds_peer().poll() is None
+    ours = DdsNode(DOMAIN)
+    try:
+        yield ours
+    finally:
+        ours.close()
 
 
 BACKENDS = {

@@ -22,7 +22,7 @@ from missions.engine.settings import RunSettings
 from missions.views.output import as_json, summary
 from rosa_pddl import Outcome, PlanRecord
 
-SEEDS = range(10)
+SEEDS = range(4)
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
