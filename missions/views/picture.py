@@ -64,7 +64,7 @@ def picture(run: MissionRun, data: Mapping[str, Any]) -> Figure:
     figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI, facecolor="white")
     FigureCanvasAgg(figure)
     timeline, split = timeline_of(run, data), 12.0
-    _title(figure, data, run.results())
+    _title(figure, data, run)
     _legend(figure, timeline)
     top = _timelines(figure, timeline)
     if np.isfinite(timeline.xy).any():
@@ -102,15 +102,15 @@ def _badge(axes: Axes, at: Array, number: int, kind: str) -> None:
     digit.set(transform=PIXELS, zorder=9, fontweight="bold")
 
 
-def _title(figure: Figure, data: Mapping[str, Any], results: Mapping[str, float | None]) -> None:
+def _title(figure: Figure, data: Mapping[str, Any], run: MissionRun) -> None:
     task = {"bt": "behaviour tree", "pddl": "PDDL plans"}.get(data["task"], data["task"])
     if not _is_ours(data):
         task = f"manager: {data['manager']}"
     name = f"{data['mission']}  ·  {task}  ·  seed {data['seed']}"
     figure.text(0.015, 1 - 32 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{data['outcome'].replace('_', ' ')} after {data['duration_s']:.0f} s"]
-    for key, value in list(results.items())[:FACTS]:
-        words, unit, shown = figure_in_words(key, value)
+    for key, value in list(run.results().items())[:FACTS]:
+        words, unit, shown = figure_in_words(key, value, run.model)
         facts.append(" ".join(filter(None, (words, shown, unit))))
     figure.text(0.988, 1 - 32 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")
 

@@ -40,7 +40,7 @@ class RunRecorder(Listener):
         header = {
             **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
             **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
-            "units": dict(map(_split, sample.signals if sample else ())),
+            "units": {name: unit for name, unit in map(_split, sample.signals if sample else ()) if unit},
         }
         tree = getattr(run.controller, "tree", None)
         self.recorder = Recorder(kb, tree, keep=self._keep, what_if=self._what_if, header=header)

@@ -354,3 +354,11 @@ def test_facts_told_by_other_threads_while_the_robot_ticks_are_all_shown(caplog)
             if node.kind != "attribute":
                 assert run.last("status")[node.index] == state.status[node.index]
     assert caplog.text == ""
+
+
+def test_signal_that_names_no_unit_leaves_an_attribute_its_own():
+    recorder = RunRecorder()
+    recorder.begin(open_run(find_mission("suave_extended")), 0, {})
+    units = recorder.recorder.header["units"]
+    assert units["water_visibility"] == "m"
+    assert "battery_level" not in units  # the sea's signal is "battery level [-]"
