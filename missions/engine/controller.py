@@ -1,7 +1,6 @@
 """Who decides in a run of ours: knowledge base, configuration manager and task layer, a tree or a plan executor."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from inspect import signature
 from math import inf
 from time import perf_counter
@@ -262,21 +261,38 @@ class Waiting(Planning, Protocol):
     def catch_up(self) -> None: ...
 
 
-@dataclass(frozen=True, slots=True)
 class TaskLayer:
-    """What decides about actions: the behaviour to tick, and the task plans made so far, by it or in it.
+    """What decides about actions: the behaviour to tick, and the task plans of all behaviours in it that plan.
 
     Attributes:
-        catch_up: to be called between ticks: waits for an answer that is due.
         close: to be called at the end: lets go of what was used for planning.
         is_planned: whether the actions are those of the plans, none of a tree's own.
     """
 
-    root: Behaviour
-    catch_up: Callable[[], None]
-    plans: Callable[[], tuple["PlanRecord", ...]]
-    close: Callable[[], None] = lambda: None
-    is_planned: bool = False
+    def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "_Made | None" = None) -> None:
+        self.root, self.close, self._made = root, close, made
+        self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
+        self._waiting = [one for one in self._planning if isinstance(one, Waiting)]
+        self._heard = [0] * len(self._planning)
+        self._plans: tuple[PlanRecord, ...] = ()
+        while isinstance(root, Decorator):
+            root = root.decorated
+        self.is_planned = isinstance(root, Waiting)
+
+    def catch_up(self) -> None:
+        """Wait for answers that are due; to be called between ticks."""
+        for one in self._waiting:
+            one.catch_up()
+        if self._made is not None and self._made.error is not None:
+            raise self._made.error
+
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """Return the plans so far, in the order in which they are found here."""
+        for number, one in enumerate(self._planning):
+            if len(one.plans) > self._heard[number]:
+                self._plans += one.plans[self._heard[number] :]
+                self._heard[number] = len(one.plans)
+        return self._plans
 
 
 def rosa_run(
@@ -316,8 +332,7 @@ def build_task(
         root = mission.tree(kb, percepts)
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
-        plans = _Plans(root)
-        return TaskLayer(root, plans.catch_up, plans, is_planned=isinstance(_bare(root), Waiting))
+        return TaskLayer(root)
     return _planning(mission, kb, percepts, clock, planning_delay_s)
 
 
@@ -344,39 +359,7 @@ def _planning(
         planner=planner,
         delay_s=delay_s,
     )
-    root = FailureIsRunning("until the goal holds", executor)
-
-    def catch_up() -> None:
-        executor.catch_up()
-        if made.error is not None:
-            raise made.error
-
-    return TaskLayer(root, catch_up, lambda: executor.plans, planner.close, is_planned=True)
-
-
-def _bare(behaviour: Behaviour) -> Behaviour:
-    return _bare(behaviour.decorated) if isinstance(behaviour, Decorator) else behaviour
-
-
-class _Plans:
-    """The plans of all behaviours of a tree that plan, in the order in which they are found here."""
-
-    def __init__(self, root: Behaviour) -> None:
-        self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
-        self._waiting = [one for one in root.iterate() if isinstance(one, Waiting)]
-        self._heard = [0] * len(self._planning)
-        self._plans: tuple[PlanRecord, ...] = ()
-
-    def catch_up(self) -> None:
-        for one in self._waiting:
-            one.catch_up()
-
-    def __call__(self) -> tuple["PlanRecord", ...]:
-        for number, one in enumerate(self._planning):
-            if len(one.plans) > self._heard[number]:
-                self._plans += one.plans[self._heard[number] :]
-                self._heard[number] = len(one.plans)
-        return self._plans
+    return TaskLayer(FailureIsRunning("until the goal holds", executor), planner.close, made)
 
 
 class _Made:
