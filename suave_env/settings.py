@@ -157,12 +157,8 @@ class Settings:
     thruster_events: str = _setting(
         "1 failure 35", "-", "thruster, failure or recovery, time [s]; separated by commas; empty for none", _EXPERIMENT
     )
-    thruster_events_chained: bool = _setting(
-        True, "-", "the time of an event counts from the one before, not from GUIDED (later: false)", _SUAVE
-    )
-    thruster_told_twice: bool = _setting(
-        False, "-", "failures are told as FALSE and ERROR, recoveries as RECOVERED and OK (later: true)", _SUAVE
-    )
+    thruster_events_chained: bool = _setting(True, "-", "an event's time counts from the last (later: false)", _SUAVE)
+    thruster_told_twice: bool = _setting(False, "-", "also as ERROR and OK, not FALSE and RECOVERED only", _SUAVE)
     thruster_monitor_period_s: float = _setting(1.0, "s", "period of the thruster monitor", _SUAVE, 0.05)
     recovery_wait_s: float = _setting(10.0, "s", "wait before the first thruster is restored", _SUAVE, 0)
     recovery_spacing_s: float = _setting(0.25, "s", "wait between thrusters being restored", _SUAVE, 0)

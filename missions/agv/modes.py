@@ -195,9 +195,8 @@ class Costs:
 
 def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
     """Return what makes a weighted sum of amounts, in whole thousandths; raises MissionError if that is infinite."""
-    per_ms, per_mj, per_millionth = (
-        weights.get(goal, 0.0) * each for goal, each in zip(GOALS, _THOUSANDTHS, strict=True)
-    )
+    worth = [weights.get(goal, 0.0) * each for goal, each in zip(GOALS, _THOUSANDTHS, strict=True)]
+    per_ms, per_mj, per_millionth = worth
 
     def weighed(amounts: Amounts) -> int:
         time, energy, collisions = amounts

@@ -26,9 +26,7 @@ _TICK_S: Final = 0.1
 
 def bridge(
     robot: Annotated[str, typer.Argument(help=ROBOT)],
-    tree: Annotated[
-        str | None, typer.Option(help="What decides: module:NAME, called with the knowledge base and the percepts.")
-    ] = None,
+    tree: Annotated[str | None, typer.Option(help="What decides: module:NAME, given kb and percepts.")] = None,
     config: Annotated[Path | None, typer.Option(help="bridge.toml: what of the robot is what of the model.")] = None,
     url: Annotated[str | None, typer.Option(help="The robot's rosbridge, e.g. ws://127.0.0.1:9090.")] = None,
     attribute: Annotated[
@@ -37,9 +35,7 @@ def bridge(
     serve: Annotated[int | None, typer.Option(metavar="PORT", help="Serve rosbridge instead of connecting.")] = None,
     dds: Annotated[bool, typer.Option("--dds", help="By DDS instead, without a bridge.")] = False,
     rclpy: Annotated[bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")] = False,
-    host: Annotated[
-        str, typer.Option(help="Where to serve, which elsewhere needs a token; or the network interface of DDS.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Where to serve, elsewhere with a token; DDS: interface.")] = "127.0.0.1",
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")] = "",
     answer: Annotated[bool, typer.Option("--answer", help="Leave deciding to others, by ROSA's services.")] = False,
     store: Annotated[Path | None, typer.Option(help="Keep what becomes known in this file.")] = None,

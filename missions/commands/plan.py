@@ -26,9 +26,7 @@ def plan(
     goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
-    certificate: Annotated[
-        bool, typer.Option("--certificate", help="Say for every combination of feasible actions what can be done.")
-    ] = False,
+    certificate: Annotated[bool, typer.Option("--certificate", help="Plan for each combination of actions.")] = False,
     failures: Annotated[int | None, typer.Option(help="Certify at most so many failures at once.")] = None,
     timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
 ) -> None:

@@ -21,12 +21,8 @@ def report(
         Path | None,
         typer.Option("--out", "-o", help="Where to write; default: DIR/report, or the recording's name with .html."),
     ] = None,
-    pages: Annotated[
-        bool, typer.Option("--pages", help="Of a campaign: do the runs that stand out again, for a page of each.")
-    ] = False,
-    figures: Annotated[
-        list[str] | None, typer.Option("--figure", help="Of a campaign: compare by this; may be given several times.")
-    ] = None,
+    pages: Annotated[bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")] = False,
+    figures: Annotated[list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")] = None,
 ) -> None:
     """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
 

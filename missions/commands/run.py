@@ -31,9 +31,7 @@ LIVE_ROWS: Final = 100_000
 
 def run(
     mission: Annotated[str, typer.Argument(help=MISSION)],
-    task: Annotated[
-        str | None, typer.Option(help="Task layer: bt (behaviour tree) or pddl (planned); default: the one there is.")
-    ] = None,
+    task: Annotated[str | None, typer.Option(help="Task layer: bt (tree) or pddl (planned); or what there is.")] = None,
     manager: Annotated[
         str,
         typer.Option(
@@ -52,14 +50,10 @@ def run(
         int | None,
         typer.Option(metavar="PORT", help="Let Groot2 watch the tree, on this TCP port of this machine (1667)."),
     ] = None,
-    live: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Show the run while it runs, as a page on this port (0: any).")
-    ] = None,
+    live: Annotated[int | None, typer.Option(metavar="PORT", help="Show the run meanwhile as a page (0: any).")] = None,
     host: Annotated[str, typer.Option(help="Where --live listens; others need the token in the link.")] = "127.0.0.1",
     token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
-    allow_control: Annotated[
-        bool, typer.Option("--allow-control", help="Let the live page hold, pace and disturb the simulation.")
-    ] = False,
+    allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page pace and disturb it.")] = False,
     tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     speed: Annotated[float | None, typer.Option(help="Times real time at most, 0: no limit; --live alone: 1.")] = None,

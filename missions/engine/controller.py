@@ -272,7 +272,7 @@ class TaskLayer:
     def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "_Made | None" = None) -> None:
         self.root, self.close, self._made = root, close, made
         self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
-        self._waiting = [one for one in self._planning if isinstance(one, Waiting)]
+        self._waiting = [one for one in root.iterate() if isinstance(one, Waiting)]
         self._heard = [0] * len(self._planning)
         self._plans: tuple[PlanRecord, ...] = ()
         while isinstance(root, Decorator):

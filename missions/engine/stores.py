@@ -195,9 +195,8 @@ def _dropped(written: Any, before: Network, after: Network) -> Iterator[str]:  #
         for ref, value in written["facts"][name]:
             if _moved(ref, before, after) is None:
                 yield f"that {ref[0]} {ref[1]} is {'' if value is True else f'{value} '}{name.replace('_', ' ')}"
-    yield from (
-        f"what was measured of {one[0]}" for one in written["histories"] if one[1] and one[0] not in after.attributes
-    )
+    heard = [one[0] for one in written["histories"] if one[1]]
+    yield from (f"what was measured of {name}" for name in heard if name not in after.attributes)
     yield from (f"the parameters of {name}" for name in written["parameters"] if name not in after.components)
 
 

@@ -44,7 +44,7 @@ class Assistant:
         kb = self._kb
         return {
             "actions": {
-                name: {"feasible": kb.is_feasible(name), "why": kb.why(view)} for name, view in kb.actions.items()
+                one: {"feasible": kb.is_feasible(one), "why": kb.why(view)} for one, view in kb.actions.items()
             },
             "being done": [one.action for one in kb.required_actions],
         }

@@ -160,9 +160,8 @@ class Rosbridge(Wire):
         wait_s, self._away_since = _FIRST_WAIT_S, time.monotonic()
         while not self._closing.is_set():
             try:
-                with self._connect(
-                    self._url, additional_headers=self._headers, max_size=LARGEST, open_timeout=5, close_timeout=1
-                ) as socket:
+                limits: Any = {"max_size": LARGEST, "open_timeout": 5, "close_timeout": 1}
+                with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
                     wait_s, self._trouble = _FIRST_WAIT_S, ""
                     self._talk(socket)
             except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
