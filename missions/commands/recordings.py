@@ -59,15 +59,8 @@ def replay(
             run_anew.listen(page)
             watched.append(run_anew)
 
-        source = bag if is_bag(recording) else bag.messages
-        decisions = decide(
-            source,
-            asked,
-            task=task or run.get("task", "bt"),
-            strict=False,
-            watch=watch if report else None,
-            traced=False,
-        )
+        source, by = bag if is_bag(recording) else bag.messages, task or run.get("task", "bt")
+        decisions = decide(source, asked, task=by, strict=False, watch=watch if report else None, traced=False)
     finally:
         gc.enable()
     if report is not None:

@@ -56,6 +56,11 @@ _HEADERS: Final = {
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+_SERVER: Final[dict[str, Any]] = {
+    **{"ws": "websockets-sansio", "ws_max_size": _LONGEST, "ws_per_message_deflate": False, "lifespan": "on"},
+    **{"limit_concurrency": _MOST_PAGES, "timeout_graceful_shutdown": 1, "log_level": "critical"},
+    "server_header": False,
+}
 
 
 class LiveView:
@@ -113,19 +118,7 @@ class LiveView:
         self._frame: tuple[int, int, str] = (0, 0, "")
         self._is_closing = False
         self._beat = asyncio.Event()
-        self._server = uvicorn.Server(
-            uvicorn.Config(
-                self._application(),
-                ws="websockets-sansio",
-                ws_max_size=_LONGEST,
-                ws_per_message_deflate=False,
-                limit_concurrency=_MOST_PAGES,
-                lifespan="on",
-                log_level="critical",
-                server_header=False,
-                timeout_graceful_shutdown=1,
-            )
-        )
+        self._server = uvicorn.Server(uvicorn.Config(self._application(), **_SERVER))
         self._thread = Thread(target=self._server.run, args=([self._socket],), name="live page", daemon=True)
         self._thread.start()
 

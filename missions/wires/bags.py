@@ -5,7 +5,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from struct import error as Torn
 from tempfile import TemporaryDirectory
 from typing import Any, Final, NamedTuple
 
@@ -14,19 +13,6 @@ from missions.engine.mission import Message, MissionError
 from missions.views.recorder import Recorder
 from missions.views.rows import Recorded
 from missions.wires import mcap, ros
-
-_DAMAGED: Final = (
-    OSError,
-    ValueError,
-    TypeError,
-    LookupError,
-    EOFError,
-    ArithmeticError,
-    MemoryError,
-    AssertionError,
-    Torn,
-)
-"""What reading raises of a file that is no recording, or a damaged one; the libraries' own errors are among them."""
 
 _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
 """What a component is told, by the operation of an attempt."""
@@ -124,7 +110,9 @@ def read_bag(path: str | Path) -> Bag:
                 exact.setdefault(raw.stamp, row[0])
             elif raw.topic == mcap.RUN:
                 bag.run = _run_of(json.loads(types.decode(ros.STRING, raw.data).data), path)
-        except _DAMAGED as error:
+        except MissionError:
+            raise
+        except Exception as error:  # whatever a message that is none, or a damaged one, may raise
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
     bag.cut = place.cut

@@ -37,18 +37,12 @@ class RosaServices:
 
     def _table(self) -> Iterator[tuple[str, str, Answer]]:
         """Yield the original's table: what is served under `/rosa_kb/`, of which type, and the answer to a request."""
-        kb = self._kb
+        kb, configurations = self._kb, self._kb.selectable_configurations
         for kind in ("action", "function", "component"):
             yield f"{kind}/insert", f"{kind.capitalize()}Query", partial(self._insert, kind)
         for what, kind, field, whole, ask in (
             ("function_designs", "FunctionDesign", "fds", "function", kb.selectable_designs),
-            (
-                "component_configuration",
-                "ComponentConfiguration",
-                "c_configs",
-                "component",
-                kb.selectable_configurations,
-            ),
+            ("component_configuration", "ComponentConfiguration", "c_configs", "component", configurations),
         ):
             yield f"{what}/selectable", f"Selectable{kind}s", partial(self._selectable, field, whole, ask)
             yield f"{what}/priority", f"Get{kind}Priority", partial(self._named, field)

@@ -65,15 +65,8 @@ class RosbridgeServer(Wire):
         self._types: dict[str, str] = {}
         self._forwarded: dict[str, _Call] = {}
         try:
-            self._server = serve(
-                self._attend,
-                host,
-                port,
-                process_request=self._admit,
-                max_size=LARGEST,
-                close_timeout=1,
-                compression=None,
-            )
+            limits: Any = {"max_size": LARGEST, "close_timeout": 1, "compression": None}
+            self._server = serve(self._attend, host, port, process_request=self._admit, **limits)
         except (OSError, OverflowError) as error:
             raise MissionError(f"rosbridge cannot be served on {host}:{port}: {error}; give another port") from None
         self.port = int(self._server.socket.getsockname()[1])
