@@ -17,7 +17,7 @@ from kb.owl.rdfxml import owl_text
 from missions.commands import FAILED, complain, open_console
 from missions.engine.mission import Mission, MissionError
 from missions.engine.registry import find_mission
-from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder, unguarded_in_tree
+from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
 
 COLOURS = {"error": "red", "warning": "yellow"}
 
@@ -74,13 +74,14 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
         return Judgement(model.name, model.check())
     built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
     built += [] if mission is None or mission.tree is None else [(mission.tree, f"the tree of {mission.name}")]
-    uses = [use for tree, title in built for use in names_in_tree(tree, model, title)]
+    used = [names_in_tree(tree, model, title) for tree, title in built]
+    uses = [one for of_tree, _ in used for one in of_tree]
     uses += names_in_pddl(pddl) if pddl else []
     uses += [] if mission is None else planned_names(mission)
     unguarded = [
         found("unguarded-action", f"action {name}", f"{place} goes on with {name} when that is unfeasible")
-        for tree, title in built
-        for name, place in unguarded_in_tree(tree, model, title)
+        for _, careless in used
+        for name, place in careless
     ]
     places: dict[str, list[str]] = {}
     for name, place in uses:

@@ -39,28 +39,21 @@ def tree_builder(reference: str) -> Callable[..., object]:
     return built
 
 
-def names_in_tree(build: Callable[..., object], model: Model, title: str) -> Uses:
-    """Return the actions that the behaviours of a tree are about.
+def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tuple[Uses, Uses]:
+    """Return the actions that the behaviours of a tree are about; and those that go on when they become unfeasible.
 
     It is built with a knowledge base and percepts, or with as many of these as it needs.
     """
-    root = _root(build, model, title)
-    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
-    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in asking]
-
-
-def unguarded_in_tree(build: Callable[..., object], model: Model, title: str) -> Uses:
-    """Return the actions that go on in a tree when they become unfeasible, with the behaviours that do them."""
-    return [(_action(one), f"behaviour {one.name!r} of {title}") for one in unguarded(_root(build, model, title))]
-
-
-def _root(build: Callable[..., object], model: Model, title: str) -> Behaviour:
     root = built(build, (_Tolerant(model), Percepts()), title)
     if isinstance(root, BehaviourTree):
         root = root.root
     if not isinstance(root, Behaviour):
         raise MissionError(f"{title} is {root!r}, not a py_trees behaviour")
-    return root
+    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
+    uses, careless = (
+        [(_action(one), f"behaviour {one.name!r} of {title}") for one in some] for some in (asking, unguarded(root))
+    )
+    return uses, careless
 
 
 def built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:

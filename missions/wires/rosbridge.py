@@ -52,21 +52,22 @@ class Wire:
     def __init__(self, sending: AbstractContextManager[object]) -> None:
         self.refused = Refusals()
         self._sending, self._ids = sending, count(1)
-        self._subscribed: dict[str, tuple[str, list[Heard]]] = {}
-        self._advertised: dict[str, str] = {}
-        self._served: dict[str, tuple[str, Answer]] = {}
+        self._declared: list[Message] = []
+        self._subscribed: dict[str, list[Heard]] = {}
+        self._advertised: set[str] = set()
+        self._served: dict[str, Answer] = {}
         self._open: dict[str, Future[Message]] = {}
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         with self._sending:
-            self._subscribed.setdefault(topic, (kind, []))[1].append(heard)
-            self._send({"op": "subscribe", "topic": topic, "type": kind})
+            self._subscribed.setdefault(topic, []).append(heard)
+            self._declare({"op": "subscribe", "topic": topic, "type": kind})
 
     def publish(self, topic: str, kind: str, message: Message) -> None:
         with self._sending:
             if topic not in self._advertised:
-                self._advertised[topic] = kind
-                self._send({"op": "advertise", "topic": topic, "type": kind})
+                self._advertised.add(topic)
+                self._declare({"op": "advertise", "topic": topic, "type": kind})
             self._send({"op": "publish", "topic": topic, "msg": message})
 
     def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
@@ -82,8 +83,13 @@ class Wire:
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
         with self._sending:
-            self._served[service] = kind, answer
-            self._send({"op": "advertise_service", "service": service, "type": kind})
+            self._served[service] = answer
+            self._declare({"op": "advertise_service", "service": service, "type": kind})
+
+    def _declare(self, message: Message) -> None:
+        """Say what holds from now on, to whoever is the other side then, too."""
+        self._declared.append(message)
+        self._send(message)
 
     def _send(self, message: Message) -> bool:
         """Send a message to the other side; tell whether it is there."""
@@ -91,14 +97,13 @@ class Wire:
 
     def _hear(self, message: Message) -> None:
         if message["op"] == "publish":
-            self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")][1])
+            self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")])
         elif message["op"] == "service_response":
             future = self._open.pop(text_of(message, "id"), None)
             if future is not None:
                 _finish(future, message)
         elif message["op"] == "call_service":
-            _, answer = self._served[text_of(message, "service")]
-            self._send(_answered(answer, message))
+            self._send(_answered(self._served[text_of(message, "service")], message))
         elif message["op"] == "status" and message.get("level") in ("error", "warning"):
             _log.warning("the other side of rosbridge says: %s", message.get("msg"))
 
@@ -174,29 +179,8 @@ class Rosbridge(Wire):
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
     def _talk(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
+        why = ""
         self._begin(Peer(socket), time.monotonic() - self._away_since)
-        try:
-            why = self._listen(socket)
-        finally:
-            self._away_since = time.monotonic()
-        self._end(f"the connection to {self._url} has ended{why}")
-
-    def _begin(self, peer: Peer, away_s: float) -> None:
-        with self._sending:
-            for topic, (kind, _) in self._subscribed.items():
-                peer.send({"op": "subscribe", "topic": topic, "type": kind})
-            for topic, kind in self._advertised.items():
-                peer.send({"op": "advertise", "topic": topic, "type": kind})
-            for service, (kind, _) in self._served.items():
-                peer.send({"op": "advertise_service", "service": service, "type": kind})
-            late = len(self._unsent)
-            while self._unsent:
-                peer.send(self._unsent.popleft())
-            self._peer = peer
-        missed = f" after {away_s:.1f} s; what was published there meanwhile is missed, {late} of ours are sent now"
-        self._tell(True, f"connected to {self._url}{missed}")
-
-    def _listen(self, socket: Any) -> str:  # noqa: ANN401  # websockets is imported late
         try:
             for text in socket:
                 try:
@@ -204,8 +188,20 @@ class Rosbridge(Wire):
                 except NONSENSE as error:
                     self.refused.add(error)
         except Exception as error:  # also one that was cut
-            return f": {error}"
-        return ""
+            why = f": {error}"
+        self._away_since = time.monotonic()
+        self._end(f"the connection to {self._url} has ended{why}")
+
+    def _begin(self, peer: Peer, away_s: float) -> None:
+        with self._sending:
+            for message in self._declared:
+                peer.send(message)
+            late = len(self._unsent)
+            while self._unsent:
+                peer.send(self._unsent.popleft())
+            self._peer = peer
+        missed = f" after {away_s:.1f} s; what was published there meanwhile is missed, {late} of ours are sent now"
+        self._tell(True, f"connected to {self._url}{missed}")
 
     def _end(self, why: str) -> None:
         with self._sending:

@@ -97,7 +97,7 @@ def test_own_missions_match_their_models_and_have_nothing_to_find(rosa, name):
 def test_names_of_the_own_missions_are_found_in_tree_and_domain():
     mission = MISSIONS["suave_extended"]
     model = mission.model()
-    in_tree = names_in_tree(mission.tree, model, "the tree")
+    in_tree, _ = names_in_tree(mission.tree, model, "the tree")
     in_pddl = planned_names(mission)
     assert {name for name, _ in in_tree} == {name for name, _ in in_pddl} == set(model.actions)
     assert [place for name, place in in_tree if name == "recharge"] == [
@@ -195,7 +195,7 @@ def test_domain_without_objects_tells_its_actions_by_its_predicates(rosa, tmp_pa
 
 def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     model = explorer()
-    names = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
+    names, _ = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
     assert [name for name, _ in names] == [""]
     given_later = dataclasses.replace(
         MISSIONS["suave"], model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
@@ -221,7 +221,7 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
 
 
 def test_tree_may_be_given_as_something_that_needs_nothing():
-    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it") == []
+    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it") == ([], [])
     with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):
         names_in_tree(lambda: None, explorer(), "it")
 
