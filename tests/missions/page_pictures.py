@@ -4,8 +4,9 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from browsing import CHROMIUM, QUIET
 from playwright.sync_api import sync_playwright
-from test_page_in_browser import CHROMIUM, FLAGS, recorded
+from test_page_in_browser import recorded
 
 from missions import cli
 from missions.views.report import write_report
@@ -42,7 +43,7 @@ def main() -> None:
     if CHROMIUM is None:
         sys.exit("no chromium on this machine: apt-get install chromium")
     with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(QUIET))
         for one in PICTURES:
             report, target = DOCS / f"{one.name}.html", DOCS / f"{one.name}.png"
             write_report(report, recorded(one.mission, one.task))
