@@ -502,11 +502,8 @@ class _Question:
         if course.first >= len(self._ways):
             late = self._solved(0, is_late=True)
             when = f"leaving at {late.errands[0][0]:.0f} s, when it has to, " if late.errands else "not leaving "
-            action, time = (
-                self._errands[course.first - len(self._ways)].action,
-                f"{self._worth.deadline - self._left:.0f}",
-            )
-            reason = f"{action} now: leaving at {time} s {course.tail} and gains {expected}; "
+            action, now = self._errands[course.first - len(self._ways)].action, self._worth.deadline - self._left
+            reason = f"{action} now: leaving at {now:.0f} s {course.tail} and gains {expected}; "
             reason += f"{when}{late.tail} and gains {late.worth:.3g}{unit}"
             return Decision(action, None, *numbers, reason, course.errands)
         later = "".join(f"; {errand} at {time:.0f} s" for time, errand in course.errands)

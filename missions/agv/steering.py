@@ -49,14 +49,16 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
     room_m = float(ahead.min(initial=math.inf))
     speed *= float(np.clip((room_m - _STOP_M) / _SLOW_M, 0.0, 1.0))
-    headings = bearing + _OFFSETS
-    cos, sin, x, y = np.cos(headings)[:, None], np.sin(headings)[:, None], hits[:, 0], hits[:, 1]
-    along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
-    is_ahead = (along > 0.0) & (along < _CLEAR_M)
-    for room in _ROOMS_M:
-        free = headings[~(is_ahead & (aside < room)).any(axis=1)]
-        if len(free):
-            return _turned_to(float(free[0]), speed)
+    headings, rooms = bearing + _OFFSETS, list[float]()
+    x, y = hits[:, 0], hits[:, 1]
+    for heading, cos, sin in zip(headings.tolist(), np.cos(headings), np.sin(headings), strict=True):
+        along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
+        rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
+        if rooms[-1] >= _ROOMS_M[0]:  # mostly the first, so that the others need not be looked at
+            return _turned_to(heading, speed)
+    for heading, room in zip(headings.tolist(), rooms, strict=True):
+        if room >= _ROOMS_M[1]:
+            return _turned_to(heading, speed)
     return Aim(-_BACK_M_S, 0.0)
 
 

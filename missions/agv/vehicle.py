@@ -109,6 +109,7 @@ class Vehicle:
         self._data: Any = mujoco.MjData(self._model)
         self._qpos = self._data.qpos
         self._body = int(self._model.body("vehicle").id)
+        self._group_of: list[int] = self._model.geom_group.tolist()
         self._groups = np.array([0, 1, 0, 0, 0, 0], dtype=np.uint8)
         self._seen: deque[Array] = deque(maxlen=_MEMORY)
         self._touched = False
@@ -159,6 +160,5 @@ class Vehicle:
 
     def _touches(self) -> bool:
         contacts = self._data.contact
-        pairs = contacts.geom[: self._data.ncon]
-        groups = self._model.geom_group[pairs] if len(pairs) else np.zeros((0, 2))
-        return bool(np.any((groups.min(axis=1, initial=9) == 1) & (groups.max(axis=1, initial=0) == 2)))
+        pairs, group = contacts.geom[: self._data.ncon].tolist(), self._group_of
+        return any({group[one], group[other]} == {1, 2} for one, other in pairs)

@@ -164,6 +164,7 @@ class Quadrotor:
         self._arm, self._arm_wanted = 0.0, 0.0
         self.position: Vector = (0.0, 0.0, ON_GROUND_M)
         self.velocity: Vector = (0.0, 0.0, 0.0)
+        self._turned, self._rates = self._qpos[3:7].tolist(), self.velocity
         self.is_landed = True
         self.rotor_w = 0.0
         self.has_power = True
@@ -218,44 +219,43 @@ class Quadrotor:
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d))
-        x, y, z, *_ = self._qpos.tolist()
-        u, v, w, *_ = self._qvel.tolist()
-        self.position, self.velocity = (x, y, z), (u, v, w)
-        self._touch_down(thrusts)
+        x, y, z, *self._turned = self._qpos.tolist()[:7]
+        u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
+        self.position, self.velocity, self._rates = (x, y, z), (u, v, w), (roll, pitch, yaw)
+        self.is_landed = self.altitude < TOUCH_M and self._touches_down(thrusts)
 
-    def _touch_down(self, thrusts: list[float]) -> None:
-        is_low, here = self.altitude < TOUCH_M, self.position[:2]
+    def _touches_down(self, thrusts: list[float]) -> bool:
+        here = self.position[:2]
         is_above = math.dist(here, (self._target or here)[:2]) < STRAIGHT_M
-        if self._lands and is_low and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
+        if self._lands and is_above and math.hypot(*self.velocity) < TOUCH_M_S:
             self._target, self._lands = None, False
             self._trim = (0.0, 0.0, 0.0)
-        self.is_landed = is_low and self._target is None and not any(thrusts)
+        return self._target is None and not any(thrusts)
 
     def _thrusts(self, step_s: float) -> list[float]:
-        settings = self._settings
-        qpos, qvel = self._qpos.tolist(), self._qvel.tolist()
-        wanted = velocity_wanted(self.position, self._aim(), settings.speed_m_s, settings.climb_m_s)
-        error = (wanted[0] - qvel[0], wanted[1] - qvel[1], wanted[2] - qvel[2])
-        self._trim = _trimmed(self._trim, error, step_s)
-        force = wanted_force(error, self._trim, self._mass, settings.gravity_m_s2)
-        axes = mast(qpos[3:7])
-        torques = attitude_torques(axes, (qvel[3], qvel[4], qvel[5]), force)
+        settings, (u, v, w) = self._settings, self.velocity
+        east, north, up = velocity_wanted(self.position, self._aim(), settings.speed_m_s, settings.climb_m_s)
+        error = (east - u, north - v, up - w)
+        x, y, z = self._trim
+        self._trim = trim = _trimmed(x, error[0], step_s), _trimmed(y, error[1], step_s), _trimmed(z, error[2], step_s)
+        force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
+        torques = attitude_torques(axes := mast(self._turned), self._rates, force)
         return mixed(_dot(axes[2], force), torques, settings.rotor_limit_n)
 
     def _aim(self) -> Vector:
         """Return where to go now: up first, then along, then down."""
         assert self._target is not None
-        here, there, cruise = self.position[:2], self._target[:2], self._settings.cruise_m
-        if math.dist(there, here) <= STRAIGHT_M:
+        (x, y, _), (to_x, to_y, _), cruise = self.position, self._target, self._settings.cruise_m
+        if math.hypot(to_x - x, to_y - y) <= STRAIGHT_M:
             return self._target
-        return (*(here if self.altitude < cruise - 2.0 else there), cruise + ON_GROUND_M)
+        is_low = self.altitude < cruise - 2.0
+        return x if is_low else to_x, y if is_low else to_y, cruise + ON_GROUND_M
 
 
-def _trimmed(trim: Vector, error: Vector, step_s: float) -> Vector:
-    def along(one: float, off: float) -> float:
-        return max(-TRIM_LIMIT, min(TRIM_LIMIT, one + TRIM_GAIN * max(-1.0, min(1.0, off)) * step_s))
-
-    return along(trim[0], error[0]), along(trim[1], error[1]), along(trim[2], error[2])
+def _trimmed(one: float, off: float, step_s: float) -> float:
+    off = 1.0 if off > 1.0 else -1.0 if off < -1.0 else off  # a third of the time that min and max take
+    moved = one + TRIM_GAIN * off * step_s
+    return TRIM_LIMIT if moved > TRIM_LIMIT else -TRIM_LIMIT if moved < -TRIM_LIMIT else moved
 
 
 def _compiled(settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
