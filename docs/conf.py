@@ -22,6 +22,30 @@ html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_copy_source = False
 
+CAPTIONS = {
+    **{"first": "Begin", "knowledge": "What the robot knows", "tasks": "What it does", "seen": "Seen"},
+    **{"connected": "Connected", "measured": "Measured", "project": "The project"},
+}
+MORE = {
+    "Coming from": ["coming_from/*"],
+    "Reference": ["api/*"],
+    "The project": ["changelog", "contributing", "security"],
+}
+"""What the README lists under which word, and what it does not list, in the order of the site."""
+
+
+def contents(readme: str) -> str:
+    """Return the lists of the site's pages, by the README's."""
+    found = {
+        CAPTIONS[word]: re.findall(r"\(docs/(\w+)\.md\)", row)
+        for word, row in re.findall(r"\*\*(\w+)\*\* (\[.*)", readme)
+    }
+    project = {"The project": found.pop("The project") + MORE["The project"]}
+    lists = {**found, **MORE, **project}
+    head = "```{{toctree}}\n:caption: {}\n:hidden:\n:glob:\n\n{}\n```\n"
+    return "\n".join(head.format(caption, "\n".join(pages)) for caption, pages in lists.items())
+
+
 OUTSIDE = re.compile(r"\[([^]]+)\]\(\.\./([^)]+)\)")
 
 
@@ -35,6 +59,8 @@ def name_what_is_not_here(app: Sphinx, page: str, source: list[str]) -> None:
         return f"{text} (in `{path}`)" if (Path(app.srcdir).parent / path).is_dir() else link[0]
 
     source[0] = OUTSIDE.sub(named, source[0])
+    if page == "index":
+        source[0] += "\n" + contents((Path(app.srcdir).parent / "README.md").read_text(encoding="utf-8"))
 
 
 def setup(app: Sphinx) -> None:

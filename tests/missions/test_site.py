@@ -40,7 +40,7 @@ def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
     linked = (site / "index.html").read_text()
     for page in (ROOT / "docs").rglob("*.md"):
         address = page.relative_to(ROOT / "docs").with_suffix(".html").as_posix()
-        assert address == "index.html" or f'href="{address}"' in linked, f"{page} is in no list of docs/index.md"
+        assert address == "index.html" or f'href="{address}"' in linked, f"{page} is in no list of README.md"
     for package in ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions.testing"):
         shown = (site / "api" / f"{package}.html").read_text()
         module = importlib.import_module(package)
