@@ -178,6 +178,7 @@ def ours_and_theirs(text, leaves, told, ports=None):
         except Thrown:
             with pytest.raises((NodeError, ScriptError)):
                 tree.tick_once()
+            assert said == twin.world.said, text
             break
         tree.tick_once()
         outcome = "SKIPPED" if tree.status is Status.INVALID else tree.status.name
