@@ -1,7 +1,7 @@
 """Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, MutableMapping
+from typing import Any
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -98,11 +98,8 @@ class DoUntilUnfeasible(_Parts):
                 return
 
 
-@dataclass
-class Posture:
-    """After which action the robot is left as it is, None before the first; shared by those who switch between some."""
-
-    after: str | None = None
+Posture = MutableMapping[str, Any]
+"""After which action the robot is left as it is, under some key; shared by those who switch between some."""
 
 
 class SafeSwitch(_Parts):
@@ -116,6 +113,7 @@ class SafeSwitch(_Parts):
         transitions: what to do first, by name of the action that was done last.
         posture: which action that was; shared with the behaviours of the other actions.
         action: name of the action, if the task does not say it itself.
+        key: of the posture.
     """
 
     def __init__(
@@ -125,28 +123,29 @@ class SafeSwitch(_Parts):
         transitions: Mapping[str, Behaviour],
         posture: Posture,
         action: str | None = None,
+        key: str = "posture",
     ) -> None:
         super().__init__(name, [*transitions.values(), task])
         self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
-        self.posture = posture
+        self.posture, self.key = posture, key
         self.transitions = tuple(transitions)
 
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             self._begin()
-        before, child = self.posture.after, self.children[-1]
+        before, child = self.posture.get(self.key), self.children[-1]
         if before in self.transitions:
             child = self.current_child = self.children[self.transitions.index(before)]
             yield from child.tick()
             said = child.feedback_message
             self.feedback_message = f"switching from {before}{f': {said}' if said else ''}"
             if child.status is Status.SUCCESS:
-                self.posture.after, child = self.action, self.children[-1]
+                self.posture[self.key], child = self.action, self.children[-1]
         if child is self.children[-1]:
             self.current_child = child
             yield from child.tick()
             self.feedback_message = child.feedback_message
             if child.status is not Status.FAILURE:
-                self.posture.after = self.action
+                self.posture[self.key] = self.action
         self._end(child.status)
         yield self

@@ -98,7 +98,7 @@ def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behavio
         TreeChangeError: there has to be one transition, but several behaviours that do the action.
     """
     tasks = [one for one in root.iterate() if isinstance(one, RosaAction | ForAction)]
-    posture = Posture()
+    posture: Posture = {}
     for action in dict.fromkeys(action for pair in transitions for action in pair):
         doing = [task for task in tasks if task.action == action]
         if not doing:

@@ -5,6 +5,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
@@ -83,7 +84,7 @@ class Document:
     def __init__(self, sources: Iterable[str | Path]) -> None:
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
-        self._seen: set[Path] = set()
+        self._files: dict[Path, Element] = {}
         roots = [self._open(source) for source in sources]
         if not roots:
             raise XmlError("<text>", "there is no text and no file; give at least one")
@@ -95,15 +96,26 @@ class Document:
         text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else "a path"
         if not text:
             raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
-        if text.startswith("<"):
-            root, folder, chain = _parse(text, "<text>"), Path.cwd(), []
-        else:
-            path = Path(text_or_path)
-            root, folder, chain = _read(path, str(path)), path.parent, [_real(path)]
-        if not chain or chain[0] not in self._seen:
-            self._seen.update(chain)
-            self._collect(root, folder, chain)
+        if not text.startswith("<"):
+            return self._file(Path(text_or_path), str(text_or_path), [])
+        root = _parse(text, "<text>")
+        self._collect(root, Path.cwd(), [])
         return root
+
+    def _file(self, path: Path, where: str, chain: list[Path]) -> Element:
+        """Return the outermost element of a file, which is read once however often it is named."""
+        real = path
+        with suppress(ValueError):  # no file has such a name, as is found when it is read
+            real = Path(os.path.realpath(path))  # Path.resolve raises of links in a circle
+        if real in chain:
+            circle = " -> ".join(one.name for one in [*chain[chain.index(real) :], real])
+            raise XmlError(where, f"files include each other: {circle}")
+        if len(chain) > MAX_DEPTH:
+            raise XmlError(where, f"more than {MAX_DEPTH} files include each other in a row")
+        if real not in self._files:
+            self._files[real] = _read(path, where)
+            self._collect(self._files[real], path.parent, [*chain, real])
+        return self._files[real]
 
     def main(self, wanted: str | None) -> str:
         """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
@@ -123,8 +135,12 @@ class Document:
         return self.trees[name]
 
     def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
-        _check_root(root)
-        if root.attributes.get("BTCPP_format", "3" if _is_of_3(root) else "4") == "3":
+        if root.tag != "root":
+            raise root.error(f"the outermost element is <root>, not <{root.tag}>")
+        version = root.attributes.get("BTCPP_format", "3" if _is_of_3(root) else "4")
+        if version not in ("3", "4"):
+            raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4", and "3"')
+        if version == "3":
             _log.warning("%s: read as of version 3: its names, and SubTrees whose attributes are keys", root.where)
             root = _as_4(root)
         is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
@@ -158,16 +174,7 @@ class Document:
                 advice = "source the workspace that has it, or write the path alone"
                 raise element.error(f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}")
             folder = found
-        path = _real(folder / element.get("path"))
-        if path in chain:
-            circle = " -> ".join(one.name for one in [*chain[chain.index(path) :], path])
-            raise element.error(f"files include each other: {circle}")
-        if path in self._seen:
-            return
-        if len(chain) > MAX_DEPTH:
-            raise element.error(f"more than {MAX_DEPTH} files include each other in a row")
-        self._seen.add(path)
-        self._collect(_read(path, element.where), path.parent, [*chain, path])
+        self._file(folder / element.get("path"), element.where, chain)
 
 
 def wrong_id(name: str) -> str:
@@ -191,22 +198,11 @@ def _add(table: dict[str, Element], name: str, element: Element) -> None:
     table[name] = element
 
 
-def _check_root(root: Element) -> None:
-    if root.tag != "root":
-        raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-    version = root.attributes.get("BTCPP_format", "4")
-    if version not in ("3", "4"):
-        raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4", and "3"')
-
-
 _RENAMED: Final = {
     **{"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithMemory", "RetryUntilSuccesful": "RetryUntilSuccessful"},
     **{"__autoremap": "_autoremap", "__shared_blackboard": "_autoremap"},
 }
-_OF_PARALLEL: Final = {
-    **{"success_threshold": "success_count", "threshold": "success_count"},
-    **{"failure_threshold": "failure_count"},
-}
+_COUNTS: Final = {"threshold": "success_count"} | {f"{of}_threshold": f"{of}_count" for of in ("success", "failure")}
 
 
 def _is_of_3(element: Element) -> bool:
@@ -217,7 +213,7 @@ def _is_of_3(element: Element) -> bool:
 
 def _as_4(element: Element) -> Element:
     """Return what an element of version 3 is in version 4, after BehaviorTree.CPP's guide to migration."""
-    names = {**_RENAMED, **(_OF_PARALLEL if "Parallel" in (element.tag, element.attributes.get("ID")) else {})}
+    names = {**_RENAMED, **(_COUNTS if "Parallel" in (element.tag, element.attributes.get("ID")) else {})}
     attributes = {}
     for key, text in element.attributes.items():
         if text == "=":
@@ -228,10 +224,6 @@ def _as_4(element: Element) -> Element:
     ports = "input_port", "output_port", "inout_port"  # of the model of a SubTree: none is asked for
     children = [_as_4(one) for one in element.children if element.tag != "SubTree" or one.tag not in ports]
     return Element(names.get(element.tag, element.tag), attributes, tuple(children), element.where)
-
-
-def _real(path: Path) -> Path:
-    return Path(os.path.realpath(path))  # Path.resolve raises of links in a circle
 
 
 def _read(path: Path, where: str) -> Element:
@@ -270,11 +262,8 @@ def _parse(text: str | bytes, file: str) -> Element:
             root = _strictly(escaped, file)
         except XmlError:
             raise error from None
-        raw, others = (
-            "& and < in attributes, which XML wants as &amp; and &lt;",
-            "-- in a comment, or a late declaration",
-        )
-        what = raw if escaped != plain else others
+        raw = "& and < in attributes, which XML wants as &amp; and &lt;"
+        what = raw if escaped != plain else "-- in a comment, or a late declaration"
         _log.warning("%s: read as it stands, though it is no XML: %s", file, what)
         return root
 

@@ -10,7 +10,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement, WaitForArchitecture
-from rosa_bt.composites import DoUntilUnfeasible, Posture, SafeSwitch
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, PortError
@@ -191,21 +191,6 @@ def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, s
     leaf.check_ports(known)
 
 
-class _KeptPosture(Posture):
-    """The action that was done last, on the blackboard."""
-
-    def __init__(self, port: Port) -> None:
-        self._port = port
-
-    @property
-    def after(self) -> str | None:
-        return str(self._port.get()) if self._port.ports.exists(self._port.name) else None
-
-    @after.setter
-    def after(self, action: str | None) -> None:
-        self._port.set(action)
-
-
 def _do_until_unfeasible(name: str, children: Sequence[Branch], *, memory: bool = False) -> DoUntilUnfeasible:
     if len(children) != 2:
         raise RegistryError(f"it has {len(children)} children; it takes 2: the task, and what is done meanwhile")
@@ -216,7 +201,10 @@ def _safe_switch(name: str, children: Sequence[Branch], action: str, after: list
     *steps, task = children
     if len(steps) != len(after):
         raise RegistryError(f"it has {len(children)} children; it takes one for each action in `after`, and the task")
-    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), _KeptPosture(posture), action)
+    board, key = posture.ports.blackboard, posture.ports.key(posture.name)
+    if key is None:
+        raise RegistryError("`posture` is a key that the switches share, such as {@posture}")
+    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), board, action, key)
 
 
 _OURS: Final[Mapping[str, Factory]] = {

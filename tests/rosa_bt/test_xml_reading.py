@@ -275,6 +275,16 @@ def test_includes_are_relative_to_the_file_and_read_once(tmp_path):
         load(tmp_path / "main.xml")
 
 
+def test_what_is_linked_includes_what_is_beside_the_link(tmp_path):
+    (tmp_path / "source").mkdir()
+    (tmp_path / "share").mkdir()
+    (tmp_path / "source" / "main.xml").write_text('<root main_tree_to_execute="X"><include path="x.xml"/></root>')
+    (tmp_path / "share" / "main.xml").symlink_to(tmp_path / "source" / "main.xml")
+    (tmp_path / "share" / "x.xml").write_text('<root><BehaviorTree ID="X"><ok/></BehaviorTree></root>')
+    text = f'<root main_tree_to_execute="X"><include path="{tmp_path}/share/main.xml"/></root>'
+    assert [one.name for one in load(text).iterate()] == ["ok", "X"]
+
+
 def test_error_in_an_included_file_names_that_file(tmp_path):
     (tmp_path / "part.xml").write_text('<root>\n<BehaviorTree ID="Part">\n<unknown/></BehaviorTree></root>')
     main = '<root main_tree_to_execute="Part"><include path="part.xml"/></root>'
