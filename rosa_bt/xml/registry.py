@@ -80,8 +80,8 @@ class Entry:
 
     def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
         """Yield what can be written: "input_port", "output_port" or "inout_port", the name, and what is declared."""
-        has_ports = isinstance(self._maker, type) and issubclass(self._maker, PortsMixin)
-        outputs = self._maker.output_ports() if has_ports else {}  # type: ignore[attr-defined]  # it is one with ports
+        maker = self._maker
+        outputs = maker.output_ports() if isinstance(maker, type) and issubclass(maker, PortsMixin) else {}
         for name, port in {**(self._class_ports or {}), **self._declared({})}.items():
             is_both = port.data_type is Port
             yield "inout_port" if is_both else "output_port" if name in outputs else "input_port", name, port
@@ -109,15 +109,6 @@ class Entry:
         return None
 
     @cached_property
-    def _name_parameter(self) -> str:
-        """The parameter that takes the name: `name`, or else the first one that a function needs."""
-        parameters = self._parameters.values()
-        if "name" in self._parameters or isinstance(self._maker, type):
-            return "name"
-        needed = [one.name for one in parameters if one.default is one.empty and one.kind not in _VARIOUS]
-        return next((name for name in needed if name not in self.bound and name not in _ROLES), "name")
-
-    @cached_property
     def _arguments(self) -> Declared:
         """The parameters that can be written as attributes, as ports."""
         maker = self._maker
@@ -125,7 +116,7 @@ class Entry:
             hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
         except (NameError, TypeError):
             hints = {}
-        taken = {*self.bound, *_ROLES, self._name_parameter}
+        taken = {*self.bound, *_ROLES}
         return {
             name: PortInformation(hints.get(name, object), required=one.default is one.empty)
             for name, one in self._parameters.items()
@@ -133,7 +124,7 @@ class Entry:
         }
 
     def _offered(self, name: str, branches: Sequence[Branch]) -> dict[str, Any]:
-        offered: dict[str, Any] = {**self.bound, self._name_parameter: name, "children": list(branches)}
+        offered: dict[str, Any] = {**self.bound, "name": name, "children": list(branches)}
         if branches:
             offered["child"] = branches[0]
         takes_name = any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
@@ -142,23 +133,20 @@ class Entry:
 
 
 def _arguments(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
+    """Return what the constructor is given: values, and ports where they are read later."""
     for key, port in declared.items():
         if port.required and key not in mine:
             raise PortError(f"{key!r} is missing; write {key}=... in the element, or hand it to BehaviourRegistry")
-    ports = Ports(declared, mine, board)
-    return {key: _argument(key, declared[key], ports) for key in mine}
-
-
-def _argument(name: str, port: PortInformation, ports: Ports) -> Any:  # noqa: ANN401  # of the type that is declared
-    key = ports.key(name)
-    if port.data_type is Port or (key is not None and port.data_type in (object, Any)):
-        return Port(ports, name)
-    if key is not None:
-        raise PortError(
-            f"{name!r} is needed when the tree is made, but {{{key}}} is known when it is ticked; annotate the "
-            "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
-        )
-    return ports.get(name)
+    ports, given = Ports(declared, mine, board), dict[str, Any]()
+    for name in mine:
+        kind, pointed = declared[name].data_type, ports.key(name)
+        if kind not in (Port, object, Any) and pointed is not None:
+            raise PortError(
+                f"{name!r} is needed when the tree is made, but {{{pointed}}} is known when it is ticked; annotate the "
+                "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
+            )
+        given[name] = Port(ports, name) if kind is Port or pointed is not None else ports.get(name)
+    return given
 
 
 def _connect(

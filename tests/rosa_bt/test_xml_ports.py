@@ -214,7 +214,7 @@ def test_bare_decorator_takes_the_name_of_the_class_or_function():
 def test_functions_and_partial_ones_get_the_name_and_the_types_of_what_they_call():
     heard = []
     registry = BehaviourRegistry()
-    registry.register("short", lambda n: Say(n, heard, Port, 1))
+    registry.register("short", lambda name: Say(name, heard, Port, 1))
     registry.register("half", partial(Say, heard=heard, loud=True))
     registry.register("sum", partial(Add))
     text = '<Sequence><Add one="1" total="{t}"/><half what="{t}" times="2"/></Sequence>'.replace("Add", "sum")
