@@ -31,7 +31,7 @@ class _Empty:
     """The value of an entry that has none yet."""
 
     def __repr__(self) -> str:
-        return "nothing"
+        return "what has no value"
 
 
 EMPTY: Final = _Empty()
@@ -66,11 +66,7 @@ def truth(value: object) -> bool:
     """Return what a value means where a condition is expected: a double not 0, a whole number 0 or 1, never a text."""
     if isinstance(value, float) or value in (0, 1):
         return bool(value)
-    raise ScriptError(f"{shown(value)} is neither true nor false; compare it with something")
-
-
-def shown(value: object) -> str:
-    return "what has no value" if value is EMPTY else repr(value)
+    raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
 
 
 def number_in(text: str, board: "Blackboard") -> float:
@@ -108,7 +104,7 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
         return bool(number) if isinstance(held, bool) and number in (0, 1) else number
     if type(held) is type(value) and not is_number(held):
         return value
-    raise ScriptError(f"{shown(value)} does not fit an entry that holds {shown(held)}")
+    raise ScriptError(f"{value!r} does not fit an entry that holds {held!r}")
 
 
 class Outcome(Enum):

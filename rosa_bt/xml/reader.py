@@ -316,12 +316,6 @@ class _Target:
 
 _Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
 _NODES: Final[_Kinds] = {**CONTROLS, **NAV2, **DECORATORS, **LEAVES}
-_OWN: Final = "it is not in the factory of BehaviorTree.CPP 4.10; register a behaviour of your own under another name"
-_NOT_READ: Final = {
-    "SubTreePlus": 'version 4 writes <SubTree ID="..." _autoremap="true"/> instead, or say BTCPP_format="3"',
-    **dict.fromkeys(("ConsumeQueue", "EntryUpdated", "ManualSelector", "PopFromQueue", "QueueSize", "TestNode"), _OWN),
-    "WaitValueUpdated": "it is called WaitValueUpdate",
-}
 
 
 class SubTree(Branch):
@@ -510,8 +504,8 @@ class _Builder:
         return found
 
     def _unknown(self, tag: str) -> str:
-        if tag in _NOT_READ:
-            return f"<{tag}> is not read: {_NOT_READ[tag]}"
+        if tag in _RENAMED:
+            return f'<{tag}> is of version 3; write <{_RENAMED[tag]}>, or BTCPP_format="3" in <root>'
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         own = hint(tag, [*_NODES, "SubTree"], "nodes")

@@ -19,7 +19,6 @@ from rosa_bt.xml.blackboard import (
     fit,
     is_number,
     number_in,
-    shown,
     truth,
     whole,
 )
@@ -73,7 +72,7 @@ def _joined(sign: str, one: Any, other: Any) -> Any:  # noqa: ANN401  # values o
         return float(left and right if sign == "&&" else left or right)
     if (all(texts) and sign == "+") or (sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2):
         return as_text(one) + as_text(other)
-    raise ScriptError(f"{sign!r} is not for {shown(one)} and {shown(other)}")
+    raise ScriptError(f"{sign!r} is not for {one!r} and {other!r}")
 
 
 def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa: ANN401  # values of any kind
@@ -81,7 +80,7 @@ def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa:
         return _COMPARED[sign](one, other)
     sides = [number_in(side, board) if isinstance(side, str) else side for side in (one, other)]
     if not all(map(is_number, sides)):
-        raise ScriptError(f"{shown(one)} and {shown(other)} cannot be compared")
+        raise ScriptError(f"{one!r} and {other!r} cannot be compared")
     return _COMPARED[sign](*map(double, sides))
 
 
@@ -97,7 +96,7 @@ def _assign(target: Script, sign: str, value: Script, board: Blackboard) -> Any:
     held = entry.value
     if sign in ("+=", "-=", "*=", "/="):
         if held is EMPTY or isinstance(held, str) != isinstance(given, str) or (isinstance(held, str) and sign != "+="):
-            raise ScriptError(f"{sign!r} is not for {shown(held)} and {shown(given)}")
+            raise ScriptError(f"{sign!r} is not for {held!r} and {given!r}")
         new = fit(entry, _joined(sign[0], held, given))
     elif isinstance(given, str) and not isinstance(held, str) and not (held is EMPTY and entry.declared is None):
         new = number_in(given, board) if entry.declared is None else entry.read(given)
@@ -251,14 +250,14 @@ def _choose(asked: Script, yes: Script, no: Script, board: Blackboard) -> Any:  
     if isinstance(value, str):
         value = begun(value)
     if not is_number(value):
-        raise ScriptError(f"{shown(value)} is neither true nor false")
+        raise ScriptError(f"{value!r} is neither true nor false")
     return yes(board) if double(value) else no(board)
 
 
 def _prefixed(sign: str, operand: Script, board: Blackboard) -> float:
     value = operand(board)
     if not is_number(value):
-        raise ScriptError(f"{sign!r} is not for {shown(value)}")
+        raise ScriptError(f"{sign!r} is not for {value!r}")
     if sign == "~":  # of what is not whole, the whole part
         return double(~whole(math.trunc(value) if math.isfinite(value) else value))
     return -double(value) if sign == "-" else float(not double(value))

@@ -24,8 +24,8 @@ REFUSED = {
     "<aa/>": "<text>:2: <aa> is unknown; did you mean 'a'? registered behaviours: a, b, ok",
     "<Sequense><a/></Sequense>": "did you mean the node 'Sequence'",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
-    "<SubTreePlus ID='Other'/>": "<SubTreePlus> is not read: version 4 writes",
-    "<ManualSelector><a/></ManualSelector>": "register a behaviour of your own under another name",
+    "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write <SubTree>, or BTCPP_format="3" in <root>',
+    "<ManualSelector><a/></ManualSelector>": "<ManualSelector> is unknown; registered behaviours: a, b, ok",
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
     "": "a tree has one child, not 0",
     "<Inverter><a/><b/></Inverter>": "<Inverter> has 2 children; it takes 1; put a Sequence around them",
@@ -218,7 +218,7 @@ def test_file_of_version_3_is_read_by_its_rules_with_a_note(version, caplog):
         tree.tick_once()
     assert (tree.status, said) == (Status.SUCCESS, ["a:s:S"])
     assert "<text>:1: read as of version 3" in caplog.text
-    with pytest.raises(XmlError, match="SequenceStar> is unknown"):
+    with pytest.raises(XmlError, match="<SequenceStar> is of version 3; write <SequenceWithMemory>"):
         load(f'<root BTCPP_format="4" main_tree_to_execute="Main">{OLD}')
 
 
