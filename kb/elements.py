@@ -7,7 +7,7 @@ once it is declared, stands in its annotation.
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -18,6 +18,7 @@ from kb.status import OPERATORS
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 ElementT = TypeVar("ElementT", bound="Element")
+T = TypeVar("T")
 Parameter = bool | int | float | str | list[bool] | list[int] | list[float] | list[str]
 Parameters = Mapping[str, Parameter]
 
@@ -555,13 +556,42 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
 """The fields of elements and facts that name other elements, and of which class; parameters are those of a plan."""
 
 
-def _checks(cls: type) -> Mapping[str, Field]:
-    hints = get_type_hints(cls, include_extras=True)
-    return {name: hint.__metadata__[0] for name, hint in hints.items() if hasattr(hint, "__metadata__")}
-
-
-CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {cls: _checks(cls) for cls in KINDS}
+CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
+    cls: {
+        name: hint.__metadata__[0]
+        for name, hint in get_type_hints(cls, include_extras=True).items()
+        if hasattr(hint, "__metadata__")
+    }
+    for cls in KINDS
+}
 """How the fields of each class of elements are checked, but for those that name other elements."""
+
+
+class ByName(Mapping[str, T]):
+    """What there is of one kind by name, in order of declaration; an unknown name says which are near it."""
+
+    _table: Mapping[str, Any]
+
+    def __init__(self, kind: str, table: Mapping[str, T]) -> None:
+        self._kind, self._table = kind, table
+
+    def __getitem__(self, name: str) -> T:
+        found: T | None = self._table.get(name) if isinstance(name, str) else None
+        if found is None:
+            raise UnknownName(self._kind, name, self._table)
+        return found
+
+    def __contains__(self, name: object) -> bool:
+        return isinstance(name, str) and name in self._table
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._table)
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __repr__(self) -> str:
+        return f"<{self._kind}s {', '.join(map(repr, self._table))}>" if self._table else f"<no {self._kind}s>"
 
 
 def called(element: Changeable) -> str:

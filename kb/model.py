@@ -33,6 +33,7 @@ from kb.elements import (
     Action,
     Attribute,
     AttributeKind,
+    ByName,
     Changeable,
     Component,
     ComponentKind,
@@ -106,32 +107,6 @@ class Observer(Protocol):
 
     def heard(self) -> None:
         """All who watch have been informed."""
-
-
-class Elements(Mapping[str, ElementT]):
-    """The elements of one kind by name, in order of declaration; an unknown name says which are near it."""
-
-    def __init__(self, kind: str, table: Mapping[str, ElementT]) -> None:
-        self._kind = kind
-        self._table = table
-
-    def __getitem__(self, name: str) -> ElementT:
-        found = self._table.get(name) if isinstance(name, str) else None
-        if found is None:
-            raise UnknownName(self._kind, name, self._table)
-        return found
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self._table
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._table)
-
-    def __len__(self) -> int:
-        return len(self._table)
-
-    def __repr__(self) -> str:
-        return f"<{self._kind}s {', '.join(map(repr, self._table))}>" if self._table else f"<no {self._kind}s>"
 
 
 class Model:
@@ -410,8 +385,8 @@ class Model:
         ]
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
-    def _elements(self, cls: type[ElementT]) -> Elements[ElementT]:
-        return Elements(KINDS[cls], self._tables[cls])
+    def _elements(self, cls: type[ElementT]) -> ByName[ElementT]:
+        return ByName(KINDS[cls], self._tables[cls])
 
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
         if field not in REFERENCES:

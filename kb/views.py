@@ -10,7 +10,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
-from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
+from kb.elements import AttributeKind, ByName, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.exceptions import UnknownName
 from kb.network import Network, Node
 from kb.state import History, State
@@ -302,24 +302,18 @@ class AttributeView(ElementView):
 ViewT = TypeVar("ViewT", bound=ElementView)
 
 
-class Views(Mapping[str, ViewT], Generic[ViewT]):
-    """The elements of one kind by name, in order of declaration; an unknown name says which are near it."""
+class Views(ByName[ViewT]):
+    """Views of the elements of one kind by name, in order of declaration; an unknown name says which are near it."""
 
     def __init__(self, base: Readable, kind: str, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
-        self._base = base
-        self._kind = kind
-        self._nodes = nodes
-        self._view = view
+        self._base, self._kind, self._table, self._view = base, kind, nodes, view
 
     def __getitem__(self, name: str) -> ViewT:
-        return self._view(self._base, named(self._nodes, self._kind, name))
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self._nodes
+        return self._view(self._base, named(self._table, self._kind, name))
 
     def __iter__(self) -> Iterator[str]:
         with self._base.reading():
-            return iter(tuple(self._nodes))
+            return iter(tuple(self._table))
 
     def values(self) -> ValuesView[ViewT]:
         """Return the views, as of now."""
@@ -331,10 +325,7 @@ class Views(Mapping[str, ViewT], Generic[ViewT]):
 
     def _now(self) -> dict[str, ViewT]:
         with self._base.reading():
-            return {name: self._view(self._base, node) for name, node in self._nodes.items()}
-
-    def __len__(self) -> int:
-        return len(self._nodes)
+            return {name: self._view(self._base, node) for name, node in self._table.items()}
 
 
 def named(table: Mapping[str, Node], kind: str, name: str | ElementView) -> Node:

@@ -347,7 +347,12 @@ class _Command:
             return "failed", words_of(error)
         if not ended and not is_late:
             return None
-        is_reached, doubt = self._look(managed)
+        is_reached, doubt = None, f"{self.component} was not found so"
+        if self.configuration is None:  # else nobody can tell
+            active, trouble = look(managed, self.component)
+            is_reached = None if active is None else active is (self.operation == "activate")
+            if trouble:
+                is_reached, doubt = False, f"nobody could tell ({trouble})"
         if ended and is_reached is not False:
             return "completed", ""
         if not is_late:
@@ -374,16 +379,6 @@ class _Command:
         if error is None or isinstance(error, BaseException):
             return ended, error
         raise wrong_answer("exception()", operation, error, "what went wrong, as an exception, or None")
-
-    def _look(self, managed: ManagedSystem) -> tuple[bool | None, str]:
-        """Return whether the component is as it was to be, None if nobody can tell, and what speaks against it."""
-        if self.configuration is not None:
-            return None, ""
-        active, error = look(managed, self.component)
-        if error:
-            return False, f"nobody could tell ({error})"
-        is_reached = None if active is None else active is (self.operation == "activate")
-        return is_reached, f"{self.component} was not found so"
 
     def _cancel(self) -> None:
         """Cancel what can be cancelled, so that it does not come true when nobody expects it any more."""

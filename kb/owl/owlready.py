@@ -15,9 +15,8 @@ from kb.facts import Contents
 from kb.files import ModelFileError, read_text
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Declarer, Individual, Ref, Value
 from kb.owl.queries import answer_of, value_of
-from kb.owl.rdfxml import ROSA, plain_text
+from kb.owl.rdfxml import ROSA, TYPE, plain_text
 
-_TYPE: Final = "http://www.w3.org/1999/02/22-rdf-syntax-ns#type"
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
 _BASE: Final = "http://rosa-taca/file"  # of names that a file leaves relative
@@ -32,7 +31,7 @@ def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | No
     told: dict[str, dict[str, list[Value]]] = {}
     for path in paths:
         read = list(_triples(path))
-        if not any(predicate == _TYPE and _local(value) for _, predicate, value in read):
+        if not any(predicate == TYPE and _local(value) for _, predicate, value in read):
             raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
         for subject, predicate, value in read:
             told.setdefault(subject, {}).setdefault(predicate, []).append(value)
@@ -107,14 +106,14 @@ def _wrong(content: str, path: str, told: str) -> ModelFileError:
 
 
 def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual | None:
-    types = [_local(one) for one in told.get(_TYPE, ())]
+    types = [_local(one) for one in told.get(TYPE, ())]
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
         return None
     kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
     if len(kinds) > 1:
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
-    values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != _TYPE}
+    values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != TYPE}
     listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
     places = {name: players for name, *players in listed}
     ordered = {name: _ordered(each, places.get(name, [])) for name, each in values.items() if name}

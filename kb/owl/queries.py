@@ -9,21 +9,13 @@ from typing import Final
 from pyoxigraph import BlankNode, Literal, NamedNode, Quad, QueryBoolean, RdfFormat, Store, Triple, parse
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
-from kb.owl.individuals import GENERAL, Individual, Ref, Value
-from kb.owl.rdfxml import ROSA, order
+from kb.owl.individuals import Individual, Ref
+from kb.owl.rdfxml import PREFIXES, ROSA, statements
 from kb.owl.worker import Answer, answer, stopped
 
 _MOST_ROWS: Final = 1_000_000
 _XSD: Final = "http://www.w3.org/2001/XMLSchema#"
-_TYPE: Final = NamedNode("http://www.w3.org/1999/02/22-rdf-syntax-ns#type")
-_PREFIXES: Final = {
-    "": ROSA,
-    "rosa": ROSA,
-    "owl": "http://www.w3.org/2002/07/owl#",
-    "rdf": _TYPE.value.removesuffix("type"),
-    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
-    "xsd": _XSD,
-}
+_PREFIXES: Final = {**PREFIXES, "rosa": ROSA, "xsd": _XSD}
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
@@ -96,15 +88,11 @@ class Book:
 
     def _quads(self, one: Individual, graph: NamedNode) -> Iterator[Quad]:
         subject = self._iri(one.id)
-        for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
-            yield Quad(subject, _TYPE, NamedNode(f"{ROSA}{kind}"), graph)
-        ordered: dict[str, tuple[Value, ...]] = {"order": (text,)} if (text := order(one)) else {}
-        for name, values in {**one.values, **ordered}.items():
-            for value in values:
-                if isinstance(value, str):  # without halves of characters
-                    value = value.encode("utf-8", "backslashreplace").decode()
-                written = self._iri(value.id) if isinstance(value, Ref) else Literal(value)
-                yield Quad(subject, NamedNode(f"{ROSA}{name}"), written, graph)
+        for name, value in statements(one, self._base):
+            if isinstance(value, str):  # without halves of characters
+                value = value.encode("utf-8", "backslashreplace").decode()
+            written = NamedNode(value.id) if isinstance(value, Ref) else Literal(value)
+            yield Quad(subject, NamedNode(name), written, graph)
 
     def _iri(self, own: str) -> NamedNode:
         return NamedNode(f"{self._base}#{own}")

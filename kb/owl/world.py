@@ -133,70 +133,56 @@ class World:
         yield from self._steps
 
     def _more(self, reading: AbstractContextManager[State]) -> Iterator[None]:
-        """Hand over what is new, or all if it has grown too much."""
-        worker = self._workers[0]
-        if not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN:
-            yield from self._anew(worker, reading)
-            return
-        with reading as state:
-            events = list(self._known.log.since(self._last))
-            is_amended = state.network.revision != self._revision or any(one.verb == "amend" for one in events)
-            if self._known.log.last == self._last and not is_amended:
-                return
-            is_lost = len(events) < self._known.log.last - self._last  # more happened than memory holds
-            if not is_lost:
-                model = self._model() if is_amended else None
-                records, inferred = self._chronicle.of_records(), self._inferred(state)
-                self._seen(state)
-        if is_lost:
-            yield from self._anew(worker, reading)
-            return
-        self._is_built = False  # until all of it is there
-        if model is not None:
-            yield from self._replace(worker, "model", model)
-        yield from worker.write("told", chain(self._chronicle.of_events(events), records))
-        yield from self._replace(worker, "inferred", inferred)
-        self._is_built = True
-        self._grown += len(events)
-
-    def _anew(self, worker: Worker, reading: AbstractContextManager[State]) -> Iterator[None]:
-        self._is_built = False
+        """Hand over what is new, or all if it has grown too much, or more happened than memory holds."""
+        worker, known = self._workers[0], self._known
+        is_anew = not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN
         past: list[Event] = []
-        while self._store is not None and (
-            some := self._store.events(past[-1].number if past else 0, _SLICE, measurements=False)
+        while (
+            is_anew
+            and self._store is not None
+            and (some := self._store.events(past[-1].number if past else 0, _SLICE, measurements=False))
         ):
             past += some
             yield
-        self._chronicle = chronicle = _Chronicle(self._known)
+        chronicle = self._chronicle = _Chronicle(known) if is_anew else self._chronicle
         with reading as state:
-            past += self._known.log.since(past[-1].number if past else 0, measurements=False)
-            measured = [
-                (node.name, sample)
-                for node in state.network.attributes.values()
-                if node.index in state.histories
-                for sample in state.histories[node.index].samples(self._keep)
-            ]
-            model, records, inferred = self._model(), chronicle.of_records(), self._inferred(state)
-            present = chronicle.of_state(state)
-            self._seen(state)
-        own = next(model)
-        begins = [Individual("", own.id, {"historyBegins": (float(past[0].time),)})] if past else []
-        worker.tell("open", f"{BASE}{own.id}")
-        worker.tell("describe", metamodel())
-        yield from self._replace(worker, "model", chain([own], model))
-        yield from worker.write("told", (chronicle.measurement(name, value, time) for name, (time, value) in measured))
-        yield from worker.write("told", chain(begins, chronicle.of_events(past), records))
-        yield from worker.write("told", chronicle.older(present))
+            last = (past[-1].number if past else 0) if is_anew else self._last
+            past += known.log.since(last, measurements=not is_anew)
+            is_amended = state.network.revision != self._revision or any(one.verb == "amend" for one in past)
+            if not is_anew and known.log.last == last and not is_amended:
+                return
+            is_lost = not is_anew and len(past) < known.log.last - last
+            nodes = state.network.attributes.values() if is_anew else ()
+            histories = [(node.name, state.histories[node.index]) for node in nodes if node.index in state.histories]
+            measured = [(name, *sample) for name, history in histories for sample in history.samples(self._keep)]
+            model = self._model() if is_anew or is_amended else None
+            if not is_lost:
+                records, inferred = chronicle.of_records(), self._inferred(state)
+                present = chronicle.of_state(state) if is_anew else []
+                self._last, self._revision = known.log.last, state.network.revision
+        self._is_built = False  # until all of it is there
+        if is_lost:
+            yield from self._more(reading)
+            return
+        begins: list[Individual] = []
+        if is_anew and model is not None:
+            own = next(model)
+            worker.tell("open", f"{BASE}{own.id}")
+            worker.tell("describe", metamodel())
+            model = chain([own], model)
+            begins = [Individual("", own.id, {"historyBegins": (float(past[0].time),)})] if past else []
+        if model is not None:
+            yield from self._replace(worker, "model", model)
+        older = (chronicle.measurement(name, value, time) for name, time, value in measured)
+        told = chain(older, begins, chronicle.of_events(past), records, chronicle.older(present))
+        yield from worker.write("told", told)
         yield from self._replace(worker, "inferred", inferred)
-        self._is_built, self._grown = True, 0
+        self._is_built, self._grown = True, 0 if is_anew else self._grown + len(past)
 
     def _replace(self, worker: Worker, context: str, given: Iterable[Individual]) -> Iterator[None]:
         """Replace the model, or what is inferred; what a model states to be so is told, and is no part of it."""
         worker.tell("clear", context)
         yield from worker.write(context, (one for one in given if not one.id.startswith(f"{STATED}.")))
-
-    def _seen(self, state: State) -> None:
-        self._last, self._revision = self._known.log.last, state.network.revision
 
     def _model(self) -> Iterator[Individual]:
         """Describe the model as it is now, whatever becomes of it before that is read."""

@@ -56,8 +56,8 @@ class _Program:
         self.model: Any = cp_model.CpModel()
         self._problem = problem
         self._effects: list[tuple[Any, Effect]] = [(1, problem.fixed)]
-        users: list[list[Literals]] = [[] for _ in problem.slots]
-        self.picks = [self._slot(slot, users[place], users) for place, slot in enumerate(problem.slots)]
+        self._users: list[list[Literals]] = [[] for _ in problem.slots]
+        self.picks = [self._slot(slot, users) for slot, users in zip(problem.slots, self._users, strict=True)]
         self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
 
     def load(self, place: int) -> Untyped:
@@ -82,14 +82,15 @@ class _Program:
         found = ((place for place, one in enumerate(literals) if solver.value(one)) for literals in self.picks)
         return tuple(next(places, 0) for places in found)
 
-    def _slot(self, slot: Slot, users: Sequence[Literals], all_users: Sequence[list[Literals]]) -> Literals:
+    def _slot(self, slot: Slot, users: Sequence[Literals]) -> Literals:
         """Encode that one option is chosen exactly if the slot is needed, and enter who needs which component."""
+        literals = [self.model.new_bool_var("") for _ in slot.options]
+        options = list(zip(literals, slot.options, strict=True))
+        self._effects += [(literal, option.effect) for literal, option in options]
         if slot.is_function:
-            literals = self._literals(slot)
             self.model.add_exactly_one(literals)
-            options = list(zip(slot.options, literals, strict=True))
             for place in dict.fromkeys(place for option in slot.options for place in option.needs):
-                all_users[place].append([literal for option, literal in options if place in option.needs])
+                self._users[place].append([literal for literal, option in options if place in option.needs])
             return literals
         needed = self.model.new_bool_var("")
         for one in users:  # of one function at most one option is chosen
@@ -98,14 +99,8 @@ class _Program:
             self.model.add(needed == 1)
         else:
             self.model.add_bool_or([*(literal for one in users for literal in one), ~needed])
-        literals = self._literals(slot)
         self.model.add(cp_model.LinearExpr.sum(literals) == needed)
         self._effects.append((1 - needed, slot.idle))
-        return literals
-
-    def _literals(self, slot: Slot) -> Literals:
-        literals = [self.model.new_bool_var("") for _ in slot.options]
-        self._effects += [(literal, one.effect) for literal, one in zip(literals, slot.options, strict=True)]
         return literals
 
     def _sum(self, amount: Callable[[Effect], int]) -> list[Any]:

@@ -17,8 +17,7 @@ from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.matching import answers
-from kb.typeql.store import Own, Store, Thing, shown
+from kb.typeql.store import Own, Store, Thing, answers, shown
 from kb.typeql.syntax import Define, Literal, parse
 from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Kind, Vocabulary, seconds
 
@@ -130,7 +129,10 @@ class _Reading:
         if cls is Configuration:
             given["parameters"] = _parameters(thing)
         if own := thing.own("agreement"):
-            given["agreement"] = _agreement(own)
+            found = re.fullmatch(r"\s*(\d{1,9})\s+of\s+(\d{1,9})\s*", str(own.value))
+            if found is None:
+                raise own.place.error(f"{own.value!r:.60} is no agreement; write e.g. '2 of 3'")
+            given["agreement"] = int(found[1]), int(found[2])
         return given
 
     def _constraint(self, thing: Thing) -> Constraint:
@@ -272,13 +274,6 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
     if default is None and thing.kind:
         raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind.label}-{name} 0.5`")
     return default or 0.0
-
-
-def _agreement(own: Own) -> tuple[int, int]:
-    found = re.fullmatch(r"\s*(\d{1,9})\s+of\s+(\d{1,9})\s*", str(own.value))
-    if found is None:
-        raise own.place.error(f"{own.value!r:.60} is no agreement; write e.g. '2 of 3'")
-    return int(found[1]), int(found[2])
 
 
 def _order(measured: Thing) -> int:

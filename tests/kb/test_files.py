@@ -299,7 +299,7 @@ def test_text_beside_the_elements_of_an_owl_file_is_refused_with_its_place(tmp_p
     model.save(path)
     written = path.read_text()
     assert Model.load(path) == model
-    line = '  <owl:NamedIndividual rdf:about="http://rosa-taca/model/RobotModel.m#Action.go">'
+    line = '\t<owl:NamedIndividual rdf:about="http://rosa-taca/model/RobotModel.m#Action.go">'
     for stray in (f"  and stop\n{line}", f"{line} and stop"):
         path.write_text(written.replace(line, stray))
         assert path.read_text() != written
