@@ -2,11 +2,10 @@
 
 import logging
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, Self
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -33,7 +32,7 @@ _STOP: Final = None
 _log = logging.getLogger(__name__)
 
 
-class McapFile(AbstractContextManager["McapFile"]):
+class McapFile:
     """A file that grows by a record with each message, so that one cut off can be read up to there.
 
     When it is closed it is put in the form that tools seek in: chunks, compressed, with an index. Encoding and writing
@@ -107,6 +106,9 @@ class McapFile(AbstractContextManager["McapFile"]):
                 self._error = error
                 _log.warning("%s is recorded no further: %s", self.path, error)
 
+    def __enter__(self) -> Self:
+        return self
+
     def __exit__(self, *reason: object) -> None:
         self.close()
 
@@ -138,7 +140,7 @@ def _in_chunks(path: Path) -> None:
         part.replace(path)
 
 
-class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
+class McapRecorder(Listener):
     """Records a robot: what its knowledge base hears and decides, its tree, and what a report shows beside that.
 
         recorder = McapRecorder("run.mcap", kb, tree)
@@ -202,6 +204,9 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         if self._tree is not None and self._tick in self._tree.post_tick_handlers:
             self._tree.post_tick_handlers.remove(self._tick)
         self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
 
     def __exit__(self, *reason: object) -> None:
         self.close()
