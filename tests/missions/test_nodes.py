@@ -171,7 +171,8 @@ def test_what_is_refused_or_fails_never_reads_as_success(node, service):
     assert answers[-1]["success"] is False
 
 
-def test_call_of_what_nobody_serves_fails_in_words(node):
+def test_call_of_what_nobody_serves_fails_in_words(node, monkeypatch):
+    monkeypatch.setattr("missions.wires.typed._FIND_S", 0.2)  # so long nobody is sought in vain
     with pytest.raises(RosError, match="nobody serves /nowhere"):
         node.call("/nowhere", ASK, {}).result(60)
 
