@@ -1,6 +1,7 @@
 """The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, ClassVar, Final
 
 from py_trees.common import Status
@@ -86,7 +87,9 @@ class RunOnce(Gate):
         return self.runs
 
     def instead(self) -> Status:
-        return SKIPPED if self.ports.get("then_skip") else self._outcome
+        with suppress(PortError):  # what is no truth value counts as true
+            return SKIPPED if self.ports.get("then_skip") else self._outcome
+        return SKIPPED
 
     def note(self, verdict: Status) -> None:
         self._outcome = verdict if verdict in DONE else SKIPPED

@@ -7,7 +7,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.blackboard import EMPTY, Entry, truth
+from rosa_bt.xml.blackboard import EMPTY, Entry, as_text, truth
 from rosa_bt.xml.nodes import NodeError, Slot
 from rosa_bt.xml.ports import Declared, Ports
 from rosa_bt.xml.scripts import parse_script
@@ -55,7 +55,7 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        board, key, source = self.ports.blackboard, str(self.ports.get("output_key")), self.ports.key("value")
+        board, key, source = self.ports.blackboard, as_text(self.ports.get("output_key")), self.ports.key("value")
         given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
         if given is None or given.value is EMPTY:
             board.make(key)

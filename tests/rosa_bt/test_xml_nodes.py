@@ -436,6 +436,14 @@ OBSERVED = {
         '<Repeat num_cycles="{v}"><UnsetBlackboard key="v"/></Repeat>',
         "v=2 | v=1 => S",
     ),
+    "RunOnce takes what is no truth value for true": (
+        '<RunOnce then_skip="{gone}"><a/></RunOnce>',
+        "a:s:S => S | => SKIPPED",
+    ),
+    "SetBlackboard writes to the key that a number is as text": (
+        '<Sequence><SetBlackboard value="word" output_key="{v}"/><WasEntryUpdated entry="2.000000"/></Sequence>',
+        "v=2 => S",
+    ),
     "nan is less than all, and more": (
         '<Sequence><Script code="n := 0 / 0"/><ScriptCondition code="n &lt; v &amp;&amp; n &gt;= v &amp;&amp; n != v"/>'
         '<ScriptCondition code="~1.5 == -2"/></Sequence>',
