@@ -16,10 +16,8 @@ from rosa_bt.exceptions import in_words
 
 Handler = Callable[[BehaviourTree], None]
 
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})
-"""What raises nothing of its own; a subclass may."""
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)
-"""What deals with exceptions itself, also below a plain tree; unless a subclass ticks in another way."""
+_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})  # raise nothing; a subclass may
+_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)  # deal with it, unless a subclass ticks in another way
 
 
 class GuardedTree(BehaviourTree):

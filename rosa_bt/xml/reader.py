@@ -28,7 +28,6 @@ from rosa_bt.xml.scripts import parse_script
 
 MAX_SIZE: Final = 1_000_000
 """Of one file or text [bytes]."""
-_MOST_SHOWN: Final = 200  # letters of what is no path, in a message
 MAX_DEPTH: Final = 100
 """Levels of elements in a file, and of nodes in a tree with all its subtrees."""
 
@@ -227,19 +226,17 @@ def _as_4(element: Element) -> Element:
 
 
 def _read(path: Path, where: str) -> Element:
-    shown = str(path) if len(str(path)) <= _MOST_SHOWN else f"{str(path)[:_MOST_SHOWN]}..."
-    where = where if where.isprintable() and len(where) <= _MOST_SHOWN else "<text>"
+    shown, content = f"{path!s:.200}", None
+    where = where if where.isprintable() and len(where) <= 200 else "<text>"  # what was given may be no path
     try:
-        if not path.is_file():
-            raise XmlError(where, f"there is no file {shown!r}; give the path of one, or the XML itself as text")
-        if path.stat().st_size > MAX_SIZE:
-            raise XmlError(where, f"{path} has more than {MAX_SIZE} bytes; divide it and include the parts")
-        content = path.read_bytes()
+        if path.is_file():
+            with path.open("rb") as file:
+                content = file.read(MAX_SIZE + 1)
     except (OSError, ValueError) as error:
-        if isinstance(error, XmlError):
-            raise
         problem = getattr(error, "strerror", None) or error
         raise XmlError(where, f"{shown!r} is no XML, and no file that can be read: {problem}") from None
+    if content is None:
+        raise XmlError(where, f"there is no file {shown!r}; give the path of one, or the XML itself as text")
     return _parse(content, str(path))
 
 

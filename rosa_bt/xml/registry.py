@@ -80,8 +80,7 @@ class Entry:
 
     def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
         """Yield what can be written: "input_port", "output_port" or "inout_port", the name, and what is declared."""
-        maker = self._maker
-        outputs = maker.output_ports() if isinstance(maker, type) and issubclass(maker, PortsMixin) else {}
+        outputs = self._maker.output_ports() if self._class_ports else {}  # type: ignore[attr-defined]  # it has ports
         for name, port in {**(self._class_ports or {}), **self._declared({})}.items():
             is_both = port.data_type is Port
             yield "inout_port" if is_both else "output_port" if name in outputs else "input_port", name, port
