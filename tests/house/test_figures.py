@@ -21,7 +21,7 @@ TRUST += 350  # amendments in or out, clocks and subscribers that hold nothing u
 TRUST += 450  # what is missing of a store is noticed, its commands, and queries that can be stopped; to be folded
 TREES = 500 + 350  # nodes and entries of BehaviorTree.CPP 4.10, traces in order, endings at every exit; to be folded
 TREES += 110  # leaves that are substituted, idioms and models of nodes that are written
-TREES += 105  # progress that outlives the program, several files
+TREES += 54  # progress that outlives the program, several files
 PLANNING = (
     420 + 850
 )  # the certificate; a grounder in this process, numbers, worlds that grow, steps side by side: 500 asked
