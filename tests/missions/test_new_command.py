@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,6 +58,9 @@ def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
     changes = [path.name for path in written if "CHANGE" in path.read_text()]
     assert {"model.py", "world.py", "README.md"} < set(changes)
     assert (folder / "bridge.toml").exists() is ("--ros2" in options)
+    packed = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]
+    assert packed["packages"] == [name]  # or campaigns/ beside it would make it two, which no pip installs
+    assert packed["package-data"] == {name: ["*.pddl"]}
 
 
 def test_new_robot_passes_its_own_tests_and_with_the_examples_strict_types(new, tmp_path):
