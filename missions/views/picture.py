@@ -164,9 +164,6 @@ class _Room:
         frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "edgecolor": color, "linewidth": 1.4}
         label.set(transform=PIXELS, zorder=7, bbox=frame)
 
-    def ring(self, xy: Array, color: str) -> None:
-        self.axes.plot(*xy, "o", color=color, markersize=13, zorder=5.5, mfc="none", mew=2)
-
     def lead(self, xy: Array, width: float, height: float) -> Array:
         """Take a box of a size near a point [m], draw a line from there to its edge, and return its centre."""
         anchor, half = self.axes.transData.transform(xy), np.array([width, height]) / 2
@@ -286,7 +283,8 @@ def _choices(room: _Room, timeline: RunTimeline) -> None:
     for leg in long if len({leg.choice for leg in long}) > 1 else []:
         room.note(leg.middle, leg.choice, timeline.hues[listed([leg.action])[0]])
     for action, time in timeline.completed:
-        room.ring(timeline.where(time), timeline.hues.get(action, FAINT))
+        hue = timeline.hues.get(action, FAINT)
+        room.axes.plot(*timeline.where(time), "o", color=hue, markersize=13, zorder=5.5, mfc="none", mew=2)
 
 
 def _list(axes: Axes, planned: Events, adaptations: Events) -> None:
@@ -324,7 +322,9 @@ def _lines(one: Mapping[str, Any], full: bool, width: float) -> list[str]:
 
 def _timelines(figure: Figure, timeline: RunTimeline) -> float:
     """Draw everything over time, one row above the other; return where the rows begin [px from the top]."""
-    panels, lanes = panels_of(timeline), _lanes(timeline)
+    panels = panels_of(timeline)
+    told = {"active action": timeline.actions, "design": timeline.designs, "configuration": timeline.configurations}
+    lanes = {title: column for title, column in told.items() if listed(column)}
     limits = [label for name in panels for labels in timeline.limits.get(bare(name), {}).values() for label in labels]
     left, right = _margins(lanes, limits)
     others = [one for one in timeline.disturbances if not any(one["what"].startswith(bare(name)) for name in panels)]
@@ -352,11 +352,6 @@ def _timelines(figure: Figure, timeline: RunTimeline) -> float:
         axes.set_xlabel("time [s]" if number == len(rows) else "")
         top += height + GAP
     return start
-
-
-def _lanes(timeline: RunTimeline) -> dict[str, list[str]]:
-    lanes = {"active action": timeline.actions, "design": timeline.designs, "configuration": timeline.configurations}
-    return {title: column for title, column in lanes.items() if listed(column)}
 
 
 def _margins(lanes: Mapping[str, Sequence[str]], labels: Sequence[str]) -> tuple[float, float]:
