@@ -196,8 +196,8 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
             "bd",
             "'bd'; there are ours, none, random, fixed, bt, metacontrol, rosa, ahead; one of your own is given",
         ),
-        ("nowhere:Thing", "cannot import manager 'nowhere:Thing': ModuleNotFoundError"),
-        ("json:Thing", "cannot import manager 'json:Thing': AttributeError"),
+        ("nowhere:Thing", "cannot import manager 'nowhere:Thing': there is no module nowhere"),
+        ("json:Thing", "cannot import manager 'json:Thing': json has no 'Thing'"),
         ("json:loads", "'json:loads' is no subclass of missions.baselines.Policy or Manager"),
     ],
 )
