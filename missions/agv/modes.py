@@ -52,6 +52,8 @@ class Modes:
         UnknownName: no such function.
     """
 
+    BOOKKEEPING = "_revision _constraints _found _made"
+
     def __init__(self, kb: KnowledgeBase, function: str) -> None:
         self._kb, self._function = kb, kb.functions[function].name
         self._revision = -1

@@ -32,8 +32,11 @@ def verify(
     groups = [one.split(",") for one in exclusive or ()]
     proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
     typer.echo(f"{mission}: {proof}")
-    for one in proof.consequences:
-        typer.echo(f"     {one}")
+    rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
+    rows[:0] = [("if for good", "it reaches", "and does meanwhile")]
+    wide, long = (max(len(row[column]) for row in rows) for column in (0, 1))
+    for facts, reaches, actions in rows:
+        typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
     if json is not None:
         with OutputFile(json) as file:
             file.finish(as_json(proof.as_data()))

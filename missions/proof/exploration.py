@@ -32,7 +32,6 @@ Predicate = Callable[["Rig"], bool]
 _MOST_TURNS: Final = 20
 """So many turns of the manager settle everything, or it never comes to rest."""
 
-
 _AT_A_TIME: Final = 64
 """So many situations are gone on from before it is looked whether there is time for more."""
 
@@ -251,9 +250,8 @@ class Exploration:
         """Find what can be reached, at most so many situations and for so long [s]; called again, it goes on."""
         begun = time.perf_counter()
         while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
-            layer, self._waiting = self._waiting, []
-            for first in range(0, len(layer), _AT_A_TIME):
-                self._round(layer[first : first + _AT_A_TIME], most, begun + seconds)
+            batch, self._waiting = self._waiting[:_AT_A_TIME], self._waiting[_AT_A_TIME:]
+            self._round(batch, most, begun + seconds)
         self.is_finished = not self._waiting
         self.seconds += time.perf_counter() - begun
         return self
@@ -283,7 +281,7 @@ class Exploration:
         new: list[tuple[int, int, Move]] = []
         for place, number in enumerate(layer):
             if time.perf_counter() > end or len(self.situations) >= most:
-                self._waiting += layer[place:]
+                self._waiting[:0] = layer[place:]
                 break
             tree, known = self.situations[number]
             for after, changes, is_late in () if self.doing[tree].is_over else self._changes(known, number):

@@ -148,8 +148,3 @@ def _own(leaf: Behaviour, said: Leaf, kb: KnowledgeBase, choices: Choices) -> di
     if isinstance(leaf, RosaAction):
         own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
     return own
-
-
-def words(answers: Iterable[Answer]) -> str:
-    """Write down what leaves answered."""
-    return ", ".join(f"{name} {LETTERS[letter].name}" for name, letter in answers)

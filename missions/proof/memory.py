@@ -325,6 +325,8 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         return seen[now]
 
     def write(content: _Facts) -> None:
+        known.log.last += 1  # who keeps what was so at a revision asks anew
+        known.revision = known.log.last
         for column, values in (*zip(facts, content, strict=False), *zip(inferred, content.columns, strict=True)):
             column[:] = values
         requests, *kept, given = content[len(facts) :]

@@ -209,8 +209,7 @@ def _stuck(graph: Graph) -> Wrong | None:
     here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known in both]
     possible = {here[number] for number in graph.reaching(graph.goals, still=True).difference(graph.goals)}
     bad = next((one for one in graph.every if one not in good and here[one] in possible), None)
-    why = "it is not then, but in another situation of this stage with the same facts it is"
-    return None if bad is None else (why, found.path(bad))
+    return None if bad is None else ("it is not then, but elsewhere in this stage with the same facts", found.path(bad))
 
 
 def _wavering(graph: Graph) -> Wrong | None:

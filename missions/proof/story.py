@@ -10,8 +10,9 @@ from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
 from missions.proof.exploration import Rig, Setup, Step
-from missions.proof.leaves import Played, take_over, words
+from missions.proof.leaves import Played, take_over
 from missions.proof.surroundings import Change, Surroundings
+from missions.testing.scripted import LETTERS
 from rosa_bt import Trace, TraceVisitor, replay_trace
 
 Rounds = tuple[Any, Any, Any]
@@ -58,7 +59,8 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
             rig.clock = float(number)
             happens = "; ".join(map(str, step.changes)) or "nothing happens"
             late = " (the manager is late)" if step.late[0] else ""
-            lines.append(f"  {number}. {happens}{late}; {words(step.answers) or 'no leaf is asked'}")
+            answers = ", ".join(f"{name} {LETTERS[letter].name}" for name, letter in step.answers)
+            lines.append(f"  {number}. {happens}{late}; {answers or 'no leaf is asked'}")
             for change in step.changes:
                 change.tell(rig.kb)
             faults += [] if step.late[0] else rig.settle()

@@ -94,15 +94,16 @@ class Proof:
             "transitions": self.found.transitions,
             "seconds": round(self.found.seconds, 3),
             "findings": [
-                {"name": one.name, "holds": one.holds, "what": one.what, "story": self._lines(one)}
-                for one in self.findings
+                {
+                    "name": one.name,
+                    "holds": one.holds,
+                    "what": one.what,
+                    "story": [*map(str.strip, told.lines if told else ())],
+                }
+                for one, told in ((one, self.story(one)) for one in self.findings)
             ],
             "consequences": [vars(one) for one in self.consequences],
         }
-
-    def _lines(self, finding: Finding) -> list[str]:
-        story = self.story(finding)
-        return [] if story is None else [line.strip() for line in story.lines]
 
 
 def verify(

@@ -6,6 +6,7 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 import json
 from contextlib import nullcontext
 from dataclasses import replace
+from itertools import permutations
 
 import pytest
 from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
@@ -25,6 +26,7 @@ from missions.proof.exploration import Exploration, Rig, Setup
 from missions.proof.memory import Memory
 from missions.proof.planned import nodes
 from missions.proof.story import as_test, replayed
+from missions.proof.surroundings import Surroundings
 from missions.proof.verification import prove, setup_of
 from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended import MISSION
@@ -178,6 +180,20 @@ def test_components_that_are_alike_stand_for_one_another():
     assert [one.holds for one in few.findings] == [one.holds for one in all_.findings]
 
 
+def test_of_changes_that_come_together_one_order_stands_for_all(monkeypatch):
+    case = NAMED["gives way"]
+    setup = Setup(case.model, case.build, start=FULL["start"], surroundings={"at_once": 2, "failing": ("camera",)})
+    one, in_order = Exploration(setup).explore(), Surroundings.changes
+
+    def in_every_order(self):
+        return (order for together in in_order(self) for order in permutations(together))
+
+    monkeypatch.setattr(Surroundings, "changes", in_every_order)
+    every = Exploration(setup).explore()
+    assert one.is_finished
+    assert (len(one.situations), one.transitions) == (len(every.situations), every.transitions)
+
+
 def test_failures_that_end_the_mission_are_told():
     proof = proof_of("either", failures=2)
     reaches = {one.facts: one.reaches for one in proof.consequences}
@@ -258,7 +274,8 @@ def test_command_tells_what_holds_and_writes_it(tmp_path):
     done = CliRunner().invoke(cli.app, ["verify", "suave", "--json", str(path), "--report", str(page)])
     assert done.exit_code == 0, done.output
     assert "yes  every adaptation of the model can occur" in done.output
-    assert "follow_pipeline fails: reaches nothing" in done.output
+    table = [line.split() for line in done.output.splitlines()]
+    assert ["follow_pipeline", "fails", "nothing", "search_pipeline"] in table
     assert "follow_pipeline fails: reaches nothing" in page.read_text()
     written = json.loads(path.read_text())
     assert written["finished"]
@@ -313,7 +330,7 @@ def test_plans_of_a_mission_are_verified():
     done = CliRunner().invoke(cli.app, ["verify", "suave", "--task", "pddl"])
     assert done.exit_code == 0, done.output
     assert "yes  every node of the tree can be reached" in done.output
-    assert "spiral_search fails: reaches the goal from some situations" in done.output
+    assert "spiral_search fails the goal from some situations inspect_pipeline" in " ".join(done.output.split())
 
 
 class KeepsSearching(Keeps, SearchPipeline):
