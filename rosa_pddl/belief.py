@@ -2,8 +2,7 @@
 
 That a step makes an action feasible is expected while it is planned for, and never believed. A step that ended well but
 left the action unfeasible has an unmet effect: it is not relied upon for that again as long as something that kept the
-action from being feasible then has done so ever since, for the step has shown that it does not change that. If all of
-it has gone, or the action was feasible in between, whatever keeps it from being feasible now is something else.
+action from being feasible then has done so ever since.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -70,10 +69,7 @@ class _Sensed:
 class Belief:
     """The state as it is believed, kept from one planning to the next.
 
-    What is sensed stands. Effects of steps are assumed until something else is sensed; those on feasibility never: what
-    is feasible is for the knowledge base to say. Numbers stay what they were sensed to be last; what of a resource is
-    used up grows by what steps use, if it is not sensed. What is sensed of objects that the files do not have is passed
-    over, and said in `passed_over`, in sentences.
+    What is sensed of objects that the files do not have is passed over, and said in `passed_over`, in sentences.
 
     Args:
         domain: what `load_domain` returned; the facts of its problem file are believed at first.

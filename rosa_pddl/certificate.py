@@ -4,15 +4,15 @@ Each entry is a planning of its own from there, so it is as exact as the planner
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from math import comb
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from rosa_pddl.domain import Domain
-from rosa_pddl.exceptions import PlannerSettingError, UnknownNameError
+from rosa_pddl.exceptions import PlannerSettingError
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import flaw
@@ -34,9 +34,13 @@ class Certificate:
     def load(cls, path: str | Path, domain: Domain) -> "Certificate":
         """Read what `rosa plan --certificate --json` wrote; PlannerSettingError if it is none of this domain."""
         try:
-            entries = json.loads(Path(path).read_text())["entries"]
-            return cls({_actions(domain, one["unfeasible"]): _result(domain, one) for one in entries})
-        except (OSError, ValueError, KeyError, TypeError, UnknownNameError) as error:
+            entries = dict[tuple[str, ...], PlanningResult]()
+            for one in json.loads(Path(path).read_text())["entries"]:
+                steps = tuple(domain.step(step["action"], step["arguments"]) for step in one["steps"])
+                result = PlanningResult(Outcome(one["outcome"]), steps, one["engine"], cost=one["cost"])
+                entries[tuple(one["unfeasible"])] = result
+            return cls(entries)
+        except (OSError, ValueError, KeyError, TypeError) as error:
             message = f"{path} is no certificate of {domain.file} ({type(error).__name__}: {error})"
             raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
 
@@ -90,16 +94,3 @@ def certificate(
         raise PlannerSettingError(f"{message}; look at fewer failures at once, such as failures=2")
     chosen = chain.from_iterable(combinations(actions, count) for count in range(most + 1))
     return Certificate({out: planner.plan(supposing(out)) for out in chosen})
-
-
-def _actions(domain: Domain, names: Iterable[str]) -> tuple[str, ...]:
-    unfeasible = {domain.spelling("object", name, "unfeasible") for name in names}
-    return tuple(one for one in domain.rosa_actions if one in unfeasible)
-
-
-def _result(domain: Domain, written: Mapping[str, Any]) -> PlanningResult:
-    steps = []
-    for one in written["steps"]:
-        things = [domain.spelling("object", name, one["action"]) for name in one["arguments"]]
-        steps.append(domain.step(domain.spelling("action", one["action"], one["action"]), things))
-    return PlanningResult(Outcome(written["outcome"]), tuple(steps), written["engine"], cost=written["cost"])

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError, nearest
 
@@ -103,6 +103,14 @@ class TimedStep:
         return self.start_s + self.duration_s
 
 
+class Derived(NamedTuple):
+    """What a derived predicate stands for: a condition on its variables; low layers are derived first."""
+
+    variables: tuple[UpThing, ...]
+    condition: UpThing
+    layer: int
+
+
 @dataclass(frozen=True, eq=False)
 class Domain:
     """What `load_domain` returns; never changes.
@@ -121,7 +129,8 @@ class Domain:
         places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
         oversights: what may be one in the files, in sentences, such as a misspelt requirement.
-        derived: for the name of a derived predicate, in lower case, its variables and the condition that it stands for.
+        derived: what derived predicates stand for, by their names in lower case; it is put in where they are met.
+        axioms: the same of those that are derived from themselves, in each state.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
         metric: `cost`, `makespan`, or empty for the number of steps.
         limits: what may be used up in all, such as `(<= (energy_used) 5)`; no goals of `up_problem`.
@@ -143,7 +152,8 @@ class Domain:
     metric: str = ""
     limits: tuple[UpThing, ...] = ()
     computed: frozenset[str] = frozenset()
-    derived: dict[str, tuple[tuple[UpThing, ...], UpThing]] = field(default_factory=dict, repr=False)
+    derived: dict[str, Derived] = field(default_factory=dict, repr=False)
+    axioms: dict[str, Derived] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
@@ -223,6 +233,10 @@ class Domain:
         """Whether an atom says that a ROSA action is feasible."""
         return atom[1:-1].lower().split()[0] == FEASIBLE
 
+    def axiom(self, atom: UpThing) -> Derived | None:
+        """Return what an atom, as unified-planning's expression, is derived by in each state; None if it is stated."""
+        return self.axioms.get(self.outside[atom.fluent().name].lower()) if self.axioms else None
+
     def makes_feasible(self, effect: UpThing) -> bool:
         """Whether an effect may make ROSA actions feasible."""
         return self.outside[effect.fluent.fluent().name].lower() == FEASIBLE and not effect.value.is_false()
@@ -257,6 +271,8 @@ class Domain:
         if not words:
             raise UnknownNameError(f"{text!r} is not an atom, expected e.g. '(predicate object)'")
         predicate = self.spelling("predicate", words[0], text)
+        if words[0].lower() in self.axioms:
+            raise UnknownNameError(f"{text!r} is derived: it is neither stated nor sensed")
         arguments = [self.spelling("object", word, text) for word in words[1:]]
         fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
         expected = [self.outside[parameter.type.name] for parameter in fluent.signature]

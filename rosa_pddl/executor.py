@@ -163,11 +163,7 @@ class PlanExecutor(Behaviour):
     It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when there is no plan;
     ticked again after that it plans anew only if something has changed.
 
-    It plans anew when a running step needs what does not hold any more, when a step fails, when the rest of the plan
-    does not lead to the goals any more, when the goals change, and, if the policy says so, when something better may be
-    possible. Feasibility is always the knowledge base's: the effects of a finished step are believed until sensed
-    otherwise, those on `action_feasible` never. A step that did not bring such an effect about is not relied upon for
-    it again as long as what was in the way still is.
+    When it plans anew, and what it believes, docs/pddl.md says.
 
     Args:
         name: of the behaviour.
@@ -311,14 +307,9 @@ class PlanExecutor(Behaviour):
         return () if self._plan is None else tuple(self._plan.steps[number] for number in self._plan.remaining)
 
     def catch_up(self) -> None:
-        """Wait for an answer of the planner that is due by now.
+        """Wait for an answer of the planner that is due by now: in lock-step simulation, before the tick.
 
-        Call it in lock-step simulation, when the clock has moved on and before the tick: then a tick never waits and
-        yet finds each answer that is due.
-
-        Raises:
-            PlanningBudgetError: the answer needed more wall-clock time than the planner allows, so that going on would
-                make the run depend on the machine.
+        PlanningBudgetError says that it needed more wall-clock time than the planner allows.
         """
         self._client.catch_up()
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
-from rosa_pddl.domain import Domain, UpThing, conjuncts
+from rosa_pddl.domain import Derived, Domain, UpThing, conjuncts
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.syntax import ANY, Node, Source, parse, start_of, typed
 from rosa_pddl.validate import text_of
@@ -79,22 +79,15 @@ class Formulas:
                 return (self.manager.And if head == "and" else self.manager.Or)(parts)
             self._expect(node, 1 if head == "not" else 2)
             return (self.manager.Not if head == "not" else self.manager.Implies)(*parts)
-        return self._derived(node, scope) if head in self._domain.derived else self.atom(node, scope)
+        is_inner = head in self._domain.derived
+        return self._derived(node, scope) if is_inner else self.atom(node, scope, is_condition=True)
 
-    def derive(self, head: str, rules: Mapping[str, Sequence[Node]], above: tuple[str, ...] = ()) -> None:
+    def derive(self, head: str, rules: Mapping[str, Sequence[Node]], layer: int) -> None:
         """Work out what a derived predicate stands for, after those in its rules; it is put in where it is met.
 
+        One that is derived from itself, of a layer above 0, is not put in, but derived in each state.
         The variables of its condition are named after it, so that they are none of those where it is put in.
         """
-        if head in above:
-            message = f"{head!r} is derived from itself; Fast Downward by itself would do. Sense the predicate, or make"
-            raise self.source.unsupported(rules[head][0], f"{message} it an effect of actions")
-        if head in self._domain.derived:
-            return
-        for rule in rules[head]:
-            for other in _heads(rule.children[2]):
-                if other in rules:
-                    self.derive(other, rules, (*above, head))
         variables, conditions = tuple[UpThing, ...](), list[UpThing]()
         self._mark = f".{head}"
         for _, target, body in [rule.children for rule in rules[head]]:
@@ -108,10 +101,11 @@ class Formulas:
             within = self.within(target.children[1:], renamed)
             conditions.append(self.manager.And(within, self.condition(body, renamed, f"what {head} is derived from")))
         self._mark = ""
-        self._domain.derived[head] = variables, self.manager.Or(conditions)
+        kept = self._domain.axioms if layer else self._domain.derived
+        kept[head] = Derived(variables, self.manager.Or(conditions), layer)
 
     def _derived(self, node: Node, scope: Scope) -> UpThing:
-        variables, condition = self._domain.derived[node.head]
+        variables, condition, _ = self._domain.derived[node.head]
         arguments = [self._term(part, scope) for part in node.children[1:]]
         kinds = [one.type for one in variables]
         if len(arguments) != len(kinds) or not all(map(_is_compatible, kinds, arguments)):
@@ -129,14 +123,12 @@ class Formulas:
 
     def within(self, names: Sequence[Node], scope: Scope) -> UpThing:
         """Return the condition that keeps variables of type `(either ...)` to that; just true for all others."""
-        manager, domain, parts = self.manager, self._domain, list[UpThing]()
+        manager, parts = self.manager, list[UpThing]()
         for name, kind in typed(self.source, names, are_variables=True):
             if kind is not None and kind.head == "either":
-                allowed = {thing for part in kind.children[1:] for thing in domain.objects_of(part.lower)}
-                above = domain.objects_of(domain.outside[self.type_of(kind).name])
-                others = [domain.inside["object", thing.lower()] for thing in above if thing not in allowed]
-                things = [manager.ObjectExp(self._problem.object(thing)) for thing in others]
-                parts += [manager.Not(manager.Equals(scope[name.lower], thing)) for thing in things]
+                ways = [self._variable("either.", self.type_of(part)) for part in kind.children[1:]]
+                same = [manager.Exists(manager.Equals(scope[name.lower], one), one.variable()) for one in ways]
+                parts.append(manager.Or(same))
         return manager.And(parts)
 
     def _variables(self, names: Sequence[Node]) -> Scope:
@@ -160,11 +152,11 @@ class Formulas:
             raise self._unknown_name("type", node, ())
         return kinds[name]
 
-    def atom(self, node: Node, scope: Scope) -> UpThing:
+    def atom(self, node: Node, scope: Scope, *, is_condition: bool = False) -> UpThing:
         if not node.head:
             raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
-        if inside is None and node.head in self._domain.derived:
+        if node.head in (self._domain.derived if is_condition else {**self._domain.derived, **self._domain.axioms}):
             message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
             raise self.source.error(node, message)
         if inside is None:
@@ -243,10 +235,10 @@ def _is_compatible(kind: UpThing, given: UpThing) -> bool:
 
 def numbers_of(node: Node, names: Iterable[str]) -> set[str]:
     """Return which of some numbers, given in lower case, stand in a formula."""
-    return set(_heads(node)) & set(names)
+    return {one.head for one in nodes_of(node)}.intersection(names)
 
 
-def _heads(node: Node) -> Iterator[str]:
-    yield node.head
+def nodes_of(node: Node) -> Iterator[Node]:
+    yield node
     for child in node.children:
-        yield from _heads(child)
+        yield from nodes_of(child)

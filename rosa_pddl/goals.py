@@ -165,6 +165,9 @@ class Relevance:
         known, used, looked_at = domain.rosa_actions, set[str](), -1
         while looked_at != len(needed):
             looked_at = len(needed)
+            for name, axiom in domain.axioms.items():
+                if domain.up_problem.fluent(domain.inside["predicate", name]) in needed:
+                    needed |= {atom.fluent() for atom in _atoms_in(axiom.condition)}
             for schema in domain.schema_of.values():
                 effects = schema.start_effects + schema.end_effects
                 if any(effect.fluent.fluent() in needed for effect in effects):

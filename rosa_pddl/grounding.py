@@ -17,6 +17,7 @@ from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.instances import (
     ActionPattern,
     Node,
+    axioms_of,
     bound,
     bound_number,
     compiled,
@@ -42,6 +43,7 @@ _FEW_STATES = 1e6
 # In this process estimates pay earlier.
 _FEWEST_STATES = 500
 _MOST_INSTANCES = 1_000_000
+_RULES_FOR_A_MOVE = 20
 _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
 _LOOKS_S = 0.05
@@ -63,15 +65,16 @@ class UnreachableGoalError(RosaPddlError):
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """An operator: what it needs of the facts that nothing changes is asked before the search."""
+    """An operator, or a rule of a layer: what it needs of facts that nothing changes is asked before the search."""
 
     number: int
     step: Step
     lasting: frozenset[str]
     missing: frozenset[str]
     operation: Operation
-    cost: Number
-    uses: tuple[Number, ...]
+    layer: int
+    cost: Number = 0
+    uses: tuple[Number, ...] = ()
 
     @cached_property
     def text(self) -> str:
@@ -101,11 +104,15 @@ class _Fitted:
 
 
 class _Variables:
-    """Which variable, and which of its values, says that an atom holds; the last value says that none does."""
+    """Which variable, and which of its values, says that an atom holds; the last value says that none does.
+
+    The variables of atoms that are derived from themselves have layers.
+    """
 
     def __init__(self) -> None:
         self.sizes: list[int] = []
         self.places: dict[str, Fact] = {}
+        self.layers: dict[int, int] = {}
 
     def add(self, atoms: Sequence[str]) -> None:
         self.places.update({atom: (len(self.sizes), value) for value, atom in enumerate(atoms)})
@@ -154,8 +161,9 @@ class _Rules:
                 ways = [([(variable, other)], []) for other in others]
             else:
                 ways = [self.taken(part) for part in node[1:]]
-            layers = dict(self._known.values())
-            layer = 1 + max((layers.get(one, -1) for facts, _ in ways for one, _ in facts), default=-1)
+            layers = {**self._variables.layers, **dict(self._known.values())}
+            # what holds because something is not derived comes after that
+            layer = max((layers[one] + value for facts, _ in ways for one, value in facts if one in layers), default=0)
             self._known[node] = self._next, layer
             self.rules += [Rule(layer, tuple(facts), self._next, tuple(tests)) for facts, tests in ways]
             self._next += 1
@@ -170,9 +178,7 @@ class Grounded:
     value, or one that is not counted with, UnsupportedPddlError.
 
     Args:
-        domain: what `load_domain` returned.
-        base: atoms that may hold at first; those of all states that it has to fit.
-        states: some that it has to fit.
+        base: atoms that may hold at first; those of all states that it has to fit, of which some are given.
         go_on: called every now and then; what it raises ends the making.
     """
 
@@ -192,7 +198,8 @@ class Grounded:
         self._variables = self._encoded(instances)
         self._known, self._constants = numbers_in(self.states[-1]), dict[str, Exact | None]()
         self._rules = _Rules(self._variables, len(self._variables.sizes), self._number)
-        self._operators = [self._operator(number, one) for number, one in enumerate(instances)]
+        ready = [self._operator(number, one) for number, one in enumerate(instances)]  # rules come last
+        self._operators, self._axioms = ([one for one in ready if bool(one.layer) is axiom] for axiom in (False, True))
         self._all_sizes = (*self._variables.sizes, *[2] * self._rules.derived)
         self._frozen_atoms = self._possible - self._variables.places.keys()
         self._is_conditional = any(given for one in self._operators for given, *_ in one.operation.effects)
@@ -205,6 +212,11 @@ class Grounded:
     @property
     def size(self) -> int:
         return len(self._operators)
+
+    @property
+    def work(self) -> int:
+        """How many times the work of other tasks a move takes, as atoms are derived in each state."""
+        return 1 + len(self._axioms) // _RULES_FOR_A_MOVE
 
     def step(self, number: int) -> Step:
         return self._operators[number].step
@@ -239,7 +251,7 @@ class Grounded:
         costs, rounded_off = self._whole_costs([one.cost for one in ready], numbers)
         if not fitted.goal:
             return None
-        rules = (*self._rules.rules, *fitted.rules)
+        rules = self._rules_of(fitted)
         layers = {rule.variable: rule.layer for rule in rules}
         sizes = [*self._all_sizes, *[2] * (len(fitted.state) - len(self._all_sizes))]
         # unit costs are written as costs of 1
@@ -266,8 +278,9 @@ class Grounded:
         for pattern, rows in zip(patterns, self._reach.instances, strict=True):
             for row in sorted(rows, key=lambda one: [order[word] for word in one]):
                 needs = self._bound(pattern.needs, row)
-                if needs is not False:
-                    yield self._instance(pattern, row, needs)
+                made = None if needs is False else self._instance(pattern, row, needs)
+                if made is not None and (made.effects or not made.layer):
+                    yield made
 
     def _instance(self, pattern: ActionPattern, row: Sequence[str], node: Node) -> "_Instance":
         parts = conjuncts_of(node)
@@ -289,7 +302,8 @@ class Grounded:
             if not (one[1] == "delete" and one[2] in made) and not (one[1] == "add" and one[2] in needs - deleted)
         ]
         others = joined(True, [one for one in parts if one[0] != "atom"])
-        return _Instance(self.domain.step(pattern.name, row), needs, denies, others, kept)
+        step = Step(pattern.name, tuple(row)) if pattern.layer else self.domain.step(pattern.name, row)
+        return _Instance(step, needs, denies, others, kept, pattern.layer)
 
     def _bound(self, node: Node, row: Sequence[str], state: State | None = None) -> Node:
         """Return a condition of what it is bound to; what is out of reach never holds.
@@ -332,6 +346,7 @@ class Grounded:
         for text in (*changed, *asked):
             if text not in variables.places:
                 variables.add([text])
+        variables.layers = {variables.places[one.effects[0][2]][0]: one.layer for one in instances if one.layer}
         return variables
 
     def _operator(self, number: int, one: "_Instance") -> _Ready:
@@ -361,8 +376,8 @@ class Grounded:
                 effects.append(((*given, *own), variable, variables.sizes[variable] - 1))
         operation = Operation(number, tuple(sorted(set(facts))), tuple(effects), 0, (), tuple(tests), tuple(changes))
         lasting, missing = one.needs - places.keys(), one.denies - places.keys()
-        cost, uses = self._usage.cost_of(one.step), self._usage.uses_of(one.step)
-        return _Ready(number, one.step, lasting, missing, operation, cost, uses)
+        amounts = () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
+        return _Ready(number, one.step, lasting, missing, operation, one.layer, *amounts)
 
     def _number(self, number: object, known: Mapping[str, Exact] | None = None) -> Number:
         """Return a number as the search reads it; one that nothing changes is what it is."""
@@ -415,20 +430,28 @@ class Grounded:
         """Return a task without its start and limits; what its graph has worked out is kept."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._weighed(fitted.frozen, weights)
-        amounts = [self._values_of([one.cost for one in ready], "costs", numbers)]
+        varying = [one.cost if self._numbers.keys() & set(numeric_facts(one.cost)) else 0 for one in ready]
+        fixed = [0 if more else one.cost for one, more in zip(ready, varying, strict=True)]
+        amounts = [self._values_of(fixed, "costs", numbers)]
         for index, name in enumerate(self.domain.limited):
             amounts.append(self._values_of([one.uses[index] for one in ready], f"uses of {name}", numbers))
-        columns, (_, *scales) = zip(*map(whole, amounts), strict=True)
+        columns, (scale, *scales) = zip(*map(whole, amounts), strict=True)
+        more = [number and ("*", scale, self._number(number, numbers)) for number in varying]
         operations = [
-            Operation(*one.operation[:3], cost, tuple(more), *one.operation[5:])
-            for one, (cost, *more) in zip(ready, zip(*columns, strict=True), strict=True)
+            Operation(*one.operation[:3], cost, tuple(uses), *one.operation[5:7], varied)
+            for one, varied, (cost, *uses) in zip(ready, more, zip(*columns, strict=True), strict=True)
         ]
         derived = len({rule.variable for rule in fitted.rules})
         sizes, tail = (*self._all_sizes, *[2] * derived), len(self._numbers)
-        rules = tuple(sorted((*self._rules.rules, *fitted.rules), key=lambda rule: rule.layer))
+        rules = tuple(sorted(self._rules_of(fitted), key=lambda rule: rule.layer))
         task = Task(sizes, (), fitted.goal, tuple(operations), (0,) * len(scales), rules, tail, fitted.tests)
         is_guided = math.prod(map(float, sizes)) > _FEWEST_STATES
         return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
+
+    def _rules_of(self, fitted: _Fitted) -> tuple[Rule, ...]:
+        own = [one for one in self._axioms if one.lasting <= fitted.frozen and one.missing.isdisjoint(fitted.frozen)]
+        made = [Rule(one.layer, one.operation.needs, one.operation.effects[0][1], one.operation.tests) for one in own]
+        return (*self._rules.rules, *made, *fitted.rules)
 
     def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) for one in made_of]
@@ -474,6 +497,7 @@ class _Instance:
     denies: frozenset[str]
     others: Node
     effects: list[_Effect]
+    layer: int
 
     def swap(self, atoms: Mapping[str, tuple[str, ...]]) -> Swap:
         """Return what it does to some atoms, which are given by their texts."""
@@ -509,7 +533,7 @@ def _instantaneous(domain: Domain) -> tuple[ResourceUsage, tuple[ActionPattern, 
     with lock_of(domain):
         if domain not in _INSTANTANEOUS:
             actions = Problem(domain, frozenset()).build().actions
-            _INSTANTANEOUS[domain] = ResourceUsage(domain), patterns_of(domain, actions)
+            _INSTANTANEOUS[domain] = ResourceUsage(domain), (*patterns_of(domain, actions), *axioms_of(domain))
         return _INSTANTANEOUS[domain]
 
 

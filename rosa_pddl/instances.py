@@ -37,13 +37,17 @@ class Effect(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ActionPattern:
-    """An instantaneous action: how many of its variables are parameters, the types of all, what it needs and does."""
+    """An instantaneous action: how many of its variables are parameters, the types of all, what it needs and does.
+
+    A rule by which an atom is derived is one, of a layer above 0.
+    """
 
     name: str
     parameters: int
     choices: tuple[tuple[str, ...], ...]
     needs: Node
     effects: tuple[tuple[Effect, tuple[tuple[int, tuple[str, ...]], ...]], ...]
+    layer: int = 0
 
 
 # ---------------------------------------------------------------- conditions without unified-planning
@@ -160,6 +164,20 @@ def patterns_of(domain: Domain, actions: Iterable[UpThing]) -> tuple[ActionPatte
     return tuple([_pattern(domain, domain.outside[one.name], one.preconditions, one.effects) for one in actions])
 
 
+def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
+    """Return the rules of predicates that are derived from themselves, as what makes an atom so."""
+    found = []
+    for name, one in domain.axioms.items():
+        spelled = domain.outside[domain.inside["predicate", name]]
+        scope: dict[str, Word] = {each.variable().name: place for place, each in enumerate(one.variables)}
+        choices = tuple(domain.objects_of(domain.outside[each.type.name]) for each in one.variables)
+        effect = Effect(True, "add", spelled, tuple(scope.values())), ()
+        for way in one.condition.args if one.condition.is_or() else (one.condition,):
+            needs = compiled(domain, way, scope)
+            found.append(ActionPattern(spelled, len(choices), choices, needs, (effect,), one.layer))
+    return tuple(found)
+
+
 def is_out_of_reach(domain: Domain, state: Iterable[str], goals: Iterable[UpThing]) -> bool:
     """Whether no plan can reach a goal, also not one of steps that overlap: even if nothing ever became false."""
     patterns = []
@@ -167,7 +185,11 @@ def is_out_of_reach(domain: Domain, state: Iterable[str], goals: Iterable[UpThin
         lasting = (*schema.start, *schema.over_all, *schema.end)
         patterns.append(_pattern(domain, schema.name, schema.start, schema.start_effects))
         patterns.append(_pattern(domain, schema.name, lasting, schema.end_effects))
-    rows = reach(patterns, map(row_of, (one for one in state if not one.startswith("(= "))), lambda _: None).rows
+    rows = reach(
+        [*patterns, *axioms_of(domain)],
+        map(row_of, (one for one in state if not one.startswith("(= "))),
+        lambda _: None,
+    ).rows
     return not all(_may_hold(compiled(domain, goal, {}), rows) for goal in goals)
 
 

@@ -24,8 +24,9 @@ class NumberUses:
     Attributes:
         names: of all numbers but `total-cost`, in lower case, as in the following.
         changed: those that actions change.
-        rising: those without arguments that actions only increase, in any case and by sums of what none changes.
-        resources: the rising ones that no condition reads, and the goal only limits: what is used up is added up.
+        rising: those without arguments that actions only increase, in any case.
+        resources: of these what rises by sums of what none changes, no condition or cost reads, and the goal only
+            limits: what is used up is added up.
         computed: those that are part of a state, as the files spell them: what conditions read, and what is changed.
     """
 
@@ -38,12 +39,10 @@ class NumberUses:
         goals = [goal for node in section(problem, ":goal") for goal in parts_of(node)]
         read = {name for body in bodies for name in self._read(body)}
         read |= {name for node in domain.root.children[2:] if node.head == ":derived" for name in self._read(node)}
-        self.rising = frozenset(
-            name
-            for name in self.changed
-            if len(signatures[name].children) == 1
-            and all(self._is_rise(one) for one in changes if one.target.head == name)
-        )
+        plain = frozenset(name for name in self.changed if len(signatures[name].children) == 1)
+        self.rising = plain - {one.target.head for one in changes if not _is_rise(one)}
+        read |= {name for one in changes for name in numbers_of(one.amount, self.changed) if one.target.head == _COST}
+        read |= {one.target.head for one in changes if not self._is_fixed_sum(one.amount)} & self.names
         limits = [goal for goal in goals if self._is_limit(goal)]
         read |= {name for goal in goals if goal not in limits for name in self._read(goal)}
         self.resources = self.rising - read
@@ -60,10 +59,6 @@ class NumberUses:
         if node.head in (*COMPARISONS, "=") and all(part.lower != "?duration" for part in node.children):
             return numbers_of(node, self.names)
         return {name for part in node.children for name in self._read(part)}
-
-    def _is_rise(self, change: _Change) -> bool:
-        is_less = change.amount.lower.startswith("-")
-        return change.kind == "increase" and change.is_certain and not is_less and self._is_fixed_sum(change.amount)
 
     def _is_limit(self, goal: Node) -> bool:
         if goal.head not in COMPARISONS or len(goal.children) != 3:
@@ -86,6 +81,10 @@ def _changes(node: Node, *, is_certain: bool) -> Iterator[_Change]:
         return
     for part in node.children:
         yield from _changes(part, is_certain=is_certain and node.head not in ("when", "forall"))
+
+
+def _is_rise(change: _Change) -> bool:
+    return change.kind == "increase" and change.is_certain and not change.amount.lower.startswith("-")
 
 
 def parts_of(node: Node) -> Iterator[Node]:

@@ -201,11 +201,7 @@ def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[StepEvent, ...
 
 
 def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: list[StepEvent]) -> Iterator[StepEvent]:
-    """Yield what happens at one moment in an order that keeps what holds over all.
-
-    A step needs that from just after its start until just before its end: it starts after what brings it about, and
-    ends before what takes it away.
-    """
+    """Yield what happens at one moment in an order that keeps what holds over all."""
     left = list(together)
     while left:
         free = (one for one in left if not any(_precedes(domain, timed, other, one) for other in left))

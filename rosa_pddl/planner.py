@@ -11,7 +11,6 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import product
 from math import inf, isinf
-from typing import NamedTuple
 
 from rosa_pddl import search
 from rosa_pddl.certificate import Certificate
@@ -63,16 +62,9 @@ _WORST_FIRST = (
 class Planner:
     """Plans with the exact search in this process, and beyond its cap with Fast Downward and other engines.
 
-    Tried in order, until one says that there is a plan, or proves that there is none:
-
-    - `warm` (not other engines): the task was translated once, only state, goal and numbers are put in and searched;
-    - `cold` (not other engines): the task is translated and searched;
-    - each engine of unified-planning that is named, in a process of its own.
-
-    With `fast-downward-opt` and `label-setting` the plan has the least cost, or the fewest steps if there is no metric.
-    Either way the task is searched in this process first; if that takes too many moves, by Fast Downward's A*, or by
-    the same search in a process of its own. `label-setting` keeps to the limits of the domain's resources.
-    `fast-downward` is quicker on large tasks and gives some plan. Every plan is replayed before it is returned.
+    What is tried in which order docs/planning.md says. With `fast-downward-opt` and `label-setting` a plan costs least,
+    or has the fewest steps if there is no metric; `fast-downward` is quicker on large tasks, and gives some plan. All
+    plans are replayed.
 
     Args:
         engine: `fast-downward-opt`, `fast-downward`, `label-setting`, or a name of unified-planning's factory, such as
@@ -113,18 +105,31 @@ class Planner:
         cached: int = 256,
         certificate: Certificate | None = None,
     ) -> None:
-        self.engine = engine
-        self.timeout_s = timeout_s
-        self.certificate = certificate
         own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
-        memory_bytes = memory_mb << 20
-        self._settings = _Settings(
-            engine, (*own, *fallback), timeout_s, dict(budgets_s or {}), overlapping, safe_step, moves, memory_bytes
-        )
-        _check(self._settings, translate_s)
-        self._groundings = Groundings(translate_s)
-        self._cache = PlanCache(cached)
-        self._processes: set[ProcessHandle] = set()
+        self.engine, self.ways, self.timeout_s = engine, (*own, *fallback), timeout_s
+        self.budgets_s, self.overlapping, self.safe_step = dict(budgets_s or {}), overlapping, safe_step
+        self.moves, self.memory_bytes, self.certificate = moves, memory_mb << 20, certificate
+        self._check(translate_s)
+        self.groundings = Groundings(translate_s)
+        self.cache = PlanCache(cached)
+        self.processes: set[ProcessHandle] = set()
+
+    def _check(self, translate_s: float) -> None:
+        sequential = [name for name in (self.engine, *self.ways) if name in TRANSLATED]
+        if self.overlapping and sequential:
+            message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
+            raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
+        for way, budget_s in self.budgets_s.items():
+            if way not in self.ways:
+                hint = nearest(way, self.ways)
+                raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
+            if not budget_s > 0.0:
+                raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
+        for name, limit_s in {"timeout_s": self.timeout_s, "translate_s": translate_s}.items():
+            if not 0.0 < limit_s < inf:
+                raise PlannerSettingError(f"{name} is {limit_s:g}, expected more than 0, and finite")
+        if self.moves < 0:
+            raise PlannerSettingError(f"moves is {self.moves}, expected 0 or more")
 
     def missing(self, domain: Domain) -> str | None:
         """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
@@ -140,15 +145,15 @@ class Planner:
         Raises:
             UnknownNameError: an atom is not one of the domain.
         """
-        if "warm" not in self._settings.ways or self.missing(problem.domain) is not None:
+        if "warm" not in self.ways or self.missing(problem.domain) is not None:
             return
         named, process = [problem.domain.atom(text) for text in changing], ProcessHandle()
-        self._processes.add(process)
+        self.processes.add(process)
 
         def work() -> None:
             with suppress(Cancelled, Trouble, UnsupportedPddlError):  # who plans is told
-                self._groundings.ask(problem, process, inf, named)
-            self._processes.discard(process)
+                self.groundings.ask(problem, process, inf, named)
+            self.processes.discard(process)
 
         threading.Thread(target=work, name=f"grounding of {problem.domain.name}", daemon=True).start()
 
@@ -189,12 +194,12 @@ class Planner:
 
     def close(self) -> None:
         """End every program that still runs for this planner, and forget what was prepared."""
-        for process in tuple(self._processes):
+        for process in tuple(self.processes):
             process.cancel()
-        self._groundings.close()
+        self.groundings.close()
 
     def _portfolio(self, problem: Problem) -> "_Portfolio":
-        return _Portfolio(self._settings, problem, self._groundings, self._cache, self._processes)
+        return _Portfolio(self, problem)
 
 
 def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
@@ -224,70 +229,35 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
     return result
 
 
-class PlanCache:
-    """The answers that were last asked for, at most so many. May be used by several threads.
+class PlanCache(dict[Hashable, PlanningResult]):
+    """The answers that were last asked for, at most so many; when they take too much to hold, all are forgotten.
 
-    It has no lock, which an interrupt could leave locked: at worst an answer is forgotten.
+    May be used by several threads, without a lock, which an interrupt could leave locked.
     """
 
     def __init__(self, size: int) -> None:
-        self._size = size
-        self._results: dict[Hashable, tuple[PlanningResult, int]] = {}
-
-    def __len__(self) -> int:
-        return len(self._results)
-
-    def get(self, key: Hashable) -> PlanningResult | None:
-        found = self._results.pop(key, None)
-        if found is None:
-            return None
-        self._results[key] = found
-        return found[0]
+        self._size, self._weight = size, 0
 
     def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
-        """Remember an answer that takes so much to hold, and forget what was not asked for the longest."""
-        self._results.setdefault(key, (result, weight))
-        for oldest in list(self._results):
-            weights = [one for _, one in list(self._results.values())]
-            if len(weights) <= self._size and sum(weights) <= _MOST_ATOMS:
-                break
-            self._results.pop(oldest, None)
+        """Remember an answer that takes so much to hold."""
+        self._weight += weight
+        if len(self) >= self._size or self._weight > _MOST_ATOMS:
+            self.clear()
+            self._weight = weight
+        if self._size and weight <= _MOST_ATOMS:
+            self[key] = result
 
 
 # ---------------------------------------------------------------- one planning
 
 
-class _Settings(NamedTuple):
-    """How to plan; the arguments are those of `Planner`, and the ways in order."""
-
-    engine: str
-    ways: tuple[str, ...]
-    timeout_s: float
-    budgets_s: Mapping[str, float]
-    overlapping: bool
-    safe_step: str | None
-    moves: int
-    memory_bytes: int
-
-
 class _Portfolio:
-    """One planning: the ways in order, each within its budget, and what is reported of all of them.
+    """One planning: the ways in order, each within its budget, and what is reported of all of them."""
 
-    To what is running it adds its process while it plans.
-    """
-
-    def __init__(
-        self,
-        settings: _Settings,
-        problem: Problem,
-        groundings: Groundings,
-        cache: PlanCache,
-        running: set[ProcessHandle],
-    ) -> None:
-        self._settings, self._problem, self._groundings = settings, problem, groundings
-        self._cache, self._running = cache, running
-        self._safe_step = None if settings.safe_step is None else _step(problem.domain, settings.safe_step)
-        self._process = ProcessHandle(settings.memory_bytes)
+    def __init__(self, planner: Planner, problem: Problem) -> None:
+        self._planner, self._problem = planner, problem
+        self._safe_step = None if planner.safe_step is None else _step(problem.domain, planner.safe_step)
+        self._process = ProcessHandle(planner.memory_bytes)
 
     def cancel(self) -> None:
         self._process.cancel()
@@ -297,12 +267,12 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        if "warm" not in self._settings.ways or self._settings.engine not in _EXACT or not self._settings.moves:
+        if "warm" not in self._planner.ways or self._planner.engine not in _EXACT or not self._planner.moves:
             return None
         began = time.monotonic()
         try:
-            task = self._groundings.made(self._problem)
-            if task is None or task.size > _MOVES_IN_A_TICK:
+            task = self._planner.groundings.made(self._problem)
+            if task is None or task.size * task.work > _MOVES_IN_A_TICK:
                 return None
             answer = self._checked("warm", self._exact(task, _MOVES_IN_A_TICK))
         except Exception:  # whatever keeps from an answer here is reported by the ways
@@ -323,21 +293,21 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        self._running.add(self._process)
+        self._planner.processes.add(self._process)
         try:
             return self._kept(self._tried_in_order())
         except Cancelled:
-            return PlanningResult(Outcome.ENGINE_CRASHED, (), self._settings.engine, "the planner was closed")
+            return PlanningResult(Outcome.ENGINE_CRASHED, (), self._planner.engine, "the planner was closed")
         finally:
-            self._running.discard(self._process)
+            self._planner.processes.discard(self._process)
 
     def _remembered(self) -> PlanningResult | None:
-        known = self._cache.get(self._key)
+        known = self._planner.cache.get(self._key)
         return None if known is None else replace(known, attempts=(Attempt("cache", known.outcome),))
 
     def _kept(self, result: PlanningResult) -> PlanningResult:
         if not result.outcome.is_trouble and not result.hangs_on_the_clock:
-            self._cache.put(self._key, result, len(self._problem.state) + len(self._problem.costs) + 1)
+            self._planner.cache.put(self._key, result, len(self._problem.state) + len(self._problem.costs) + 1)
         return result
 
     @cached_property
@@ -357,11 +327,11 @@ class _Portfolio:
                 return self._report(answer, way, attempts)
         outcomes = [attempt.outcome for attempt in attempts]
         worst = next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
-        return self._report(PlanningResult(worst), self._settings.engine, attempts)
+        return self._report(PlanningResult(worst), self._planner.engine, attempts)
 
     def _budgeted(self) -> Iterator[tuple[str, float]]:
         """Yield each way with the wall-clock time that it may take [s]."""
-        settings = self._settings
+        settings = self._planner
         deadline = time.monotonic() + settings.timeout_s
         ways = list(settings.ways)
         if self._problem.domain.computed and settings.engine in TRANSLATED:  # what is capped is so however often
@@ -376,7 +346,7 @@ class _Portfolio:
             if missed is not None:
                 raise Trouble(Outcome.ENGINE_MISSING, missed)
             if budget_s <= 0.0:
-                raise Trouble(Outcome.OUT_OF_TIME, f"of {self._settings.timeout_s:g} s no time was left for it")
+                raise Trouble(Outcome.OUT_OF_TIME, f"of {self._planner.timeout_s:g} s no time was left for it")
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
         except Cancelled:
             raise
@@ -385,7 +355,7 @@ class _Portfolio:
             return PlanningResult(trouble.outcome, message=str(trouble))
 
     def _engine_of(self, way: str) -> str:
-        return self._settings.engine if way in ("warm", "cold") else way
+        return self._planner.engine if way in ("warm", "cold") else way
 
     def _answer(self, way: str, deadline: float) -> PlanningResult:
         limited = ", ".join(self._problem.domain.limited)
@@ -393,12 +363,16 @@ class _Portfolio:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
         if way == "warm":
-            task = self._groundings.ask(self._problem, self._process, _left_s(deadline))
-            return self._searched(task, deadline, self._settings.engine)
+            task = self._planner.groundings.ask(self._problem, self._process, _left_s(deadline))
+            return self._searched(task, deadline, self._planner.engine)
         if way in ("cold", LABEL_SETTING):
             task = grounded(self._problem, (), None, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
-        overlapping = self._settings.overlapping
+        if self._problem.domain.axioms:
+            names = ", ".join(self._problem.domain.axioms)
+            message = f"{names} is derived from itself, which {way} does not know; Planner('fast-downward-opt') does"
+            raise Trouble(Outcome.UNSUPPORTED, message)
+        overlapping = self._planner.overlapping
         if overlapping:
             with lock_of(self._problem.domain):
                 if is_out_of_reach(self._problem.domain, self._problem.state, self._problem.wanted):
@@ -410,9 +384,12 @@ class _Portfolio:
         try:
             if self._is_searched_here(task, engine):
                 try:
-                    return self._exact(task, self._settings.moves)
+                    return self._exact(task, self._planner.moves)
                 except search.CapReached:
                     pass
+                except search.NegativeCostError:
+                    message = "a step costs less than nothing in some state; costs are 0 or more"
+                    raise Trouble(Outcome.UNSUPPORTED, message) from None
             if engine == LABEL_SETTING:
                 return self._exact_elsewhere(task, deadline)
             return self._by_fast_downward(task, deadline, engine)
@@ -423,12 +400,12 @@ class _Portfolio:
 
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
         # putting numbers into operators is work, too, which may take longer than it takes to start another program
-        is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._settings.moves
-        return engine in _EXACT and is_small and self._settings.moves > 0
+        is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
+        return engine in _EXACT and is_small and self._planner.moves > 0
 
     def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
         graph, task, scales = grounded.search_task(self._problem, self._numbers)
-        found = graph.plan(task.start, task.limits, cap)
+        found = graph.plan(task.start, task.limits, cap // grounded.work)
         if found is None:
             return self._unsolvable(graph.least_uses(task.start), scales)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
@@ -437,9 +414,7 @@ class _Portfolio:
         """Search in a process of its own, which may be killed."""
         graph, task, scales = grounded.search_task(self._problem, self._numbers)
         if task.numbers or task.tests:
-            raise NotRepresentableError(
-                f"with numbers that rise and fall it looks at {self._settings.moves} moves only"
-            )
+            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
         command = [sys.executable, "-I", "-S", search.__file__]
         ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
@@ -511,7 +486,7 @@ class _Portfolio:
             cost = self._cost(answer.steps)
             return replace(answer, engine=engine, cost=cost, attempts=tuple(attempts))
         message = f"{engine}: {outcome}" + (f": {answer.message}" if answer.message else "")
-        if outcome is Outcome.UNSOLVABLE_PROVEN and not self._settings.overlapping and _may_have_to_overlap(domain):
+        if outcome is Outcome.UNSOLVABLE_PROVEN and not self._planner.overlapping and _may_have_to_overlap(domain):
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
             message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
         if outcome.is_trouble:
@@ -523,7 +498,7 @@ class _Portfolio:
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
         try:
-            return usage_of(self._problem.domain).total_cost(steps, self._numbers)
+            return usage_of(self._problem.domain).total_cost(self._problem, steps, self._numbers)
         except UnsupportedPddlError:
             return None
 
@@ -564,21 +539,3 @@ def _step(domain: Domain, text: str) -> Step:
         expected = " ".join(f"?{name}" for name, _ in schema.parameters)
         raise UnknownNameError(f"the safe step {text!r} is not of the form ({schema.name} {expected})")
     return domain.step(schema.name, [domain.spelling("object", word, text) for word in words])
-
-
-def _check(settings: _Settings, translate_s: float) -> None:
-    sequential = [name for name in (settings.engine, *settings.ways) if name in TRANSLATED]
-    if settings.overlapping and sequential:
-        message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
-        raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
-    for way, budget_s in settings.budgets_s.items():
-        if way not in settings.ways:
-            hint = nearest(way, settings.ways)
-            raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
-        if not budget_s > 0.0:
-            raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
-    for name, limit_s in {"timeout_s": settings.timeout_s, "translate_s": translate_s}.items():
-        if not 0.0 < limit_s < inf:
-            raise PlannerSettingError(f"{name} is {limit_s:g}, expected more than 0, and finite")
-    if settings.moves < 0:
-        raise PlannerSettingError(f"moves is {settings.moves}, expected 0 or more")

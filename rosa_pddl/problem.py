@@ -75,7 +75,8 @@ class Problem:
         has_numbers = overlapping or domain.metric == "cost" or bool(domain.limits or domain.computed)
         problem.add_fluents([one for one in read.fluents if one.type.is_bool_type() or has_numbers])
         for expression, value in read.explicit_initial_values.items():
-            if not value.is_bool_constant() and has_numbers and all(map(problem.has_object, _names(expression))):
+            is_there = all(problem.has_object(one.object().name) for one in expression.args)
+            if not value.is_bool_constant() and has_numbers and is_there:
                 problem.set_initial_value(expression, value)
         for fact in sorted(self.state):
             problem.set_initial_value(*domain.stated(fact))
@@ -86,7 +87,7 @@ class Problem:
         for goal in (*self.wanted, *domain.limits):
             problem.add_goal(_without_quantifiers(goal, problem) if overlapping else goal)
         make = _durative if overlapping else _instantaneous
-        actions = {make(schema, domain): schema.cost for schema in domain.schema_of.values()}
+        actions = {make(schema, domain, problem): schema.cost for schema in domain.schema_of.values()}
         problem.add_actions(actions)
         if domain.metric == "cost":
             costs = {action: cost for action, cost in actions.items() if cost is not None}
@@ -177,15 +178,11 @@ def without_feasibility(domain: Domain, state: State) -> State:
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
 
 
-def _names(expression: UpThing) -> list[str]:
-    return [one.object().name for one in expression.args]
-
-
-def _without_quantifiers(goal: UpThing, problem: UpThing) -> UpThing:
-    """Return a goal as temporal engines know it."""
+def _without_quantifiers(formula: UpThing, problem: UpThing) -> UpThing:
+    """Return a condition as temporal engines know it."""
     from unified_planning.model.walkers import ExpressionQuantifiersRemover
 
-    return ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(goal, problem).simplify()
+    return ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(formula, problem).simplify()
 
 
 def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
@@ -208,7 +205,7 @@ def _add_effects(action: UpThing, effects: Iterable[UpThing], *when: UpThing) ->
         getattr(action, f"add_{kind}effect")(*when, one.fluent, one.value, one.condition, one.forall)
 
 
-def _durative(schema: Schema, domain: Domain) -> UpThing:
+def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     """Make an action with its duration.
 
     Temporal engines seldom know effects on conditions, so what makes an action feasible only at times is left out.
@@ -216,13 +213,13 @@ def _durative(schema: Schema, domain: Domain) -> UpThing:
     from unified_planning.model import DurativeAction, EndTiming, OpenTimeInterval, StartTiming
 
     if schema.duration is None:
-        return _instantaneous(schema, domain)
+        return _instantaneous(schema, domain, problem)
     made, start, end = _made(DurativeAction, schema, domain), StartTiming(), EndTiming()
     made.set_duration_constraint(schema.duration)
     whole = OpenTimeInterval(start, end)
     for when, conditions in ((start, schema.start), (whole, schema.over_all), (end, schema.end)):
         for condition in conditions:
-            made.add_condition(when, condition)
+            made.add_condition(when, _without_quantifiers(condition, problem))
     for when, effects in ((start, schema.start_effects), (end, schema.end_effects)):
         always = (one for one in effects if one.condition.is_true() or not domain.makes_feasible(one))
         _add_effects(made, always, when)
@@ -232,7 +229,7 @@ def _durative(schema: Schema, domain: Domain) -> UpThing:
     return made
 
 
-def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
+def _instantaneous(schema: Schema, domain: Domain, _: UpThing) -> UpThing:
     from unified_planning.exceptions import UPException
     from unified_planning.model import InstantaneousAction
 

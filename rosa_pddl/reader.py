@@ -6,10 +6,11 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import UnknownNameError, nearest
-from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, numbers_of
+from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, nodes_of
 from rosa_pddl.number_uses import NumberUses, parts_of, sides_of
 from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
@@ -29,7 +30,7 @@ from rosa_pddl.syntax import (
     typed,
 )
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
 _COST = "total-cost"
@@ -38,11 +39,9 @@ _COST = "total-cost"
 def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None) -> Domain:
     """Read a PDDL domain and problem.
 
-    Names keep the spelling of the files, and an object, an action, a predicate and a type may share one.
-
-    Which ROSA action a PDDL action does is the `?a` of its condition `(NAME_action ?a)`, NAME being its own name, else
-    that of its condition `(action_feasible ?a)`, else its only parameter of type `action`. Files that keep no such
-    convention are given `actions`: an action that lacks the condition `(over all (action_feasible ...))` gets it then.
+    Names keep the spelling of the files, and an object, an action, a predicate and a type may share one. Files that do
+    not say which ROSA action a PDDL action does, see docs/pddl.md, are given `actions`: an action that lacks the
+    condition `(over all (action_feasible ...))` gets it then.
 
     Args:
         domain: path of the domain file.
@@ -81,7 +80,7 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
 
 
 def _rosa_action_of(
-    name: str, conditions: Iterable[UpThing], parameters: Iterable[UpThing], outside: Mapping[str, str]
+    name: str, conditions: Iterable[UpThing], parameters: Mapping[str, UpThing], outside: Mapping[str, str]
 ) -> str | None:
     """Return the parameter (without its mark) or the constant that is the ROSA action; None if there is none."""
     said = {outside[one.fluent().name].lower(): one for one in conditions if one.is_fluent_exp() and len(one.args) == 1}
@@ -89,8 +88,7 @@ def _rosa_action_of(
         if predicate in said:
             argument = said[predicate].arg(0)
             return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
-    objects = (one for one in parameters if one.type.is_user_type())
-    actions = [one.name for one in objects if outside[one.type.name].lower() == ACTION_TYPE]
+    actions = [one for one, kind in parameters.items() if outside[kind.name].lower() == ACTION_TYPE]
     return actions[0] if len(actions) == 1 else None
 
 
@@ -117,8 +115,7 @@ class _Reader:
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
-        self._costs: dict[str, UpThing] = {}
-        self._rises: dict[UpThing, dict[str, UpThing]] = {}
+        self._rises: dict[str, dict[str, UpThing]] = {}
         self._limits: list[UpThing] = []
         self._uses_of_numbers = NumberUses(domain, problem)
         self._draft = Domain(
@@ -145,9 +142,13 @@ class _Reader:
         domain, problem = self._domain.source, self._problem.source
         self._read_types(domain)
         rules = _rules(domain)
+        above = _closures(rules)
+        recursive = {head: rules[head][0].children[1] for head in rules if head in above[head]}
         for node in _signatures(domain, ":predicates"):
-            if node.head not in rules:
+            if recursive.pop(node.head, node) is not node or node.head not in rules:
                 self._read_fluent(node, self._types.BoolType())
+        for node in recursive.values():  # that are declared nowhere else
+            self._read_fluent(node, self._types.BoolType())
         if self._actions and ("predicate", FEASIBLE) not in self._inside:
             self._read_fluent(listed(FEASIBLE, "?a", "-", ACTION_TYPE), self._types.BoolType())
         for node in _signatures(domain, ":functions"):
@@ -156,8 +157,13 @@ class _Reader:
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
         self._read_rosa_actions()
-        for head in rules:
-            self._domain.derive(head, rules)
+        for head in sorted(rules, key=lambda one: len(above[one])):
+            self._domain.derive(head, rules, len(above[head]) if head in above[head] else 0)
+        for name in self._draft.axioms:
+            for part in (part for rule in rules[name] for part in nodes_of(rule) if part.head in ("not", "imply")):
+                if any(above[name] == above.get(one.head) for one in nodes_of(part)):
+                    message = f"{name!r} is derived from its own negation, which means nothing. Sense it, or make it"
+                    raise domain.unsupported(part, f"{message} an effect of actions")
         for node in domain.root.children[2:]:
             if node.head in BODY:
                 with _located(domain, node):
@@ -188,7 +194,7 @@ class _Reader:
 
     def _declare(self, source: Source, kind: str, node: Node) -> str:
         """Note a name, and return what it is called in the model."""
-        if not _NAME.fullmatch(str(node)):
+        if not NAME.fullmatch(str(node)):
             message = f"found the {kind} {str(node)!r}, expected a name: a letter, then letters, digits, '_' or '-'"
             raise source.error(node, message)
         if (kind, node.lower) in self._inside:
@@ -276,36 +282,33 @@ class _Reader:
                 raise UnknownNameError(f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}")
 
     def _read_action(self, node: Node) -> None:
-        from unified_planning.model import DurativeAction, InstantaneousAction
-
         source, name = self._domain.source, str(node.children[1])
         parts = body_of(source, node)
         parameters = self._variables(parts[":parameters"].children if ":parameters" in parts else ())
-        kind = DurativeAction if node.head == ":durative-action" else InstantaneousAction
-        unique = self._declare(source, "action", node.children[1])
-        action = kind(unique, parameters, self._up_problem.environment)
-        reader = _ActionReader(self._domain, action, self._uses_of_numbers, name, has_cost=self._has_cost)
+        self._declare(source, "action", node.children[1])
+        reader = _ActionReader(self._domain, self._draft, parameters, self._uses_of_numbers, name, self._has_cost)
         reader.read(node, parts)
-        if reader.cost is not None:
-            self._costs[name] = reader.cost
         for used, amount in reader.rises.items():
             self._rises.setdefault(used, {})[name] = amount
-        schema = _schema_of(action, self._draft)
         does = self._actions.get(name)
         if does is not None:
             if does.startswith("?") and does[1:] not in parameters:
                 hint = nearest(does, [f"?{word}" for word in parameters])
                 raise UnknownNameError(f"the PDDL action {name!r} has no parameter {does!r}; {hint}")
-            conditions = [one for one in schema.start + schema.over_all + schema.end if one.is_fluent_exp()]
+            conditions = [one for one in reader.conditions if one.is_fluent_exp()]
             if FEASIBLE not in [self._outside[one.fluent().name].lower() for one in conditions]:
                 needed = listed(FEASIBLE, does)
                 reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
-                schema = _schema_of(action, self._draft)
-            schema = replace(schema, action=does.removeprefix("?"))
-        rises = {self._outside[used.fluent().name]: amount for used, amount in reader.rises.items()}
-        resources = self._uses_of_numbers.resources
-        uses = {used: amount for used, amount in rises.items() if used.lower() in resources}
-        self._schemas[name] = replace(schema, uses=uses)
+        action = does.removeprefix("?") if does else _rosa_action_of(name, reader.conditions, parameters, self._outside)
+        resources = [one for one in reader.rises if one in self._uses_of_numbers.resources]
+        self._schemas[name] = Schema(
+            name=name,
+            parameters=tuple((one, self._outside[kind.name]) for one, kind in parameters.items()),
+            action=action,
+            uses={self._outside[self._inside["predicate", one]]: reader.rises[one] for one in resources},
+            duration=reader.duration,
+            **{when: tuple(found) for when, found in reader.parts.items()},
+        )
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
@@ -337,7 +340,8 @@ class _Reader:
             return False
 
     def _read_metric(self) -> str:
-        for node in section(self._problem.source, ":metric")[1:]:
+        for word in section(self._problem.source, ":metric")[1:]:
+            node = word if word.is_list else replace(word, word=None, children=(word,))  # `minimize c` is `(c)`
             if node.head == "total-time":
                 return "makespan"
             for name, cost in self._minimized(node).items():
@@ -349,10 +353,8 @@ class _Reader:
         """Return what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
         source, manager = self._problem.source, self._up_problem.environment.expression_manager
         head, parts = node.head, node.children[1:]
-        if head == _COST and self._has_cost:
-            return self._costs
-        if head in self._uses_of_numbers.rising:
-            return self._rises.get(self._problem.atom(node, {}), {})
+        if head in self._uses_of_numbers.rising or (head == _COST and self._has_cost):
+            return self._rises.get(head, {})
         if head == "+":
             return self._summed([self._minimized(part) for part in parts])
         constant = [part for part in parts if _NUMBER.fullmatch(part.lower)]
@@ -379,47 +381,53 @@ class _Reader:
 class _ActionReader:
     """Reads what an action needs and does, how long it takes, and what it costs."""
 
-    def __init__(self, formulas: Formulas, action: UpThing, uses: NumberUses, name: str, *, has_cost: bool) -> None:
-        self._formulas, self._source, self._action = formulas, formulas.source, action
+    def __init__(
+        self,
+        formulas: Formulas,
+        domain: Domain,
+        parameters: Mapping[str, UpThing],
+        uses: NumberUses,
+        name: str,
+        has_cost: bool,
+    ) -> None:
+        from unified_planning.model import Parameter
+
+        self._formulas, self._source, self._draft = formulas, formulas.source, domain
         self._uses, self._name, self._has_cost = uses, name, has_cost
-        parameter = formulas.manager.ParameterExp
-        self._scope = {f"?{one.name}": parameter(one) for one in action.parameters}
-        self.cost: UpThing = None
-        self.rises: dict[UpThing, UpThing] = {}
+        manager, environment = formulas.manager, domain.up_problem.environment
+        self._scope = {
+            f"?{one}": manager.ParameterExp(Parameter(one, kind, environment)) for one, kind in parameters.items()
+        }
+        self.parts: dict[str, list[UpThing]] = {
+            one: [] for one in ("start", "over_all", "end", "start_effects", "end_effects")
+        }
+        self.duration: UpThing = None
+        self.rises: dict[str, UpThing] = {}
+
+    @property
+    def conditions(self) -> list[UpThing]:
+        return [*self.parts["start"], *self.parts["over_all"], *self.parts["end"]]
 
     def read(self, schema: Node, parts: Mapping[str, Node]) -> None:
-        from unified_planning.model import EndTiming, StartTiming
-
         if ":duration" in parts:
             self._read_duration(parts[":duration"])
         self.require(parts.get(":condition", parts.get(":precondition", listed())), schema)
         within = self._formulas.within(parts[":parameters"].children if ":parameters" in parts else (), self._scope)
-        if not within.is_true():
-            self._add(StartTiming(), within)
-        times = {"start": StartTiming(), "end": EndTiming()}
+        self.parts["start"] += conjuncts([within])
         for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
-            self._read_effect(effect, (times[time],) if ":duration" in parts else (), self._scope, None, ())
+            self._read_effect(effect, _Where(time, self._scope, self._formulas.manager.TRUE()))
 
     def require(self, node: Node, schema: Node) -> None:
         """Take in what the action needs, and when."""
-        from unified_planning.model import EndTiming, OpenTimeInterval, StartTiming
-
-        times = {"start": StartTiming(), "end": EndTiming(), "over_all": OpenTimeInterval(StartTiming(), EndTiming())}
         for time, condition in _timed(self._source, schema, node, is_effect=False):
-            self._add(times[time], self._formulas.condition(condition, self._scope, self._name))
-
-    def _add(self, time: UpThing, condition: UpThing) -> None:
-        if hasattr(self._action, "add_condition"):
-            self._action.add_condition(time, condition)
-        else:
-            self._action.add_precondition(condition)
+            self.parts[time] += conjuncts([self._formulas.condition(condition, self._scope, self._name)])
 
     def _read_duration(self, node: Node) -> None:
         """Set a duration; of a bound on one side any that is allowed will do."""
-        from unified_planning.model import DurationInterval
+        from unified_planning.model import DurationInterval, FixedDuration
 
         if not node.children:
-            self._action.set_fixed_duration(1)
+            self.duration = FixedDuration(self._formulas.manager.Int(1))
         elif _time_of(node) is not None or (node.head == "and" and len(node.children) == 2):
             self._read_duration(node.children[-1])
         elif node.head == "and":
@@ -428,70 +436,82 @@ class _ActionReader:
                 raise self._source.error(node, f"found {start_of(node)!r}, expected a least and a greatest duration")
             lower, upper = bounds[">"], bounds["<"]
             least, most = (self._formulas.number(part.children[2], self._scope) for part in (lower, upper))
-            self._action.set_duration_constraint(DurationInterval(least, most, lower.head == ">", upper.head == "<"))
+            self.duration = DurationInterval(least, most, lower.head == ">", upper.head == "<")
         elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
-            self._action.set_fixed_duration(self._formulas.number(node.children[2], self._scope))
+            self.duration = FixedDuration(self._formulas.number(node.children[2], self._scope))
         else:
             raise self._source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
 
-    def _read_effect(
-        self, node: Node, when: tuple[UpThing, ...], scope: Scope, condition: UpThing, variables: tuple[UpThing, ...]
-    ) -> None:
+    def _read_effect(self, node: Node, where: "_Where") -> None:
         formulas, head, parts = self._formulas, node.head, node.children[1:]
         if not node.is_list:
             raise self._source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if head == "and":
             for part in parts:
-                self._read_effect(part, when, scope, condition, variables)
+                self._read_effect(part, where)
         elif head == "forall":
             bound, within, body = formulas.quantified(node)
-            variables = (*variables, *(one.variable() for one in bound.values()))
-            both = within if condition is None else formulas.manager.And(condition, within)
-            condition = condition if within.is_true() else both
-            self._read_effect(body, when, {**scope, **bound}, condition, variables)
+            variables = (*where.variables, *(one.variable() for one in bound.values()))
+            self._read_effect(body, where.on(within)._replace(scope={**where.scope, **bound}, variables=variables))
         elif head == "when" and len(parts) == 2:
-            needed = formulas.condition(parts[0], scope, self._name).simplify()
+            needed = formulas.condition(parts[0], where.scope, self._name).simplify()
             if not needed.is_false():
-                both = needed if condition is None else formulas.manager.And(condition, needed)
-                self._read_effect(parts[1], when, scope, both, variables)
+                self._read_effect(parts[1], where.on(needed))
         elif head in CHANGES:
-            self._read_change(node, when, scope, condition, variables)
+            self._read_change(node, where)
         elif node.children:
             is_deleted = head == "not" and len(parts) == 1 and parts[0].is_list
-            fluent = formulas.atom(parts[0] if is_deleted else node, scope)
-            holds = True if condition is None else condition
-            self._action.add_effect(*when, fluent, not is_deleted, holds, forall=variables)
+            fluent = formulas.atom(parts[0] if is_deleted else node, where.scope)
+            self._add(fluent, formulas.manager.Bool(not is_deleted), "ASSIGN", where)
 
-    def _read_change(
-        self, node: Node, when: tuple[UpThing, ...], scope: Scope, condition: UpThing, variables: tuple[UpThing, ...]
-    ) -> None:
+    def _read_change(self, node: Node, where: "_Where") -> None:
         """Read what an action costs, or does to a number; several rises add up."""
         formulas, manager = self._formulas, self._formulas.manager
         if len(node.children) != 3 or not node.children[1].head:
             raise self._source.error(node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)")
         head, target, amount = node.head, *node.children[1:]
-        is_cost, is_plain = target.head == _COST and self._has_cost, condition is None and not variables
+        is_cost = target.head == _COST and self._has_cost
         if is_cost and amount.lower.startswith("-"):
             message = f"{start_of(node)!r} in {self._name} is less than nothing; costs are 0 or more"
             raise self._source.unsupported(node, message)
-        if is_cost and (
-            head != "increase" or not is_plain or self._uses.changed & numbers_of(amount, self._uses.names)
-        ):
-            message = "makes the cost of a step depend on more than its arguments; ENHSP by itself would do"
+        if is_cost and (head != "increase" or not where.is_plain):
+            message = "makes the cost of a step depend on conditions; write an action for each"
             raise formulas.numeric(node, self._name, message)
-        value = formulas.number(amount, scope)
-        if is_cost:
-            self.cost = value if self.cost is None else manager.Plus(self.cost, value)
-            return
-        fluent, always = formulas.atom(target, scope), manager.TRUE() if condition is None else condition
-        if target.head in self._uses.rising:
-            self.rises[fluent] = manager.Plus(self.rises[fluent], value) if fluent in self.rises else value
-        if head in ("increase", "decrease"):
-            getattr(self._action, f"add_{head}_effect")(*when, fluent, value, always, forall=variables)
-        else:
-            kinds = {"assign": lambda: value, "scale-up": lambda: manager.Times(fluent, value)}
-            new = kinds.get(head, lambda: manager.Div(fluent, value))()
-            self._action.add_effect(*when, fluent, new, always, forall=variables)
+        value, before = formulas.number(amount, where.scope), self.rises.get(target.head)
+        if is_cost or target.head in self._uses.rising:
+            self.rises[target.head] = value if before is None else manager.Plus(before, value)
+        if head.startswith("scale"):
+            fluent = formulas.atom(target, where.scope)
+            head, value = "assign", (manager.Times if head == "scale-up" else manager.Div)(fluent, value)
+        if not is_cost:
+            self._add(formulas.atom(target, where.scope), value, head.upper(), where)
+
+    def _add(self, fluent: UpThing, value: UpThing, kind: str, where: "_Where") -> None:
+        """Keep an effect; what is only used up is the planner's business."""
+        from unified_planning.model import Effect, EffectKind
+
+        if fluent.type.is_bool_type() or self._draft.outside[fluent.fluent().name] in self._draft.computed:
+            effect = Effect(fluent, value, where.condition, EffectKind[kind], where.variables)
+            self.parts[f"{where.time}_effects"].append(effect)
+
+
+class _Where(NamedTuple):
+    """Where an effect stands: at which end of an action, among which variables, and on what condition."""
+
+    time: str
+    scope: Scope
+    condition: UpThing
+    variables: tuple[UpThing, ...] = ()
+
+    @property
+    def is_plain(self) -> bool:
+        return self.condition.is_true() and not self.variables
+
+    def on(self, condition: UpThing) -> "_Where":
+        """Return the same on one more condition."""
+        if condition.is_true() or self.condition.is_true():
+            return self if condition.is_true() else self._replace(condition=condition)
+        return self._replace(condition=condition.environment.expression_manager.And(self.condition, condition))
 
 
 def _rules(source: Source) -> Mapping[str, list[Node]]:
@@ -502,6 +522,18 @@ def _rules(source: Source) -> Mapping[str, list[Node]]:
             if len(node.children) != 3 or not node.children[1].head:
                 raise source.error(node, f"found {start_of(node)!r}, expected '(:derived (NAME ?x - type) CONDITION)'")
             found.setdefault(node.children[1].head, []).append(node)
+    return found
+
+
+def _closures(rules: Mapping[str, list[Node]]) -> dict[str, set[str]]:
+    """Return the derived predicates that each derived one is made of, at whatever depth."""
+    found = {
+        head: {part.head for rule in each for part in nodes_of(rule.children[2]) if part.head in rules}
+        for head, each in rules.items()
+    }
+    for _ in rules:
+        for below in found.values():
+            below.update(*(found[other] for other in below))
     return found
 
 
@@ -580,31 +612,3 @@ def _lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
     while type_ is not None:
         yield outside[type_.name].lower()
         type_ = type_.father
-
-
-def _schema_of(action: UpThing, domain: Domain) -> Schema:
-    """Return an action in the view of ROSA; what is only used up is the planner's business."""
-    outside = domain.outside
-    parts: dict[str, list[UpThing]] = {"start": [], "over_all": [], "end": [], "start_effects": [], "end_effects": []}
-    if hasattr(action, "preconditions"):
-        parts["start"] += conjuncts(action.preconditions)
-        parts["end_effects"] += action.effects
-    else:
-        for interval, conditions in action.conditions.items():
-            at_start, at_end = interval.lower.is_from_start(), interval.upper.is_from_end()
-            parts["over_all" if at_start and at_end else "start" if at_start else "end"] += conjuncts(conditions)
-        for timing, effects in action.effects.items():
-            parts["start_effects" if timing.is_from_start() else "end_effects"] += effects
-    for effects in (parts["start_effects"], parts["end_effects"]):
-        effects[:] = [
-            effect
-            for effect in effects
-            if effect.fluent.type.is_bool_type() or outside[effect.fluent.fluent().name] in domain.computed
-        ]
-    name, conditions = outside[action.name], parts["start"] + parts["over_all"] + parts["end"]
-    parameters = tuple((parameter.name, outside[parameter.type.name]) for parameter in action.parameters)
-    rosa_action = _rosa_action_of(name, conditions, action.parameters, outside)
-    held: dict[str, UpThing] = {when: tuple(found) for when, found in parts.items()}
-    return Schema(
-        name=name, parameters=parameters, action=rosa_action, duration=getattr(action, "duration", None), **held
-    )

@@ -400,7 +400,7 @@ class Replanning:
         self._asked_in = effects.domain
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
-        self.setbacks = Setbacks(clock, policy)
+        self.setbacks, self._in_vain = Setbacks(clock, policy), Setbacks(clock, policy)
         self.records: list[PlanRecord] = []
 
     def use(self, task: PlanningTask, monitor: PlanMonitor) -> None:
@@ -437,8 +437,12 @@ class Replanning:
         return self._dead_end is not None
 
     def want(self, decision: Decision) -> None:
-        """Note that a plan is to be made; what is being planned for something else is given up if it is needed."""
-        if self._wanted is not None and self._wanted.is_needed:
+        """Note that a plan is to be made; what is being planned for something else is given up if it is needed.
+
+        A planner in trouble is left alone for longer and longer with what is not needed.
+        """
+        is_kept = self._wanted is not None and self._wanted.is_needed
+        if is_kept or (not decision.is_needed and self._in_vain.wait_s(None)):
             return
         self._wanted = decision
         if decision.is_needed:
@@ -490,6 +494,9 @@ class Replanning:
         self.records.append(PlanRecord(*record))
         if not outcome.is_passing:
             self.setbacks.forget(None)
+            self._in_vain.forget(None)
+        elif not decision.is_needed:
+            self._in_vain.add(None)
         if outcome.is_solved:
             plan = PlanExecution.of(domain, result, promised, self._clash)
             wrong = plan.prediction(state).flaw if is_fresh else None

@@ -2,15 +2,16 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from fractions import Fraction
 from math import ceil, floor, lcm
 from typing import TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, Step, UpThing, exact
+from rosa_pddl.domain import Domain, Exact, Step, UpThing, exact, numbers_in
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
 from rosa_pddl.problem import Problem
 from rosa_pddl.search import Number, value_of
-from rosa_pddl.validate import text_of
+from rosa_pddl.validate import ended, started, text_of
 
 Numbers: TypeAlias = Mapping[str, Exact]
 """The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written."""
@@ -81,7 +82,7 @@ class ResourceUsage:
             except (ValueError, OverflowError) as error:
                 message = f"{text} is {value}, expected a finite number"
                 raise UnsupportedPddlError(message, self._domain.problem_file) from error
-        return numbers
+        return {**numbers, **numbers_in(problem.state)} if self._domain.computed else numbers
 
     def value(self, amount: Number, numbers: Numbers) -> Exact:
         try:
@@ -96,8 +97,14 @@ class ResourceUsage:
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
-    def total_cost(self, steps: Iterable[Step], numbers: Numbers) -> float:
-        return float(sum(self.value(self.cost_of(step), numbers) for step in steps))
+    def total_cost(self, problem: Problem, steps: Iterable[Step], numbers: Numbers) -> float:
+        """Return what steps cost in turn, as the numbers of the state are then."""
+        domain, state, total = problem.domain, problem.state, Fraction(0)
+        for step in steps:
+            known = {**numbers, **numbers_in(state)} if domain.computed else numbers
+            total += self.value(self.cost_of(step), known)
+            state = ended(domain, step, started(domain, step, state)) if domain.computed else state
+        return float(total)
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         """Return what may still be used up of each limited resource."""

@@ -37,6 +37,10 @@ _COMPUTED = {
 _MOST_KNOWN = 200_000
 
 
+class NegativeCostError(Exception):
+    """A step costs less than nothing in some state."""
+
+
 class CapReached(Exception):
     """The search looked at as many moves as it may, without an answer."""
 
@@ -193,7 +197,10 @@ class Change(NamedTuple):
 
 
 class Operation(NamedTuple):
-    """A grounded action, which its number names; an effect is what it depends on, the variable, and its new value."""
+    """A grounded action, which its number names; an effect is what it depends on, the variable, and its new value.
+
+    Besides its cost it may cost more, which depends on numbers that rise and fall.
+    """
 
     number: int
     needs: tuple[Fact, ...]
@@ -202,6 +209,7 @@ class Operation(NamedTuple):
     uses: tuple[int, ...]
     tests: tuple[Test, ...] = ()
     changes: tuple[Change, ...] = ()
+    more: Number = 0
 
 
 class Rule(NamedTuple):
@@ -309,8 +317,11 @@ class TaskGraph:
             if operation.changes and not _change(operation.changes, state, after):
                 continue
             to = self._closed(after)
-            if to != state:
-                yield Move(to, operation.cost, operation.uses, operation.number)
+            more = value_of(operation.more, state)
+            if more is not None and more < 0:
+                raise NegativeCostError
+            if to != state and more is not None:
+                yield Move(to, operation.cost + more, operation.uses, operation.number)
 
     def _closed(self, state: list[int]) -> State:
         """Return a state with everything derived that the axioms derive."""
@@ -370,6 +381,8 @@ def _directions(task: Task) -> dict[int, int]:
     asked += [test for rule in task.rules for test in rule.tests]
     changes = [change for operation in task.operations for change in operation.changes]
     signs: dict[int, set[int]] = {-1 - place: set() for place in range(task.numbers)}
+    for operation in task.operations:
+        note_signs(operation.more, 1, signs)
     for kind, one, other in asked:
         for number, sign in ((one, 1), (other, -1)):
             note_signs(number, sign if kind in ("<", "<=") else 0, signs)
@@ -392,8 +405,11 @@ def note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None
         head, *parts = number
         if head == "n":
             signs[parts[0]].add(sign)
-        for at, part in enumerate(parts if head != "n" else ()):
-            note_signs(part, sign if head == "+" else (-sign if at else sign) if head == "-" else 0, signs)
+            return
+        is_scaled = head == "*" and len([one for one in parts if isinstance(one, tuple) or one is None or one < 0]) < 2
+        for at, part in enumerate(parts):
+            kept = sign if head == "+" or is_scaled else -sign if head == "-" and at else sign if head == "-" else 0
+            note_signs(part, kept, signs)
 
 
 def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:

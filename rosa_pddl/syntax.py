@@ -260,22 +260,19 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
     title = root.children[1]
     if title.head != what or len(title.children) != 2:
         raise source.error(title, f"found {start_of(title)!r}, expected '({what} NAME)'; is this the {what} file?")
-    first: dict[str, Node] = {}
     for node in root.children[2:]:
         if node.head in _UNSUPPORTED:
             raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
         if node.head not in sections:
             raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
-        if node.head not in (*BODY, ":derived", ":requirements") and first.setdefault(node.head, node) is not node:
-            message = f"found a second '({node.head}', expected one; put both together, the first is in line"
-            raise source.error(node, f"{message} {first[node.head].line}")
+        if node.head in (":goal", ":metric") and [one.head for one in root.children].count(node.head) > 1:
+            raise source.error(node, f"found several '({node.head}', expected one; put all together")
 
 
 def _check_problem(source: Source, domain: Source) -> None:
     root, title = source.root, domain.root.children[1].children[1]
-    for needed in (":domain", ":init", ":goal"):
-        if all(node.head != needed for node in root.children):
-            raise source.error(root, f"the problem has no '({needed} ...)'")
+    if all(node.head != ":goal" for node in root.children):
+        raise source.error(root, "the problem has no '(:goal ...)'")
     for node in root.children[2:]:
         parts = node.children[1:]
         if node.head == ":domain" and [part.lower for part in parts] != [title.lower]:
@@ -284,7 +281,7 @@ def _check_problem(source: Source, domain: Source) -> None:
         if node.head == ":goal" and len(parts) != 1:
             message = f"found {len(parts)} conditions in (:goal ...), expected one; join them with (and ...)"
             raise source.error(node, message)
-        if node.head == ":metric" and [part.is_list for part in parts] != [False, True]:
+        if node.head == ":metric" and (len(parts) != 2 or parts[0].is_list):
             raise source.error(node, f"found {start_of(node)!r}, expected '(:metric minimize (NAME))'")
         if node.head == ":metric" and parts[0].lower != "minimize":
             message = f"found {start_of(node)!r}: costs are minimized here; minimize what is lost instead"

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from fractions import Fraction
-from functools import reduce
-from itertools import permutations, product
+from functools import lru_cache, reduce
+from itertools import groupby, permutations, product
 from math import inf
 from operator import add, mul, sub
 from typing import NamedTuple
@@ -14,6 +14,7 @@ from rosa_pddl.domain import Domain, Exact, State, Step, TimedStep, UpThing, exa
 Binding = Mapping[str, str]
 Facts = AbstractSet[str]
 
+_MOST_STATES = 64
 SAME_TIME_S = 1e-6
 """Times that differ by less are the same: those of an engine are decimal numbers, and are added up here [s]."""
 
@@ -210,10 +211,12 @@ def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, st
 
 def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> bool:
     if formula.is_fluent_exp():
-        return text_of(domain, formula, binding) in state
+        text = text_of(domain, formula, binding)
+        is_open = domain.axiom(formula) is not None and not isinstance(state, _Derived)
+        return text in (_derived(domain, frozenset(state)) if is_open else state)
     if formula.is_bool_constant():
         return bool(formula.constant_value())
-    if formula.is_equals() and not _is_number(formula.arg(0)):
+    if formula.is_equals() and formula.arg(0).type.is_user_type():
         left, right = (text_of(domain, side, binding) for side in formula.args)
         return left == right
     if formula.is_equals() or formula.is_le() or formula.is_lt():
@@ -225,7 +228,33 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
         bindings = _bindings(domain, formula.variables(), binding)
         results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
         return any(results) if formula.is_exists() else all(results)
-    return _connective(formula, [holds(domain, part, binding, state) for part in formula.args])
+    parts = [holds(domain, part, binding, state) for part in formula.args]
+    if formula.is_and() or formula.is_or():
+        return all(parts) if formula.is_and() else any(parts)
+    if formula.is_not() or formula.is_implies():
+        return not parts[0] or any(parts[1:])
+    assert formula.is_iff(), f"the reader let an unsupported formula through: {formula}"
+    return parts[0] == parts[1]
+
+
+class _Derived(set[str]):
+    """A state, and what is derived of it so far."""
+
+
+@lru_cache(_MOST_STATES)
+def _derived(domain: Domain, state: State) -> AbstractSet[str]:
+    """Return a state with all that is derived from it: layer by layer, until nothing more follows."""
+    found = _Derived(state)
+    for _, layer in groupby(sorted(domain.axioms.items(), key=lambda one: one[1].layer), lambda one: one[1].layer):
+        left = [
+            (domain.inside["predicate", name], one.condition, binding)
+            for name, one in layer
+            for binding in _bindings(domain, (variable.variable() for variable in one.variables), {})
+        ]
+        while new := [one for one in left if holds(domain, *one[1:], found)]:
+            found.update(f"({' '.join([domain.outside[name], *binding.values()])})" for name, _, binding in new)
+            left = [one for one in left if one not in new]
+    return found
 
 
 def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) -> Exact | None:
@@ -241,22 +270,6 @@ def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) ->
     if len(known) < len(parts) or (number.is_div() and not known[1]):
         return None
     return reduce(_COMPUTED[number.node_type.name], known)
-
-
-def _is_number(term: UpThing) -> bool:
-    return not (term.is_object_exp() or term.is_parameter_exp() or term.is_variable_exp())
-
-
-def _connective(formula: UpThing, parts: list[bool]) -> bool:
-    if formula.is_and() or formula.is_or():
-        return all(parts) if formula.is_and() else any(parts)
-    if formula.is_not():
-        return not parts[0]
-    if formula.is_implies():
-        return not parts[0] or parts[1]
-    if formula.is_iff():
-        return parts[0] == parts[1]
-    raise AssertionError(f"the reader let an unsupported formula through: {formula}")
 
 
 def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:
@@ -319,15 +332,22 @@ def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding)
             yield text_of(domain, effect.fluent, inner)
 
 
-def _atoms(domain: Domain, formula: UpThing, binding: Binding) -> Iterator[str]:
+def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | None = None) -> Iterator[str]:
+    seen = set() if seen is None else seen
     if formula.is_fluent_exp():
-        yield text_of(domain, formula, binding)
+        text, axiom = text_of(domain, formula, binding), domain.axiom(formula)
+        if axiom is None:
+            yield text
+        elif text not in seen:
+            seen.add(text)
+            names = [one.variable().name for one in axiom.variables]
+            yield from _atoms(domain, axiom.condition, dict(zip(names, text[1:-1].split()[1:], strict=True)), seen)
     elif formula.is_exists() or formula.is_forall():
         for inner in _bindings(domain, formula.variables(), binding):
-            yield from _atoms(domain, formula.arg(0), inner)
+            yield from _atoms(domain, formula.arg(0), inner, seen)
     else:
         for part in formula.args:
-            yield from _atoms(domain, part, binding)
+            yield from _atoms(domain, part, binding, seen)
 
 
 def text_of(domain: Domain | None, formula: UpThing, binding: Binding) -> str:

@@ -1,5 +1,7 @@
 """Settings of every test: the same examples of hypothesis each time, and no clock that decides."""
 
+import os
+
 from hypothesis import settings
 
 from kb import KnowledgeBase
@@ -15,3 +17,5 @@ PATIENCE_S = 120.0
 # so much wall-clock time is given by default where a product's default would have a slow machine decide
 Planner.__init__.__defaults__ = ("fast-downward-opt", PATIENCE_S)
 KnowledgeBase.query.__defaults__ = (PATIENCE_S,)
+
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what hundreds of programs of the tests import is compiled once

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
+from rosa_pddl.search import distances
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
 _NEEDED: Final = ("start", "goal", "places", "corridors")
@@ -102,13 +103,9 @@ class Building:
             raise BuildingError(f"map {self.name} has no corridor {corridor!r}; near: {near}")
 
     def _check_connected(self) -> None:
-        seen, waiting = {self.start}, [self.start]
-        while waiting:
-            place = waiting.pop()
-            ends = {corridor.other(place) for corridor in self.exits[place]} - seen
-            seen |= ends
-            waiting += sorted(ends)
-        lost = [place for place in self.places if place not in seen]
+        ways = [(*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])]
+        reached = distances(ways, [self.start])
+        lost = [place for place in self.places if place not in reached]
         named = ", ".join(lost[:5]) + (f" and {len(lost) - 5} more" if len(lost) > 5 else "")
         _need(not lost, f"map {self.name} is disconnected: no way from {self.start} to {named}; add a corridor")
 

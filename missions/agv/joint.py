@@ -5,7 +5,7 @@ What the corridors allow, and what that takes, is asked of the knowledge base; n
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from operator import add
@@ -119,18 +119,11 @@ _Taken = tuple[_Way, Amounts, Amounts]  # a way, what switching to the mode for 
 class Task:
     """One question as a graph of places and modes, for the exact search; and for those who judge the planner."""
 
-    def __init__(
-        self,
-        building: Building,
-        question: Question,
-        modes: Modes,
-        running: Mode,
-        crossing: Callable[[Mode, float, float], Amounts],
-        costs: Costs,
-    ) -> None:
-        self.building, self.question, self.modes = building, question, modes
+    def __init__(self, planner: "JointPlanner", question: Question) -> None:
+        self.building = building = planner.building
+        self.question, self.modes = question, planner.modes
         place = question.start or Place(building.start)
-        self.start: State = (place if place.corridor else Place(place.name), running)
+        self.start: State = (place if place.corridor else Place(place.name), planner.running)
         self.goal = question.goal or building.goal
         building.check_place(place.name, "start")
         building.check_place(self.goal, "goal")
@@ -149,7 +142,7 @@ class Task:
             for name in self.limited
         )
         self._indices = tuple(GOALS.index(name) for name in self.limited)
-        self._crossing, self._costs, self._weighed = crossing, costs, weighing(question.weights)
+        self._crossing, self._costs, self._weighed = planner.crossing, planner.costs, weighing(question.weights)
         self._whole = {one.name: self._priced(self.way(one, one.ends[0])) for one in building.corridors.values()}
         self._steps: dict[Place, list[_Crossing]] = {}
         self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
@@ -260,15 +253,19 @@ class JointPlanner:
                 f"corridors demand {' and '.join(DEMANDS)}, but model {kb.model.name} has no attribute "
                 f"{' nor '.join(lacking)}; declare it as environmental, even if nothing is constrained by it"
             )
-        self._building, self._kb, self._function = building, kb, function
-        self._modes, self._costs = Modes(kb, function), costs or Costs()
+        self.building, self._kb, self._function = building, kb, function
+        self.modes, self.costs = Modes(kb, function), costs or Costs()
         # what whole corridors take is asked again and again, and what is left of one never again
-        self._crossing = lru_cache(maxsize=100_000)(self._costs.crossing)
+        self.crossing = lru_cache(maxsize=100_000)(self.costs.crossing)
+
+    @property
+    def running(self) -> Mode:
+        """How the robot is configured now."""
+        return running_mode(self._kb, self._function)
 
     def task(self, question: Question) -> Task:
         """Return a question as a graph; raises BuildingError if it names a place or corridor that there is not."""
-        running = running_mode(self._kb, self._function)
-        return Task(self._building, question, self._modes, running, self._crossing, self._costs)
+        return Task(self, question)
 
     def plan(self, question: Question) -> Answer:
         """Return the best plan, proven, or a proof that there is none with the reason; raises as `task`."""
@@ -284,7 +281,7 @@ class JointPlanner:
         way, switching, crossing = move.what
         takes = Amounts(*map(add, switching, crossing))
         mode = move.to[1]
-        possible = self._modes.under(way.conditions)
+        possible = self.modes.under(way.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}
         demands = f"light {way.conditions['light']:g} and {way.conditions['obstacles']:g} obstacles/m"
         choice = "the only design that is" if len(designs) == 1 else f"of {len(possible)} that are"
@@ -303,16 +300,16 @@ class JointPlanner:
         return f"{route}: of all ways the best for {goal}{limits} ({amounts})"
 
     def _why_not(self, task: Task) -> str:
-        ways = [task.way(corridor, corridor.ends[0]) for corridor in self._building.corridors.values()]
-        blocked = [way for way in ways if not self._modes.under(way.conditions)]
+        ways = [task.way(corridor, corridor.ends[0]) for corridor in self.building.corridors.values()]
+        blocked = [way for way in ways if not self.modes.under(way.conditions)]
         if len(blocked) == len(ways):
-            why = self._modes.why_none(blocked[0].conditions)
+            why = self.modes.why_none(blocked[0].conditions)
             wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
             faults = "".join(wrong[:1])
             return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].corridor.name}, {why}"
         if not task.limited or task.least(task.start)[0] == math.inf:
             named = ", ".join(way.corridor.name for way in blocked[:5])
-            why = f"{named} cannot be crossed: {self._modes.why_none(blocked[0].conditions)}" if blocked else "no way"
+            why = f"{named} cannot be crossed: {self.modes.why_none(blocked[0].conditions)}" if blocked else "no way"
             return f"{task.goal} cannot be reached from {task.start[0].name}; {why}"
         return self._broken_limits(task)
 

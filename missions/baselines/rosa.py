@@ -49,7 +49,7 @@ class OwnTree(Manager):
 
     def tree(self) -> Behaviour:
         robot = self.robot
-        return build_task("bt", robot.mission, self.kb, self.percepts, lambda: robot.now, 0.0).root
+        return build_task("bt", robot.mission, self.kb, self.percepts).root
 
     @property
     def is_done(self) -> bool:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated
 
 import typer
 
@@ -20,13 +20,11 @@ from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import own_values
 from missions.extras import needs
 from missions.views.console import Narrator, Recorder, print_result
+from missions.views.live import KEEP, LiveView
 from missions.views.output import OutputFile, as_json, open_files, summary, timing_of
 from missions.views.report import report as page_of
 from missions.views.run_recorder import RunRecorder
 from missions.views.steering import Steering
-
-LIVE_ROWS: Final = 100_000
-"""How many rows a live page can look back."""
 
 
 def run(
@@ -85,8 +83,6 @@ def run(
         if page:
             page.begin(opened, seed, changed)
         if page and live is not None:
-            from missions.views.live import LiveView
-
             if allow_control:
                 steering.begin(opened)
             seen, told = page.recorder, steering if allow_control else None
@@ -141,7 +137,7 @@ def _page(files: Mapping[str, OutputFile], live: int | None, mcap: Path | None, 
     """Return what writes down what there is to see, if anybody will look."""
     if live is None and mcap is None and not tui and "report" not in files:
         return None
-    return RunRecorder() if "report" in files else RunRecorder(LIVE_ROWS if live is not None else None, what_if=False)
+    return RunRecorder() if "report" in files else RunRecorder(KEEP if live is not None else None, what_if=False)
 
 
 def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:

@@ -57,7 +57,7 @@ class RosaController(Controller):
         self._mission, self._world = mission, world
         self.kb = self._kb = KnowledgeBase(mission.model(), clock=self._now)
         self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
-        self._task = build_task(task, mission, self._kb, self.percepts, self._now, settings.planning_delay_s)
+        self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._report_adaptation, deciding)
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
@@ -312,14 +312,7 @@ def check_task(kind: str) -> None:
         raise MissionError(f"unknown task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
 
 
-def build_task(
-    kind: str,
-    mission: Mission,
-    kb: KnowledgeBase,
-    percepts: Percepts,
-    clock: Callable[[], float],
-    planning_delay_s: float,
-) -> TaskLayer:
+def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float = 0.0) -> TaskLayer:
     """Build the task layer of a mission, of a kind "bt" or "pddl"; a plan is found in that simulated time [s].
 
     Raises:
@@ -333,12 +326,10 @@ def build_task(
         if not isinstance(root, Behaviour):
             raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
         return TaskLayer(root)
-    return _planning(mission, kb, percepts, clock, planning_delay_s)
+    return _planning(mission, kb, percepts, delay_s)
 
 
-def _planning(
-    mission: Mission, kb: KnowledgeBase, percepts: Percepts, clock: Callable[[], float], delay_s: float
-) -> TaskLayer:
+def _planning(mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float) -> TaskLayer:
     from missions.engine.declared import check_facts, mission_domain
     from rosa_pddl import PlanExecutor, Planner
 
@@ -355,7 +346,7 @@ def _planning(
         domain=domain,
         behaviours={schema: made.by(schema, action) for schema, action in mission.actions.items()},
         sense=lambda: mission.facts(kb, percepts),
-        clock=clock,
+        clock=lambda: kb.now,
         planner=planner,
         delay_s=delay_s,
     )

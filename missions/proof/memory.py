@@ -164,6 +164,9 @@ class Memory:
                     if name not in encoded or content != encoded[name]:
                         found.append((name, content))
             left = of_no_use(dict(found)) if of_no_use is not None else ()
+            for name in left:  # what decides nothing is as at first: nothing of one state is left in another
+                setattr(what, name, base[name])
+            held = tuple(now.values()) if left else held
             known = tuple(sorted((one for one in found if one[0] not in left), key=lambda one: one[0]))
             last = held if _is_shallow(value for _, value in found) else (_ABSENT,)
             return known

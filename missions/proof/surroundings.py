@@ -10,7 +10,7 @@ from typing import NamedTuple
 from py_trees.behaviour import Behaviour
 
 from kb import Event, KnowledgeBase
-from kb.elements import Constraint
+from kb.elements import Attribute, Constraint
 from kb.status import OPERATORS
 from missions.proof.planned import nodes
 from rosa_bt.behaviours import HasStatus, Measurement
@@ -71,7 +71,8 @@ class Surroundings:
         asked = _thresholds(kb, root)
         for name, more in (values or {}).items():
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
-        self.values = {name: _distinct(asked[name], *_range(kb, name)) for name in kb.attributes if asked[name]}
+        known = kb.model.attributes
+        self.values = {name: _distinct(asked[name], known[name]) for name in kb.attributes if asked[name]}
         self.worst = {name: min(found, key=partial(_satisfied, asked[name])) for name, found in self.values.items()}
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
         asking = [one.port_arguments.get("element") for one in nodes(root) if isinstance(one, HasStatus)]
@@ -128,13 +129,9 @@ def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tupl
     return found
 
 
-def _range(kb: KnowledgeBase, name: str) -> tuple[float, float]:
-    attribute = kb.model.attributes[name]
-    return attribute.low, attribute.high
-
-
-def _distinct(asked: set[tuple[str, float]], low: float, high: float) -> tuple[float, ...]:
-    """Return values within a range, one for each combination of answers to comparisons that there can be."""
+def _distinct(asked: set[tuple[str, float]], attribute: Attribute) -> tuple[float, ...]:
+    """Return values of an attribute, one for each combination of answers to comparisons that there can be."""
+    low, high = attribute.low, attribute.high
     known = sorted({value for _, value in asked})
     below = (low + known[0]) / 2 if low > -inf else known[0] - 1.0
     above = (known[-1] + high) / 2 if high < inf else known[-1] + 1.0

@@ -158,7 +158,7 @@ def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given:
         return Setup(mission.model, planned(mission), surroundings=given, slow=slow)
 
     def build(kb: KnowledgeBase) -> Behaviour:
-        return build_task(task, mission, kb, Percepts(), lambda: kb.now, 0.0).root
+        return build_task(task, mission, kb, Percepts()).root
 
     return Setup(mission.model, build, surroundings=given, slow=slow)
 

@@ -3,6 +3,7 @@
 What moves the vehicle leaves it hovering where it is when it is stopped: that is the safe state between two actions.
 """
 
+import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -85,32 +86,28 @@ class Field:
         return True
 
 
+@dataclass(eq=False)
 class Robot:
     """What the components share.
 
     `publish` takes the text of the message, key and value, `disturb` notes what truly happened.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        vehicle: Quadrotor,
-        field: Field,
-        rng: Generator,
-        publish: Callable[[str, str, str], None],
-        disturb: Callable[[str], None],
-    ) -> None:
-        self.settings, self.vehicle, self.field, self.rng = settings, vehicle, field, rng
-        self.publish, self.disturb = publish, disturb
-        self.now = 0.0  # [s]
-        self.level = 1.0  # charge of the battery, 0 to 1
-        self.held: Sample | None = None  # by the gripper
-        self.jams_s = inf  # when the gripper jams [s]
-        self.is_jammed = False
-        self.is_charging = False
-        self.pick_ups = 0  # how many samples were lifted
-        self.recharges = 0  # how often the battery was charged until it was full
-        self.qualities: list[float] = []  # worth of each analysis that was done
+    settings: Settings
+    vehicle: Quadrotor
+    field: Field
+    rng: Generator
+    publish: Callable[[str, str, str], None]
+    disturb: Callable[[str], None]
+    now: float = 0.0  # [s]
+    level: float = 1.0  # charge of the battery, 0 to 1
+    held: Sample | None = None  # by the gripper
+    jams_s: float = inf  # when the gripper jams [s]
+    is_jammed: bool = False
+    is_charging: bool = False
+    pick_ups: int = 0  # how many samples were lifted
+    recharges: int = 0  # how often the battery was charged until it was full
+    qualities: list[float] = dataclasses.field(default_factory=list)  # worth of each analysis that was done
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
         """Return the place with the legs that high above a sample [m], world frame."""

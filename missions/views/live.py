@@ -10,11 +10,11 @@ import json
 import os
 import socket
 from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import AbstractContextManager, asynccontextmanager, suppress
 from ipaddress import ip_address
 from secrets import token_urlsafe
 from threading import Thread
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
@@ -63,7 +63,7 @@ _SERVER: Final[dict[str, Any]] = {
 }
 
 
-class LiveView:
+class LiveView(AbstractContextManager["LiveView"]):
     """Shows a robot in browsers while it works, in three lines of its own program.
 
         view = LiveView(kb, tree)
@@ -138,9 +138,6 @@ class LiveView:
             self._is_closing = True
             self._thread.join(_PATIENCE_S + 3.0)
             self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *reason: object) -> None:
         self.close()

@@ -7,9 +7,9 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, suppress
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from kb import Model
 from kb.files import draft, put
@@ -25,7 +25,7 @@ UNITS: Final = {
 """How a unit is written that is the end of a figure's name."""
 
 
-class OutputFile:
+class OutputFile(AbstractContextManager["OutputFile"]):
     """A file that appears under its name, in the place of another one, only when it is complete; used as a context.
 
     A device such as /dev/stdout is written directly. A MissionError says at once that it cannot be written there.
@@ -45,9 +45,6 @@ class OutputFile:
             self._file = self._draft.open("wb")
         except OSError as error:
             raise self._failure(error) from error
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *reason: object) -> None:
         with suppress(OSError):  # what could not be written is for finish to say

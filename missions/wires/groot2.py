@@ -13,7 +13,7 @@ import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 from uuid import uuid4
 
@@ -148,24 +148,20 @@ class Groot2Publisher(VisitorBase):
         if len(head) != _HEAD.size or head[0] != _PROTOCOL:
             return _refusal(f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes")
         kind, present = chr(head[1]), self._present
+        served: Mapping[str, Callable[[], bytes]] = {
+            "T": present.tree.xml.encode,
+            "S": present.statuses,
+            "B": lambda: self._packed(self._boards(present.tree, argument.decode(errors="replace").split(";"))),
+            "r": lambda: self._record(argument),
+            "t": self._recorded,
+            "D": lambda: b"[]",
+        }
+        if kind not in served:
+            return _refusal(_NOT_SERVED.get(kind, f"unknown request {kind!r}; served are {' '.join(served)}"))
         try:
-            if kind == "T":
-                body = present.tree.xml.encode()
-            elif kind == "S":
-                body = present.statuses()
-            elif kind == "B":
-                body = self._packed(self._boards(present.tree, argument.decode(errors="replace").split(";")))
-            elif kind == "r":
-                body = self._record(argument)
-            elif kind == "t":
-                body = self._recorded()
-            elif kind == "D":
-                body = b"[]"
-            else:
-                return _refusal(_NOT_SERVED.get(kind, f"unknown request {kind!r}; served are T S B r t D"))
+            return [head + present.identity, served[kind]()]
         except ValueError as error:
             return _refusal(str(error))
-        return [head + present.identity, body]
 
     def _boards(self, tree: NumberedTree, names: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
         chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)

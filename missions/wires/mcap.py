@@ -2,10 +2,11 @@
 
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, BinaryIO, Final
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -32,7 +33,7 @@ _STOP: Final = None
 _log = logging.getLogger(__name__)
 
 
-class McapFile:
+class McapFile(AbstractContextManager["McapFile"]):
     """A file that grows by a record with each message, so that one cut off can be read up to there.
 
     When it is closed it is put in the form that tools seek in: chunks, compressed, with an index. Encoding and writing
@@ -106,9 +107,6 @@ class McapFile:
                 self._error = error
                 _log.warning("%s is recorded no further: %s", self.path, error)
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *reason: object) -> None:
         self.close()
 
@@ -140,7 +138,7 @@ def _in_chunks(path: Path) -> None:
         part.replace(path)
 
 
-class McapRecorder(Listener):
+class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
     """Records a robot: what its knowledge base hears and decides, its tree, and what a report shows beside that.
 
         recorder = McapRecorder("run.mcap", kb, tree)
@@ -204,9 +202,6 @@ class McapRecorder(Listener):
         if self._tree is not None and self._tick in self._tree.post_tick_handlers:
             self._tree.post_tick_handlers.remove(self._tick)
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *reason: object) -> None:
         self.close()

@@ -1,10 +1,10 @@
 """The engine `label-setting` for those who plan with unified-planning itself; `register_engine` makes it known.
 
-Imported late, as unified-planning is slow to import. A problem is put into the words of PDDL and read as files are, so
-what may be planned for, and what is refused, is the same.
+Imported late, as unified-planning is slow to import.
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from typing import IO, Any
 
 from unified_planning import engines
@@ -13,15 +13,13 @@ from unified_planning.exceptions import UPException
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
-from rosa_pddl.domain import Domain, UpThing
+from rosa_pddl.domain import Domain, Schema, UpThing, conjuncts
 from rosa_pddl.engines.unified_planning import LABEL_SETTING
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
-from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import Node, Source, formula, listed
-from rosa_pddl.validate import text_of
+from rosa_pddl.reader import NAME
 
 _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
@@ -110,80 +108,58 @@ def _plan(problem: UpThing, result: PlanningResult) -> SequentialPlan:
 
 def _domain_of(problem: UpThing) -> Domain:
     """Return a problem with instantaneous actions as a domain; the problem stays as it is."""
-    where = f"problem {problem.name or 'without a name'}"
+    where, stated = f"problem {problem.name or 'without a name'}", problem.clone()
+    for one, value in problem.initial_values.items():
+        stated.set_initial_value(one, value)
+    things = {
+        "type": problem.user_types,
+        "object": problem.all_objects,
+        "predicate": problem.fluents,
+        "action": problem.actions,
+    }
+    names = [(kind, one.name) for kind, ones in things.items() for one in ones]
+    inside = {(kind, name.lower()): name for kind, name in names}
+    for kind, name in names:
+        if not NAME.fullmatch(name) or inside[kind, name.lower()] != name:
+            message = f"found the {kind} {name!r}, expected a name of letters, digits, '_' and '-'"
+            raise PddlError(f"{message}, and of no other in other capitals", where)
+    draft = Domain(
+        name="d",
+        file=where,
+        problem_file=where,
+        rosa_actions=(),
+        schemas=tuple(one.name for one in problem.actions),
+        up_problem=stated,
+        schema_of={},
+        outside={"object": "object", **{name: name for _, name in names}},
+        inside=inside,
+        goals=(),
+        places={},
+        types={
+            one.name: tuple(kind.name.lower() for kind in (one.type, *one.type.ancestors))
+            for one in problem.all_objects
+        },
+        computed=frozenset(one.name for one in problem.fluents if not one.type.is_bool_type()),
+    )
     costs = next((one for one in problem.quality_metrics if one.is_minimize_action_costs()), None)
-    predicates = [one for one in problem.fluents if one.type.is_bool_type()]
-    numbers = [one for one in problem.fluents if not one.type.is_bool_type()]
-    values = [(_node(one), value) for one, value in problem.initial_values.items()]
-    domain = listed(
-        "define",
-        listed("domain", "d"),
-        listed(":types", *(word for one in problem.user_types for word in (one.name, "-", _above(one)))),
-        listed(":constants", *_typed(problem.all_objects)),
-        listed(":predicates", *(listed(one.name, *_typed(one.signature, "?")) for one in predicates)),
-        listed(":functions", *(listed(one.name, *_typed(one.signature, "?")) for one in numbers), listed("total-cost")),
-        *(_action(one, costs and costs.get_action_cost(one)) for one in problem.actions),
-    )
-    stated = listed(
-        "define",
-        listed("problem", str(problem.name)),
-        listed(":domain", "d"),
-        listed(":init", *(atom for atom, value in values if value.is_true()), *_numbers(values)),
-        listed(":goal", listed("and", *map(_node, problem.goals))),
-        *([listed(":metric", "minimize", listed("total-cost"))] if costs else []),
-    )
-    return build_domain(Source(where, domain), Source(where, stated))
+    schemas = {}
+    for one in problem.actions:
+        parameters = tuple((each.name, each.type.name) for each in one.parameters)
+        needs, effects = tuple(conjuncts(one.preconditions)), tuple(_decided(one.effects))
+        cost = costs and costs.get_action_cost(one)
+        schemas[one.name] = Schema(one.name, parameters, needs, (), (), (), effects, None, cost=cost)
+    return replace(draft, schema_of=schemas, metric="" if costs is None else "cost")
 
 
-def _above(kind: UpThing) -> str:
-    return str(kind.father.name) if kind.father else "object"
-
-
-def _numbers(values: Iterable[tuple[Node | str, UpThing]]) -> Iterator[Node]:
-    yield from (listed("=", atom, _node(value)) for atom, value in values if not value.is_bool_constant())
-
-
-def _typed(things: Iterable[UpThing], mark: str = "") -> Iterator[str]:
-    for one in things:
-        yield from (mark + one.name, "-", one.type.name)
-
-
-def _action(action: UpThing, cost: UpThing) -> Node:
-    numeric = [effect for effect in action.effects if not effect.fluent.type.is_bool_type()]
-    effects = [formula(text, action.name) for effect in action.effects for text in _literals_of(effect)]
-    for effect in numeric:
-        change = listed(effect.kind.name.lower(), _node(effect.fluent), _node(effect.value))
-        change = change if effect.condition.is_true() else listed("when", _node(effect.condition), change)
-        effects.append(listed("forall", listed(*_typed(effect.forall, "?")), change) if effect.forall else change)
-    if cost is not None:
-        effects.append(listed("increase", listed("total-cost"), _node(cost)))
-    needed = listed("and", *map(_node, action.preconditions))
-    parameters = listed(*_typed(action.parameters, "?"))
-    parts = (":parameters", parameters, ":precondition", needed, ":effect", listed("and", *effects))
-    return listed(":action", action.name, *parts)
-
-
-def _node(expression: UpThing) -> Node | str:
-    text = _formula_of(expression)
-    return formula(text, text) if text.startswith("(") else text
-
-
-def _literals_of(effect: UpThing) -> Iterator[str]:
-    """Write what an effect makes true and what it makes false, on their conditions; nothing for a number."""
-    if not effect.fluent.type.is_bool_type():
-        return
-    atom, value = _formula_of(effect.fluent), effect.value
-    for truth, literal in ((True, atom), (False, f"(not {atom})")):
-        needed = [] if effect.condition.is_true() else [_formula_of(effect.condition)]
-        if value.is_bool_constant():
-            if bool(value.constant_value()) is not truth:
-                continue
-        else:
-            needed.append(_formula_of(value) if truth else f"(not {_formula_of(value)})")
-        text = f"(when (and {' '.join(needed)}) {literal})" if needed else literal
-        yield f"(forall ({' '.join(_typed(effect.forall, '?'))}) {text})" if effect.forall else text
-
-
-def _formula_of(formula: UpThing) -> str:
-    """Write a formula in the names of unified-planning's problem."""
-    return text_of(None, formula, {})
+def _decided(effects: Iterable[UpThing]) -> Iterator[UpThing]:
+    """Yield effects of which each makes an atom true, or makes it false: what it depends on becomes a condition."""
+    for effect in effects:
+        manager, value = effect.environment.expression_manager, effect.value
+        is_open = effect.fluent.type.is_bool_type() and not value.is_bool_constant()
+        for truth in (True, False) if is_open else ():
+            part = effect.clone()
+            part.set_value(manager.Bool(truth))
+            part.set_condition(manager.And(effect.condition, value if truth else manager.Not(value)))
+            yield part
+        if not is_open:
+            yield effect

@@ -8,18 +8,16 @@ import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, InvalidStateError, wait
+from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO
 from weakref import WeakSet
 
 from rosa_pddl.outcomes import Outcome, Trouble
 
 INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
 """What to do when a program does not work."""
-
-T = TypeVar("T")
 
 # A plan of a million steps is smaller than this; what is longer is an engine that prints without end.
 _MOST_OUTPUT = 64 << 20
@@ -74,13 +72,6 @@ class ProcessHandle:
         with suppress(InvalidStateError):
             self._is_cancelled.set_result(None)
 
-    def wait(self, future: "Future[T]", limit_s: float) -> T:
-        """Wait for something that another thread makes; raises TimeoutError, or Cancelled."""
-        either: list[Future[Any]] = [future, self._is_cancelled]
-        wait(either, limit_s, FIRST_COMPLETED)
-        self.check()
-        return future.result(0)
-
     def ask(self, command: Sequence[str], *, limit_s: float, **settings: Any) -> Ended:  # noqa: ANN401  # as of `run`
         """Run a program as `run` does; raises Trouble if it cannot be started, or gives no answer in time."""
         try:
@@ -98,16 +89,10 @@ class ProcessHandle:
         given: bytes = b"",
         limit_s: float,
         environment: Mapping[str, str] | None = None,
-        folder: str | None = None,
     ) -> Ended:
-        """Run a program to its end; raises OSError if it cannot be started, or Cancelled.
+        """Run a program for so much wall-clock time [s]; raises OSError if it cannot be started, or Cancelled.
 
-        Args:
-            command: the program and its arguments.
-            given: what it reads from its standard input.
-            limit_s: wall-clock time after which it is killed [s].
-            environment: variables to add to those of this process.
-            folder: its working directory; by default that of this process.
+        It reads what is given, in this process's environment with more variables.
         """
         with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
             self.check()
@@ -119,7 +104,6 @@ class ProcessHandle:
                     stdout=output,
                     stderr=complaints,
                     start_new_session=True,
-                    cwd=folder,
                     env={**os.environ, **_NO_PYTHON_NOISE, **(environment or {})},
                 )
                 try:

@@ -22,7 +22,7 @@ sys.path.append(str(Path(__file__).parents[1] / "missions"))  # what is cut and 
 from cut_wires import requests_through_cuts
 from test_assistant import asked
 from test_bridge import NONSENSE as SPECIMENS
-from test_bridge import SETTINGS, Robot, bridged, until
+from test_bridge import Robot, bridged, until
 from test_recordings import rosa
 from typer.testing import CliRunner
 
@@ -127,7 +127,7 @@ def test_every_prefix_of_a_recording_replays(rows, tmp_path):
 def test_a_thousand_diagnostics_a_second(rows):
     robot, seconds = Robot(), 10
     try:
-        with bridged(robot, SETTINGS) as (_, bridge), connect(robot.url) as peer:
+        with bridged(robot) as (_, bridge), connect(robot.url) as peer:
             until(lambda: bridge.heard, turn=lambda: robot.diagnose(energy=0.5))
             pairs = [{"key": "energy", "value": "0.5"}]
             status = {"level": 0, "name": "robot", "message": "QA status", "hardware_id": "", "values": pairs}

@@ -69,13 +69,11 @@ SHELF = Mission(
 def run(mission, kb):
     """Tick the planned task layer until it is done; returns what was fetched."""
     DONE.clear()
-    now = [0.0]
-    task = build_task("pddl", mission, kb, Percepts(), lambda: now[0], 0.0)
+    task = build_task("pddl", mission, kb, Percepts())
     try:
         for _ in range(30):
             task.catch_up()
             task.root.tick_once()
-            now[0] += 0.5
             if task.root.status is Status.SUCCESS:
                 return list(DONE)
     finally:

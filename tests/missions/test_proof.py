@@ -11,7 +11,8 @@ from itertools import permutations
 import pytest
 from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
 from proof_twin import agree
-from py_trees.common import OneShotPolicy
+from py_trees.behaviours import Running
+from py_trees.common import OneShotPolicy, Status
 from py_trees.composites import Sequence
 from py_trees.decorators import OneShot
 from typer.testing import CliRunner
@@ -118,6 +119,16 @@ def test_state_is_read_and_written_back():
     known.write(before[1])
     assert (tree.read(), known.read()) == before
     assert rig.required == ()
+
+
+def test_what_is_left_out_of_a_state_is_not_left_from_another():
+    """How an earlier round ended made uav's task seem to give way: `gave_way` looks at all that has failed."""
+    root = Sequence("root", memory=True, children=[Running("find"), Running("analyse")])
+    memory = Memory([root])
+    number = memory.read()
+    root.children[1].status = Status.FAILURE
+    assert memory.read() == number
+    assert root.children[1].status is Status.INVALID
 
 
 def test_what_cannot_be_restored_is_named():

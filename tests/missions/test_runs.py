@@ -73,7 +73,7 @@ def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_c
     root = Parallel("both", ParallelPolicy.SuccessOnAll(), [first, Running("works"), second])
     mission = replace(find_mission("suave"), tree=lambda kb, percepts: root)
     kb = KnowledgeBase(mission.model(), clock=lambda: 0.0)
-    told = build_task("bt", mission, kb, Percepts(), lambda: 0.0, 0.2).plans
+    told = build_task("bt", mission, kb, Percepts(), 0.2).plans
     assert told() == ()
     for one, reason in ((second, "a"), (first, "b"), (second, "c")):
         one.find(reason)

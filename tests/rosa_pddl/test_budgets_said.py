@@ -21,13 +21,6 @@ from rosa_pddl import (
 
 GO, GOAL = "(increase (noise) 1)", "(<= (noise) 9)"
 REFUSED = {
-    "cost by what changes": (
-        "(total-cost) (length ?w)",
-        "(total-cost) (noise)",
-        "domain",
-        9,
-        "makes the cost of a step",
-    ),
     "no number": (GO, "(increase (noise) ?w)", "domain", 10, "found '?w', expected a number"),
     "misspelt": (GOAL, "(<= (nois) 9)", "problem", 6, "unknown predicate 'nois'"),
     "cost": (GOAL, "(<= (total-cost) 9)", "problem", 6, "compares (total-cost), which is for the metric"),

@@ -315,22 +315,21 @@ def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
 
 
 def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest():
-    cache = PlanCache(2)
-    problems = ["first", "second", "third"]
-    result = PlanningResult(Outcome.SOLVED)
-    for problem in problems[:2]:
+    cache, result = PlanCache(2), PlanningResult(Outcome.SOLVED)
+    for problem in ("first", "second"):
         cache.put(problem, result)
-    assert cache.get(problems[0]) is result
-    cache.put(problems[2], result)
-    assert [cache.get(problem) is result for problem in problems] == [True, False, True]
-    assert len(cache) == 2
+    assert [cache.get(problem) is result for problem in ("first", "second")] == [True, True]
+    cache.put("third", result)
+    assert list(cache) == ["third"]
+    PlanCache(0).put("first", result)
 
 
 def test_large_states_count_for_more_in_the_cache():
-    cache = PlanCache(100)
+    cache, known = PlanCache(100), []
     for number in range(4):
         cache.put(number, PlanningResult(Outcome.SOLVED), 400_000)
-    assert len(cache) == 2
+        known.append(list(cache))
+    assert known == [[0], [0, 1], [2], [2, 3]]
 
 
 # ------------------------------------------------------------------ overlapping steps

@@ -2,15 +2,19 @@
 
 from collections import deque
 from fractions import Fraction
+from heapq import heappop, heappush
+from itertools import product
 from shutil import which
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.random import default_rng
 from pddl_world import World
 from py_trees.common import Status
 
 from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, parse_domain
+from rosa_pddl.grounding import usage_of
 from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
 PLACES = ("dock", "w1", "w2", "w3", "w4")
@@ -180,3 +184,51 @@ def test_numbers_are_exact():
         state = ended(domain, result.steps[0], state)
         value = Fraction(count, 3)
         assert f"(= (x) {value})" in state
+
+
+CARRIER = """(define (domain carrier) (:types place) (:predicates (at ?p - place) (box ?p - place) (full))
+  (:functions (total-cost) (load) (far ?a ?b - place))
+  (:action drive :parameters (?a ?b - place) :precondition (at ?a)
+    :effect (and (not (at ?a)) (at ?b) (increase (total-cost) (+ (* 2 (* (load) (far ?a ?b))) 1))))
+  (:action pick :parameters (?p - place) :precondition (and (at ?p) (box ?p))
+    :effect (and (not (box ?p)) (full) (increase (load) (far ?p ?p)) (increase (total-cost) (load))))
+  (:action drop :parameters (?p - place) :precondition (and (at ?p) (>= (load) 3))
+    :effect (and (decrease (load) 3) (increase (total-cost) 1))))"""
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_plans_cost_least_where_what_a_step_costs_depends_on_numbers_that_change(seed):
+    rng, places = default_rng(seed), ("a", "b", "c")
+    far = " ".join(f"(= (far {one} {two}) {rng.integers(0, 5)})" for one in places for two in places)
+    domain = parse_domain(
+        CARRIER,
+        f"""(define (problem p) (:domain carrier) (:objects a b c - place) (:init (at a) (= (load) {rng.integers(0, 4)})
+        (box b) (box {rng.choice(["a", "c"])}) {far}) (:goal (and (at c) (full) (not (box b))))
+        (:metric minimize (total-cost)))""",
+    )
+    usage, start = usage_of(domain), Problem(domain, initial_state(domain))
+    steps = [domain.step("drive", words) for words in product(places, repeat=2)]
+    steps += [domain.step(name, (place,)) for name in ("pick", "drop") for place in places]
+    queue, known, count = [(0, 0, start.state)], {}, 0
+    while True:
+        cost, _, state = heappop(queue)
+        if goal_holds(domain, state):
+            break
+        for step in steps if state not in known else ():
+            if missing_at_start(domain, step, state) is None:
+                count += 1
+                more = usage.value(usage.cost_of(step), usage.numbers(Problem(domain, state)))
+                heappush(queue, (cost + more, count, ended(domain, step, state)))
+        known[state] = cost
+    result = Planner().plan(start)
+    assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, cost)
+
+
+def test_a_cost_below_nothing_is_refused_where_it_arises():
+    domain = parse_domain(
+        CARRIER.replace("(increase (total-cost) (load))", "(increase (total-cost) (- (load) 9))"),
+        """(define (problem p) (:domain carrier) (:objects a - place) (:init (at a) (box a) (= (load) 0)
+        (= (far a a) 1)) (:goal (full)) (:metric minimize (total-cost)))""",
+    )
+    result = Planner("label-setting").plan(Problem(domain, initial_state(domain)))
+    assert "a step costs less than nothing in some state" in result.attempts[0].message

@@ -168,11 +168,6 @@ def test_malformed_pddl_is_refused_with_place_and_expectation(case, tmp_path):
 
 
 UNSUPPORTED = {
-    "derived": (
-        in_rooms("(:durative-action move", "(:derived (lit ?x - room) (lit ?x)) (:durative-action move"),
-        "domain.pddl:6:3",
-        "'lit' is derived from itself",
-    ),
     "timed fact": (in_rooms("(free robby)", "(at 5 (free robby))"), "problem.pddl@(at 5", "become true at a time"),
     "either": (in_rooms("robby - robot", "robby - (either robot room)"), "problem.pddl@(either", "either"),
 }

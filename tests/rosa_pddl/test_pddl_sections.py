@@ -104,7 +104,6 @@ def test_a_misspelt_requirement_does_no_harm_and_is_told(word):
 
 
 REFUSED = {
-    "second section": (("(:functions", "(:types third) (:functions"), 4, "put both together, the first is in line 2"),
     "name with a digit first": (("(:objects a", "(:objects 1a a"), 3, "the object '1a', expected a name: a letter"),
     "name with an accent": (("(:objects a", "(:objects é a"), 3, "the object 'é', expected a name: a letter"),
     "parameter twice": ((":parameters (?t - thing)", ":parameters (?t ?t - thing)"), 6, "the parameter '?t' again"),
@@ -129,7 +128,7 @@ UNSUPPORTED = {
     "conditional cost": (
         ("(increase (total-cost) 2)", "(when (ok ?t) (increase (total-cost) 2))"),
         13,
-        "makes the cost of a step depend on more",
+        "makes the cost of a step depend on conditions",
     ),
     "sum as metric": (
         ("(done a))", "(done a)) (:metric minimize (+ (total-time) 1))"),

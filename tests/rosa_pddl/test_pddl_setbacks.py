@@ -123,6 +123,25 @@ def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
     assert world.executor.plans[1].reason == f"{outcome} after start: retry 1 of 3"
 
 
+def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(ways):
+    planner = Troubled(0)
+    world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
+    world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
+    assert world.tick() is Status.RUNNING
+
+    def change():
+        planner.left, world.facts = 10**6, {"(damp)": False, "(near)": 1.0 + next(number) / 1000}
+
+    ticks(world, 60.0, change)
+    asked = len(world.executor.plans)
+    assert 5 < asked < 15
+    assert begun(world) == {"near": 1}
+    planner.left = 0
+    world.executor.goals.add("(safe)")
+    ticks(world, 0.3)
+    assert [sorted(plan) for plan in world.plans()[asked:]] == [["near", "surface"]]
+
+
 def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_beside_it(ways):
     world = World(ways, Troubled(2, safe=ways.step("surface", [])))
     world.facts = {"(damp)": False}
@@ -159,7 +178,7 @@ def test_after_a_grounding_that_was_late_the_warm_way_comes_back(ways):
     problem = Problem(ways, initial_state(ways) - {"(damp)"})
     tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
     assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
-    planner._groundings._limit_s = 60.0
+    planner.groundings._limit_s = 60.0
     assert ["warm"] in [[one.way for one in planner.plan(problem).attempts] for _ in range(9)]
 
 

@@ -126,9 +126,8 @@ def least_cost(domain, state, costs):
         for step in steps:
             if missing_at_start(domain, step, state) is None:
                 pushed += 1
-                heappush(
-                    queue, (cost + usage_of(domain).total_cost([step], numbers), pushed, ended(domain, step, state))
-                )
+                price = usage_of(domain).total_cost(Problem(domain, state), [step], numbers)
+                heappush(queue, (cost + price, pushed, ended(domain, step, state)))
     return Outcome.UNSOLVABLE_PROVEN, None
 
 
