@@ -378,10 +378,6 @@ class _Estimable(_Constrainable):
         self.model.add_estimation(self, attribute, value, kind)  # type: ignore[arg-type]  # a subclass is one of three
 
 
-def _comparing(operator: str) -> Callable[["Attribute", float], Expression]:
-    return lambda attribute, value: Expression(attribute.name, operator, finite_number(value), attribute.model)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Attribute(Element):
     """Something that is measured; comparing it with a number gives an expression.
@@ -448,7 +444,17 @@ class Attribute(Element):
         """Write a number with the unit."""
         return f"{number} {self.unit}" if self.unit else number
 
-    __ge__, __gt__, __le__, __lt__ = map(_comparing, (">=", ">", "<=", "<"))
+    def __ge__(self, value: float) -> Expression:
+        return Expression(self.name, ">=", finite_number(value), self.model)
+
+    def __gt__(self, value: float) -> Expression:
+        return Expression(self.name, ">", finite_number(value), self.model)
+
+    def __le__(self, value: float) -> Expression:
+        return Expression(self.name, "<=", finite_number(value), self.model)
+
+    def __lt__(self, value: float) -> Expression:
+        return Expression(self.name, "<", finite_number(value), self.model)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

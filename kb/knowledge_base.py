@@ -471,14 +471,8 @@ class KnowledgeBase:
             text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
-        chosen = [
-            _owned(_found(network.designs, "function design", name), _found(network.functions, "function", of))
-            for of, name in _pairs(designs)
-        ]
-        given = [
-            _owned(_found(network.configurations, "configuration", name), _found(network.components, "component", of))
-            for of, name in _pairs(configurations)
-        ]
+        chosen = _chosen(network.designs, "function design", network.functions, "function", designs)
+        given = _chosen(network.configurations, "configuration", network.components, "component", configurations)
         now = known.now
         for node in (*chosen, *given):
             if known.state.status[node.index] is Status.UNFEASIBLE:
@@ -775,13 +769,14 @@ def _found(table: Mapping[str, Node], kind: str, name: Any) -> Node:  # noqa: AN
     return named(table, kind, name) if node is None else node
 
 
-def _pairs(chosen: Mapping[str, str] | None) -> Iterable[tuple[str, str]]:
-    if chosen is not None and not isinstance(chosen, Mapping):
-        raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {chosen!r}")
-    return (chosen or {}).items()
-
-
-def _owned(node: Node, owner: Node) -> Node:
-    if node.wholes[0] is not owner:
-        raise InvalidValue(f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
-    return node
+def _chosen(
+    parts: Mapping[str, Node], kind: str, wholes: Mapping[str, Node], of: str, given: Mapping[str, str] | None
+) -> list[Node]:
+    """Return what is chosen, by name of what it is for; each is to be one of that."""
+    if given is not None and not isinstance(given, Mapping):
+        raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {given!r}")
+    chosen = [(_found(parts, kind, name), _found(wholes, of, whole)) for whole, name in (given or {}).items()]
+    for node, owner in chosen:
+        if node.wholes[0] is not owner:
+            raise InvalidValue(f"{kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
+    return [node for node, _ in chosen]

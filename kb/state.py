@@ -310,9 +310,10 @@ class Overlay(State):
         self._layers: dict[str, _Layer[Any]] = {}
         for name in (*FACTS, *_INFERRED):
             column = getattr(below, name)
-            quick = {"__slots__": (), "__missing__": column.__getitem__}  # without a call; it takes longer to make
-            layer = (type("_QuickLayer", (_Layer,), quick) if lasting else _Layer)(column)
-            self._layers[name] = layer
+            cls: type[_Layer[Any]] = _Layer
+            if lasting:  # one that finds what is below without a call; it takes longer to make
+                cls = type("_QuickLayer", (_Layer,), {"__slots__": (), "__missing__": column.__getitem__})
+            self._layers[name] = layer = cls(column)
             setattr(self, name, layer)
         self.reasons = {}
         self.parameters = below.parameters

@@ -17,7 +17,7 @@ from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.store import Own, Store, Thing, answers, shown
+from kb.typeql.store import Insertion, Own, Question, Store, Thing, shown
 from kb.typeql.syntax import Define, Literal, parse
 from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Kind, Vocabulary, seconds
 
@@ -49,8 +49,8 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
     store = Store(vocabulary)
     for file, query in parsed:
         if not isinstance(query, Define):
-            for bindings in answers(store, query.patterns, file):
-                store.insert(query.statements, file, bindings)
+            for bindings in Question(store, file).answers(query.patterns):
+                Insertion(store, file, bindings).run(query.statements)
     _complete(store)
     said = (one.name for one in store.of(Kind.MODEL))
     model = cls(name if name is not None else next(said, files[0].stem))

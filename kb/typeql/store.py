@@ -94,9 +94,6 @@ class Store:
         self.notes: list[str] = []
         self.order = 0
 
-    def insert(self, statements: Sequence[Statement], file: str, bindings: Bindings) -> None:
-        _Insertion(self, file, bindings).run(statements)
-
     def of(self, kind: Kind) -> list[Thing]:
         return self.things.get(kind, [])
 
@@ -113,7 +110,7 @@ class Store:
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
         found = field_of(thing.kind, label) if thing.kind else None
         if found is None or thing.kind is None:
-            if thing.kind and not self.vocabulary.declares(label):
+            if thing.kind and label not in self.vocabulary.attributes:
                 known = [one.words[0] for one in ATTRIBUTES[thing.kind]]
                 self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; passed over")
             thing.owns.append(Own(None, label, value, place, self.order))
@@ -134,7 +131,7 @@ class Store:
                 raise DuplicateInFile(message, *place)
 
 
-class _Insertion:
+class Insertion:
     """One `insert`, for one answer to what stands before it."""
 
     def __init__(self, store: Store, file: str, bindings: Bindings) -> None:
@@ -231,23 +228,20 @@ MOST: Final = 100_000
 """How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
 
 
-def answers(store: Store, patterns: Sequence[Statement], file: str) -> list[Bindings]:
-    """Return what the variables can stand for; at least one answer.
-
-    Raises:
-        ModelFileError: nothing matches; the message says what was looked for and what there is.
-    """
-    return _Question(store, file).answers(patterns)
-
-
-class _Question:
+class Question:
     """What one `match` asks."""
 
     def __init__(self, store: Store, file: str) -> None:
         self.store, self.file = store, file
 
     def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
-        """The most telling statements come first: those with a name, then relations."""
+        """Return what the variables can stand for; at least one answer.
+
+        The most telling statements come first: those with a name, then relations.
+
+        Raises:
+            ModelFileError: nothing matches; the message says what was looked for and what there is.
+        """
         equal = [(one.variable, each) for one in patterns for each in one.clauses if isinstance(each, Equal)]
         found: list[Found] = [{str(name): each.value for name, each in equal}]
         statements = (one for one in patterns if not any(isinstance(each, Equal) for each in one.clauses))

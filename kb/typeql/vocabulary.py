@@ -134,7 +134,11 @@ class Type:
 
 
 class Vocabulary:
-    """The types that files may use: first all files `define`, then `link` is called, then the rest is asked."""
+    """The types that files may use: first all files `define`, then `link` is called, then the rest is asked.
+
+    Attributes:
+        attributes: the labels of those that the files define.
+    """
 
     def __init__(self) -> None:
         self._types: dict[str, Type] = {kind.label.replace("-", ""): Type(kind.label, kind) for kind in ROLES}
@@ -144,7 +148,7 @@ class Vocabulary:
         for alias, label in _WORDS["aliases"].items():
             self._types[_plain(alias)] = self._types[_plain(label)]
         self._parents: dict[str, tuple[str, Place]] = {}
-        self._attributes: set[str] = set()
+        self.attributes: set[str] = set()
 
     def define(self, query: Define, file: str) -> None:
         for label, parents in query.definitions:
@@ -161,9 +165,6 @@ class Vocabulary:
             known = list(dict.fromkeys(one.label for one in self._types.values()))
             raise place.error(f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`")
         return found
-
-    def declares(self, label: str) -> bool:
-        return label in self._attributes
 
     def role(self, of: Type, kind: Kind, word: Word | None, player: Type, place: Place) -> Role:
         """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
@@ -194,15 +195,15 @@ class Vocabulary:
 
     def _link(self, label: str, below: list[str]) -> Type | None:
         """Return a type, once it is known of what it is a sort; None for an attribute, which has no type."""
-        if label not in self._parents or label in self._attributes:
+        if label not in self._parents or label in self.attributes:
             return self._types.get(_plain(label))
         parent, place = self._parents[label]
         if label in below:
             raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
         above = None if parent in _ROOTS else self._link(parent, [*below, label])
-        is_attribute = parent in self._attributes or any(field_of(kind, parent) for kind in Kind)
+        is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in Kind)
         if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):
-            self._attributes.add(label)
+            self.attributes.add(label)
             return None
         if above is None and parent not in _ROOTS:
             self.type(parent, place)
