@@ -31,7 +31,7 @@ def aim_along(position: Array, start: Array, end: Array) -> Array:
     line = end - start
     length = float(np.hypot(*line))
     unit = line / max(length, 1e-9)
-    along = float(np.clip((position - start) @ unit, 0.0, length))
+    along = min(max(float((position - start) @ unit), 0.0), length)  # a tenth of the time that numpy takes for one
     point: Array = start + unit * min(along + _AHEAD_M, length)
     return point
 
@@ -48,7 +48,7 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
         return _turned_to(bearing, speed)
     ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
     room_m = float(ahead.min(initial=math.inf))
-    speed *= float(np.clip((room_m - _STOP_M) / _SLOW_M, 0.0, 1.0))
+    speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
     headings, rooms = bearing + _OFFSETS, list[float]()
     x, y = hits[:, 0], hits[:, 1]
     for heading, cos, sin in zip(headings.tolist(), np.cos(headings), np.sin(headings), strict=True):
@@ -64,7 +64,7 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
 
 def _turned_to(heading: float, speed: float) -> Aim:
     error = math.remainder(heading, math.tau)
-    turn = float(np.clip(_TURN_GAIN * error, -_TURN_RAD_S, _TURN_RAD_S))
+    turn = min(max(_TURN_GAIN * error, -_TURN_RAD_S), _TURN_RAD_S)
     return Aim(speed * max(0.0, math.cos(error)) ** 3, turn)
 
 

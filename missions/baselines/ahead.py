@@ -53,7 +53,8 @@ class AheadManager(OwnTree):
         heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
         widths = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
         self._search = Gain("search_pipeline", widths, 0.5, switching_s=CLIMBING_S)
-        recharge = Errand("recharge", {"battery_level": 1.0}, self._drive_s, self._return_s, 0.2)
+        drive_s = self._drive_s
+        recharge = Errand("recharge", {"battery_level": 1.0}, drive_s, lambda away: drive_s(away) + SETTLING_S, 0.2)
         self._errands: tuple[Errand, ...] = (recharge,) if recharge.action in kb.actions else ()
         self._lookahead = Lookahead(kb, self._worth, period=2.0)
         return WhatNext("what next", self._lookahead, [mission])
@@ -86,6 +87,3 @@ class AheadManager(OwnTree):
     def _drive_s(self, away: float) -> float:
         settings = self.robot.settings
         return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
-
-    def _return_s(self, away: float) -> float:
-        return self._drive_s(away) + SETTLING_S

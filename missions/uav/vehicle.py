@@ -38,7 +38,8 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
     """
     x, y = POSITION_GAIN * (target[0] - position[0]), POSITION_GAIN * (target[1] - position[1])
     z = POSITION_GAIN * (target[2] - position[2])
-    scale = min(1.0, speed / max(math.hypot(x, y), 1e-9))
+    far = math.hypot(x, y)
+    scale = speed / far if far > speed else 1.0
     return x * scale, y * scale, max(-climb, min(climb, z))
 
 
@@ -53,7 +54,8 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
     """
     x, y = VELOCITY_GAIN * error[0] + trim[0], VELOCITY_GAIN * error[1] + trim[1]
     z = VELOCITY_GAIN * error[2] + trim[2]
-    scale = min(1.0, SIDEWAYS_M_S2 / max(math.hypot(x, y), 1e-9))
+    push = math.hypot(x, y)
+    scale = SIDEWAYS_M_S2 / push if push > SIDEWAYS_M_S2 else 1.0
     lift = max(gravity / 2, gravity + min(VERTICAL_M_S2, z))
     return mass * x * scale, mass * y * scale, mass * lift
 
@@ -213,8 +215,9 @@ class Quadrotor:
         """Choose thrusts and advance by one period of the control."""
         step_s = SUBSTEPS * self._settings.physics_step_s
         thrusts = self._thrusts(step_s) if self._target is not None and self.has_power else [0.0] * 4
-        turn = math.pi / 2 / self._settings.fold_s * step_s
-        self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
+        if self._arm != self._arm_wanted:
+            turn = math.pi / 2 / self._settings.fold_s * step_s
+            self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
         _WRITE(self._ctrl, 0, *thrusts, self._arm)
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
