@@ -101,6 +101,7 @@ class Rig(VisitorBase):
         self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
         self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
         self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
+        self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
         self.root = setup.build(self.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         self.choices = Choices() if choices is None else choices
@@ -141,10 +142,9 @@ class Rig(VisitorBase):
         """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
         self._robot.faults.clear()
         try:
-            manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)  # it looks at each state anew
             for _ in range(_MOST_TURNS):
                 revision = self.kb.revision
-                if manager.update() is None and self.kb.revision == revision:
+                if self._manager.update() is None and self.kb.revision == revision:
                     break
             else:
                 self._robot.faults.append("the manager does not come to rest")
