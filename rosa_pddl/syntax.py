@@ -26,6 +26,7 @@ _UNSUPPORTED = {
     **dict.fromkeys(
         (":task", ":method", ":htn"), "hierarchies are not executed here; Aries (up-aries) by itself would do"
     ),
+    ":utility": "no installed engine takes utilities. Leave them out and add soft goals: goals.add(TEXT, worth=COST)",
     ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
 }
 # Those of PDDL 2.1 to 3.1, and of its extensions for hierarchies and chance.

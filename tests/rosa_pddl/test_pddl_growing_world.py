@@ -4,7 +4,7 @@ import pytest
 from pddl_world import World
 from py_trees.common import Status
 
-from rosa_pddl import Problem, UnknownNameError, parse_domain
+from rosa_pddl import Planner, Problem, UnknownNameError, initial_state, parse_domain
 from rosa_pddl.problem import with_object, without_object
 
 DOMAIN = """(define (domain rocks) (:types action place sample - object)
@@ -105,3 +105,17 @@ TANKS = (
   (:objects a b - tank) (:init (ready a) (ready b) (= (level a) 7) (= (level b) 7))
   (:goal (forall (?t - tank) (full ?t))))""",
 )
+
+
+@pytest.mark.parametrize(("kind", "is_driven"), [("truck", True), ("bike", False)])
+def test_a_variable_of_several_types_is_of_what_appears_later_too(kind, is_driven):
+    domain = parse_domain(
+        """(define (domain d) (:types car truck bike - vehicle place) (:predicates (at ?v - vehicle ?p - place))
+          (:action drive :parameters (?v - (either car truck) ?a ?b - place) :precondition (at ?v ?a)
+            :effect (and (not (at ?v ?a)) (at ?v ?b))))""",
+        """(define (problem p) (:domain d) (:objects c - car x y - place) (:init (at c x))
+          (:goal (forall (?v - vehicle) (at ?v y))))""",
+    )
+    grown = with_object(domain, "new", kind)
+    result = Planner().plan(Problem(grown, initial_state(grown) | {"(at new x)"}))
+    assert result.outcome.is_solved is is_driven

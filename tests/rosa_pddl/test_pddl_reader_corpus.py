@@ -89,6 +89,16 @@ def test_a_goal_of_none_or_several_conditions_is_refused_with_what_to_write(tmp_
         load_text(tmp_path, PLAIN, PROBLEM.replace("(:goal (done))", goal))
 
 
+def test_sections_come_in_pieces_and_what_others_leave_out_may_be_left_out():
+    domain = parse_domain(
+        """(define (domain d) (:types x) (:predicates (p ?x - x)) (:types y) (:predicates (q ?y - y)) (:functions (c))
+          (:action a :parameters (?x - x ?y - y) :effect (and (p ?x) (q ?y) (increase (c) 2))))""",
+        """(define (problem p) (:domain d) (:objects o - x) (:objects u - y) (:goal (and (p o) (q u)))
+          (:metric minimize c))""",
+    )
+    assert Planner().plan(Problem(domain, initial_state(domain))).cost == 2.0
+
+
 # ------------------------------------------------------------------ which ROSA action a PDDL action does
 
 
@@ -162,6 +172,7 @@ REFUSED = {
     "object fluent": (("(fuel ?t - thing)", "(place ?t - thing) - thing"), "domain.pddl:2:", "up-aries"),
     "process": (("(:action go", "(:process go"), "domain.pddl:3:", "up-enhsp"),
     "preference": (("(:goal (done))", "(:goal (preference p1 (done)))"), "problem.pddl:2:", "goals.add"),
+    "utility": (("(:goal (done))", "(:goal (done)) (:utility (= (done) 3))"), "problem.pddl:2:", "goals.add"),
     "trajectory": (("(:goal (done))", "(:goal (done)) (:constraints (always (ok a)))"), "problem.pddl:2:", "up-symk"),
     "metric": (("(:goal (done))", "(:goal (done))\n (:metric minimize (fuel a))"), "problem.pddl:3", "total-cost"),
 }
