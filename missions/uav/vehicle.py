@@ -146,7 +146,7 @@ class Quadrotor:
     """
 
     def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
-        self._settings = settings
+        self._settings, self._step_s = settings, SUBSTEPS * settings.physics_step_s
         self.model: Any = _compiled(settings)
         self.data: Any = mujoco.MjData(self.model)
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
@@ -213,10 +213,9 @@ class Quadrotor:
 
     def step(self) -> None:
         """Choose thrusts and advance by one period of the control."""
-        step_s = SUBSTEPS * self._settings.physics_step_s
-        thrusts = self._thrusts(step_s) if self._target is not None and self.has_power else [0.0] * 4
+        thrusts = self._thrusts(self._step_s) if self._target is not None and self.has_power else [0.0] * 4
         if self._arm != self._arm_wanted:
-            turn = math.pi / 2 / self._settings.fold_s * step_s
+            turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
         _WRITE(self._ctrl, 0, *thrusts, self._arm)
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
@@ -225,7 +224,7 @@ class Quadrotor:
         x, y, z, *self._turned = self._qpos.tolist()[:7]
         u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
         self.position, self.velocity, self._rates = (x, y, z), (u, v, w), (roll, pitch, yaw)
-        self.is_landed = self.altitude < TOUCH_M and self._touches_down(thrusts)
+        self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
 
     def _touches_down(self, thrusts: list[float]) -> bool:
         here = self.position[:2]
@@ -248,10 +247,10 @@ class Quadrotor:
     def _aim(self) -> Vector:
         """Return where to go now: up first, then along, then down."""
         assert self._target is not None
-        (x, y, _), (to_x, to_y, _), cruise = self.position, self._target, self._settings.cruise_m
+        (x, y, z), (to_x, to_y, _), cruise = self.position, self._target, self._settings.cruise_m
         if math.hypot(to_x - x, to_y - y) <= STRAIGHT_M:
             return self._target
-        is_low = self.altitude < cruise - 2.0
+        is_low = z - ON_GROUND_M < cruise - 2.0
         return x if is_low else to_x, y if is_low else to_y, cruise + ON_GROUND_M
 
 
