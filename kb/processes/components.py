@@ -217,11 +217,12 @@ class ProcessComponents:
             handle.set_parameters(MappingProxyType(dict(parameters)))
 
     def is_active(self, component: str) -> bool:
-        """Tell whether the process of a component is there."""
+        """Tell whether the process of a component is there; one that ended by itself is until `observe` tells why."""
         handle = self._handle(component)
         with self._lock:
             handle.look()
-            return handle.process is not None
+            news = [] if self._observed is None else [(verb, arguments[0]) for verb, arguments in self._reports]
+            return handle.process is not None or ("component_active", component) in news
 
     def output(self, component: str) -> Path:
         """Return the file that holds what a component writes; what it wrote before that is in FILE.1 beside it."""

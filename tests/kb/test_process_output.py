@@ -1,6 +1,7 @@
 """What components write: kept in files of limited size that nobody else can read, and never on the console."""
 
 import os
+import signal
 import stat
 
 import pytest
@@ -64,6 +65,23 @@ def test_the_last_lines_are_in_the_reason_of_the_failure():
         wait_for(lambda: (manager.update(), kb.components["camera"].status == "failure")[1])
         said = str(kb.explain("camera"))
     assert "(exit status 3); it last wrote: started | [31mno camera at /dev/video0[0m | giving up" in said
+
+
+def test_an_end_between_two_monitors_has_its_reason_and_its_restart_too():
+    class Ending:
+        def observe(self, kb):
+            if processes.is_active("camera") and not ended:
+                ended.append(pid := kb.processes[-1].pid)
+                os.kill(pid, signal.SIGKILL)
+                os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
+
+    kb, ended = kb_of(), []
+    with ProcessComponents({"camera": python("import time; time.sleep(600)", restarts=1, back_off=0.0)}) as processes:
+        manager = ConfigurationManager(kb, processes, monitors=[processes, Ending()])
+        kb.request_action("look")
+        wait_for(lambda: (manager.update(), len(kb.processes) == 2)[1])
+        assert kb.components["camera"].status != "failure"
+        assert "ended by itself (SIGKILL)" in str([event for event in kb.log if event.verb == "component_active"])
 
 
 def test_without_a_folder_the_output_is_private_and_goes_when_it_is_closed():
