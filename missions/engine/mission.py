@@ -63,6 +63,7 @@ class Percepts:
             return None
 
     def count(self, key: str) -> int:
+        """Return how often something was spoken of."""
         return self._times[key]
 
 

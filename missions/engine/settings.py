@@ -105,6 +105,7 @@ class Constants:
 
     @classmethod
     def describe(cls) -> tuple[Setting, ...]:
+        """Return each setting with its default, unit, meaning, source and range."""
         return declared(cls)
 
     @classmethod

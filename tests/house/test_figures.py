@@ -22,9 +22,7 @@ TRUST += 450  # what is missing of a store is noticed, its commands, and queries
 TREES = 500 + 350  # nodes and entries of BehaviorTree.CPP 4.10, traces in order, endings at every exit; to be folded
 TREES += 110  # leaves that are substituted, idioms and models of nodes that are written
 TREES += 54  # progress that outlives the program, several files
-PLANNING = (
-    420 + 850
-)  # the certificate; a grounder in this process, numbers, worlds that grow, steps side by side: 500 asked
+PLANNING = 420 + 850  # certificates; a grounder in this process, numbers, worlds that grow, side by side: 500 asked
 FORECASTS, WORTH, LEARNING = 570, 730, 450  # 1,200 asked together; to be folded
 PROOF = 1_878  # 800 asked; to be folded
 ADOPTION = 440  # rosa new, missions of one's own under other managers, mistakes told in a sentence: 300 asked
