@@ -12,7 +12,7 @@ run:
 	python3 launch.py rosa run suave_extended --plot mission.png
 
 site:
-	python3 launch.py sphinx-build -W --keep-going -b html docs build/site
+	python3 launch.py sphinx-build -W --keep-going -b html -d build/doctrees docs build/site
 
 test:
 	python3 launch.py pytest

@@ -31,7 +31,7 @@ def site(tmp_path_factory):
 
 
 def test_makefile_makes_the_site_as_this_test_does():
-    assert "sphinx-build -W --keep-going -b html docs build/site" in (ROOT / "Makefile").read_text()
+    assert "sphinx-build -W --keep-going -b html -d build/doctrees docs build/site" in (ROOT / "Makefile").read_text()
 
 
 def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
