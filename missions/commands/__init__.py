@@ -6,12 +6,14 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["FAILED", "MISSION", "ROBOT", "WRONG_USE", "assignments", "complain", "open_console"]
+__all__ = ["FAILED", "MISSION", "ROBOT", "UNFINISHED", "WRONG_USE", "assignments", "complain", "open_console"]
 
 FAILED: Final = 1
 """Exit status if it was done, but did not do what it was for."""
 WRONG_USE: Final = 2
 """Exit status if it cannot be done as it was asked for."""
+UNFINISHED: Final = 3
+"""Exit status if nothing was wrong as far as was looked, which was not everything."""
 ROBOT: Final = "A mission, a model file (.tql, .owl), or module:NAME that makes a model."
 MISSION: Final = "A name that `rosa list` shows, or module:NAME of your own."
 

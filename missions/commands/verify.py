@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from missions.commands import FAILED
+from missions.commands import FAILED, UNFINISHED
 from missions.engine.registry import find_mission
 from missions.proof.story import as_test
 from missions.proof.verification import prove, setup_of
@@ -26,10 +26,10 @@ def verify(
     report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
 ) -> None:
-    """Say what holds in everything that can happen; exit with 0 if all of it does, as far as was explored."""
+    """Say what holds in everything that can happen; exit with 0 if all does, 1 if not, 3 if open: not finished."""
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
     setup = setup_of(find_mission(mission), task, **options)
-    groups = [one.split(",") for one in exclusive or ()]
+    groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
     proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
     typer.echo(f"{mission}: {proof}")
     rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
@@ -48,5 +48,11 @@ def verify(
         made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
         with OutputFile(test) as file:
             file.finish(as_test(f"{imports}\n{made}", shown.name, shown.what, shown.trail))
+    elif test is not None:
+        typer.echo(f"{'no story shows what is broken' if proof.broken else 'nothing is broken'}: no test is written")
     if proof.broken:
         raise typer.Exit(FAILED)
+    if not proof.found.is_finished:
+        fewer = ", or look for fewer failures at once with --failures" if failures else ""
+        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most{fewer}")
+        raise typer.Exit(UNFINISHED)

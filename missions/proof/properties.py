@@ -247,4 +247,5 @@ def _missing(found: Exploration) -> Wrong | None:
     tables: dict[str, Iterable[str]] = {"action": kb.actions, "function design": kb.designs}
     tables["configuration"] = kb.configurations
     names = [f"{kind} {name}" for kind, table in tables.items() for name in table if (kind, name) not in occurring]
-    return (f"never: {', '.join(names)}", None) if names else None
+    given = "" if found.rig.surroundings.failures else " with failures=0"
+    return (f"never{given}: {', '.join(names)}", None) if names else None

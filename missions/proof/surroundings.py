@@ -51,6 +51,7 @@ class Surroundings:
         symmetric: let only the first of several components fail that are alike in all that the model says.
 
     Attributes:
+        failures: how many components are failed at once at most.
         values: by attribute, one value for each difference.
         alike: the components that can fail, in groups of those that can stand for one another.
         worst: by attribute, the value that leaves the fewest constraints satisfied.
@@ -67,7 +68,7 @@ class Surroundings:
         failing: Iterable[str] | None = None,
         symmetric: bool = True,
     ) -> None:
-        self._kb, self._failures, self._at_once = kb, failures, at_once
+        self._kb, self.failures, self._at_once = kb, failures, at_once
         asked = _thresholds(kb, root)
         for name, more in (values or {}).items():
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
@@ -93,7 +94,7 @@ class Surroundings:
         for count in range(self._at_once + 1):
             for chosen in combinations(single, count):
                 more = sum(1 if one.to else -1 for one in chosen if isinstance(one.to, bool))
-                if len({one.name for one in chosen}) == count and (more <= 0 or len(down) + more <= self._failures):
+                if len({one.name for one in chosen}) == count and (more <= 0 or len(down) + more <= self.failures):
                     yield chosen
 
     def _broken(self, down: tuple[str, ...]) -> list[tuple[str, ...]]:

@@ -167,8 +167,10 @@ def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = 
     """Explore and check; what is asked is as of `check`."""
     goal = asked.get("goal")
     predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]
-    found = Exploration(setup, predicates).explore(most, seconds)
-    findings = check(found, wanted=wanted, **asked)
+    found = Exploration(setup, predicates)
+    actions = found.rig.kb.actions
+    asked["exclusive"] = [[actions[name].name for name in group] for group in asked.get("exclusive", ())]
+    findings = check(found.explore(most, seconds), wanted=wanted, **asked)
     return Proof(setup, found, tuple(findings), tuple(consequences(Graph(found, goal))))
 
 

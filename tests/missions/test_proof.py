@@ -29,6 +29,7 @@ from missions.proof.planned import nodes
 from missions.proof.story import as_test, replayed
 from missions.proof.surroundings import Surroundings
 from missions.proof.verification import prove, setup_of
+from missions.suave import MISSION as SUAVE
 from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended import MISSION
 from missions.suave_extended.tree import Recharge
@@ -307,6 +308,27 @@ def test_command_fails_and_writes_page_and_test_of_the_first_story(tmp_path, mon
     assert "NO   nothing is requested while unfeasible" in done.output
     assert "explore is still requested" in page.read_text()
     assert "setup_of(find_mission('broken_rover:MISSION')" in test.read_text()
+
+
+def test_command_that_does_not_finish_exits_with_3_writes_no_test_and_says_what_to_do(tmp_path):
+    test = tmp_path / "test_story.py"
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--most", "20", "--test", str(test)])
+    assert done.exit_code == 3, done.output
+    *_, about_test, last = done.output.splitlines()
+    assert about_test == "nothing is broken: no test is written"
+    assert "raise --seconds or --most, or look for fewer failures at once with --failures" in last
+    assert not test.exists()
+
+
+def test_unknown_action_that_excludes_another_is_refused():
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--exclusive", "search_pipelin, inspect_pipeline"])
+    assert isinstance(done.exception, UnknownName)
+    assert "unknown action 'search_pipelin'; did you mean 'search_pipeline'" in str(done.exception)
+
+
+def test_adaptation_that_needs_a_failure_is_told_as_such():
+    missing = next(one for one in prove(setup_of(SUAVE, failures=0), 100, 60.0).broken)
+    assert missing.what == "never with failures=0: function design thruster_recovery"
 
 
 def seen_of_a_plan(rig):
