@@ -246,7 +246,8 @@ class Records:
             self._forget(name, table)
 
     def _forget(self, name: str, table: dict[int, Any]) -> None:
-        ended = [(number, end) for number, one in table.items() if (end := _ended(one)) is not None]
+        ends = {number: one.time if isinstance(one, VetoAnswer) else one.end for number, one in table.items()}
+        ended = [(number, end) for number, end in ends.items() if end is not None]
         horizon = max((end for _, end in ended), default=0.0) - self._memory.span
         old = [one for one in ended[: -self._memory.records] if one[0] != next(reversed(table))]
         gone = dict(old + [one for one in ended[:-1] if one[1] < horizon])
@@ -395,10 +396,6 @@ def check_result(result: str) -> None:
 def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # what a field holds
     for name, value in end.items():
         object.__setattr__(record, name, value)
-
-
-def _ended(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> float | None:
-    return record.time if isinstance(record, VetoAnswer) else record.end
 
 
 def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> dict[str, Any]:

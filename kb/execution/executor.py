@@ -235,7 +235,8 @@ class StagedExecutor:
         """Return the commands to components; what has failed is only stopped."""
         commands = []
         for name, component in _known(state, names).items():
-            configuration = _selected(state, component) if operation == "configure" else None
+            selected = (one.element for one in component.parts if state.selected[one.index])
+            configuration = next(selected, None) if operation == "configure" else None
             if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
                 continue
             kind = component.element.kind
@@ -415,7 +416,3 @@ def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
     known = state.network.configurations
     components = (known[name].wholes[0] for name in configurations if name in known)
     return {one.name: one for one in components if state.active[one.index]}
-
-
-def _selected(state: State, component: Node) -> Configuration | None:
-    return next((one.element for one in component.parts if state.selected[one.index]), None)

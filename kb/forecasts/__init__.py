@@ -171,7 +171,7 @@ class Forecaster:
             key = node.index, begins, past.times[-1], past.values[-1]
             if is_stated:
                 slopes = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
-                return _rated(slopes, past, deeds, doing if place == last else None)
+                return _rated(node, slopes, past, deeds, doing if place == last else None)
             if function is not None:
                 return by_function(function, past)
             made: Curve | None = self._once((*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead))
@@ -269,12 +269,13 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> dict[str, float]
     slopes = {rate.while_: rate.per_s for rate in element.rates}
     for name in [rate.while_ for rate in element.rates if rate.learns]:
         alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
-        learned = (slope_of(past.between(*span)) for span in alone)
+        parts = (part for span in alone for part in reversed(past.between(*span).inside(element.low, element.high)))
+        learned = map(slope_of, parts)
         slopes[name] = next((slope for slope in learned if slope is not None), slopes[name])
     return slopes
 
 
-def _rated(slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
+def _rated(node: Node, slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
     """Go on with rates while something is done all the time, or else, in the past, while what was done then is."""
     time, value = past.times[-1], past.values[-1]
     if doing is not None:
@@ -285,7 +286,7 @@ def _rated(slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozens
     def at(then: float) -> float:
         spans = list(deeds.between(time, then))
         done = [slopes[name] * (end - begin) for name in slopes for begin, end, one in spans if not name or name in one]
-        return value + math.fsum(done)
+        return _possible(node, value + math.fsum(done))
 
     return Curve(at, "")
 

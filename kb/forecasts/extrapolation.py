@@ -11,7 +11,7 @@ import math
 import operator
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Sequence
-from itertools import combinations, pairwise
+from itertools import combinations, groupby, pairwise
 from statistics import median
 from typing import Any, Final, NamedTuple
 
@@ -57,6 +57,11 @@ class Series(NamedTuple):
         """Return those from one time to another [s]."""
         first, last = bisect_left(self.times, start), bisect_right(self.times, end)
         return Series(self.times[first:last], self.values[first:last])
+
+    def inside(self, low: float, high: float) -> "list[Series]":
+        """Return the parts of it between two bounds: what is at a bound is held there, and shows no rate."""
+        parts = groupby(zip(*self, strict=True), lambda point: low < point[1] < high)
+        return [Series(*zip(*part, strict=True)) for is_inside, part in parts if is_inside]
 
 
 def constant(series: Series, _: float) -> Curve | None:

@@ -24,6 +24,7 @@ LEVEL: Final = 0.95  # how often an interval holds the true value
 _ROUNDING: Final = 1e-6  # part of a value that no interval is narrower than, as times and values are rounded
 _SURE: Final = 0.5  # part of a value that its interval reaches to either side at most, if nothing was stated before
 _BENT: Final = 0.05  # part of its change by which half of a series lies beside a straight line at most
+_ANY: Final = (-math.inf, math.inf)
 _EPISODES: Final = 5  # how often a threshold has to be passed before anything is said of it
 
 _Slopes = dict[tuple[str, frozenset[str]], dict[int, float]]
@@ -118,9 +119,11 @@ class _Span:
     chosen: frozenset[str]
     series: dict[str, tuple[list[float], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
 
-    def slopes(self) -> Iterator[tuple[str, float]]:
-        """Yield how fast each changes [1/s], of those that go straight and of which there is enough."""
-        for name, (times, values) in self.series.items():
+    def slopes(self, model: Model) -> Iterator[tuple[str, float]]:
+        """Yield how fast each changes [1/s] between its bounds, where it goes straight and there is enough of it."""
+        ranges = {one.name: (one.low, one.high) for one in model.attributes.values()}
+        parts = ((of, part) for of, seen in self.series.items() for part in Series(*seen).inside(*ranges.get(of, _ANY)))
+        for name, (times, values) in parts:
             slope = slope_of(Series(times, values))
             if slope is not None:
                 heights = [value - slope * time for time, value in zip(times, values, strict=True)]
@@ -170,14 +173,14 @@ def _numbers(message: Message) -> Iterator[tuple[str, float]]:
                     continue
 
 
-def _slopes(runs: Sequence[Sequence[_Span]]) -> dict[str, _Slopes]:
+def _slopes(runs: Sequence[Sequence[_Span]], model: Model) -> dict[str, _Slopes]:
     found: dict[str, _Slopes] = defaultdict(lambda: defaultdict(dict))
     for number, run in enumerate(runs):
         here: dict[tuple[str, str, frozenset[str]], list[float]] = defaultdict(list)
         for span in run:
             if len(span.doing) == 1:
                 (action,) = span.doing
-                for name, slope in span.slopes():
+                for name, slope in span.slopes(model):
                     here[name, action, span.chosen].append(slope)
         for (name, action, chosen), values in here.items():
             found[name][action, chosen][number] = fmean(values)
@@ -210,7 +213,7 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
                 there = ", ".join(model.actions)
                 raise MissionError(f"in {run.name} {action} is done, which is no action of {model.name}: {there}")
     spans = [spans_of(one, model) for one in known]
-    slopes = _slopes(spans)
+    slopes = _slopes(spans, model)
     return [
         *(one for attribute in model.attributes.values() for one in _rates(attribute, slopes[attribute.name])),
         *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _worth(name, slopes[name])),
@@ -272,7 +275,7 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
             for span in run:
                 chosen = [one for one in estimations if one.causer.name in span.chosen]
                 estimated = math.fsum(_signed(one) for one in chosen)
-                slopes = [slope for of, slope in span.slopes() if of == name and chosen]
+                slopes = [slope for of, slope in span.slopes(model) if of == name and chosen]
                 rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
         for one in estimations:
             off, right = (_mean_rest(rests, one.causer.name, having) for having in (True, False))

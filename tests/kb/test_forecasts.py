@@ -305,6 +305,19 @@ def test_rate_is_learned_while_its_action_alone_is_done(clock):
     assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.92 - 0.05)
 
 
+def test_what_is_held_at_a_bound_teaches_no_rate_and_is_forecast_to_stay_there(clock):
+    model = rover()
+    model.attributes["energy"].changes(-0.01, while_="explore", learns=True)
+    kb = lives(model, clock, until=60, energy=lambda t: max(0.6 - 0.02 * t, 0.0))
+    stuck = kb.forecast("energy", 5.0)
+    assert (stuck.low, stuck.value) == (0.0, 0.0)
+    assert stuck.high < 0.02
+    kb.cancel_action("explore")
+    clock.now += 1.0
+    kb.measure("energy", 0.9)
+    assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.9 - 0.2)
+
+
 def steps_of(kb, clock):
     """Return which functions are called when something is measured."""
     called = []

@@ -109,6 +109,29 @@ def test_durations_are_compared_with_those_of_the_schemas():
     assert found.found.observations == 3
 
 
+def test_what_is_held_at_a_bound_says_nothing_of_its_rate():
+    model = Model("sweeper")
+    battery = model.quality_attribute("battery", low=0.0, high=100.0)
+    model.quality_attribute("waste_load", low=0.0, high=8.0)
+    model.action("sweep")
+    battery.changes(-0.4, while_="sweep")
+    runs, now = [], [0.0]
+    for full in (20.0, 12.0, 9.0):
+        kb = KnowledgeBase(model, clock=lambda: now[0])
+        for second in range(100):
+            now[0] = float(second)
+            if second % 50 == 0:
+                kb.cancel_action("sweep") if second else None
+                kb.request_action("sweep")
+            kb.measure("battery", max(full - 0.4 * second, 0.0))
+            kb.measure("waste_load", min(0.25 * second, 8.0))
+        runs.append(Experience(f"from {full}", list(kb.log)))
+    found = learn(runs, model)
+    assert about(found, "rate", "battery while sweep").found.value == pytest.approx(-0.4)
+    assert about(found, "rate", "battery while sweep").apply is None
+    assert about(found, "rate", "waste_load while sweep").found.value == pytest.approx(0.25)
+
+
 def test_of_one_run_there_is_no_interval_and_nothing_is_changed():
     found = learn(experiences("suave_extended", 1), find_mission("suave_extended").model())
     assert all(one.apply is None for one in found)
