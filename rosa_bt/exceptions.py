@@ -1,7 +1,13 @@
 """What can go wrong in the layer of trees; each message says what was given, what exists and what to do."""
 
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from pathlib import Path
+from traceback import walk_tb
+from typing import Final
+
+_OURS: Final = re.compile(r"(kb|rosa_bt|rosa_pddl|missions|py_trees)(\.|$)")
 
 
 class RosaBtError(Exception):
@@ -43,5 +49,7 @@ def hint(name: str, known: Iterable[str], what: str) -> str:
 
 
 def in_words(error: Exception) -> str:
-    """Return an exception as the feedback of the behaviour that raised it."""
-    return f"{type(error).__name__}: {error}"
+    """Return an exception in words, with the place where the code that is not ours raised it or asked for it."""
+    frames = [one for one in walk_tb(error.__traceback__) if not _OURS.match(one[0].f_globals.get("__name__", ""))]
+    where = "".join(f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:])
+    return f"{type(error).__name__}: {error}{where}"

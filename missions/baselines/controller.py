@@ -1,10 +1,7 @@
 """Who decides in a run of a baseline: SUAVE's mission node, or the manager itself, and the manager."""
 
-import sys
-import traceback
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from math import inf
-from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, TypeVar
 
@@ -13,6 +10,7 @@ from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
 from missions.engine.runner import Controller, Seen
 from missions.suave.world import SEA, Sea
+from rosa_bt.exceptions import in_words
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -60,7 +58,7 @@ class BaselineController(Controller):
     ) -> None:
         super().__init__(name, "tree of the manager" if manager.decides_tasks else "mission node")
         self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
-        self._world, self._class, self._percepts = world, manager, Percepts()
+        self._world, self._percepts = world, Percepts()
         phases = rng.random(2).tolist()
         self.robot = Robot(
             mission, world.managed, world.settings, rng, lambda: world.now, options, deadline_s, world.way_m
@@ -129,14 +127,8 @@ class BaselineController(Controller):
         try:
             return what(*args)
         except Exception as error:
-            raise MissionError(self._blamed(error)) from error
-
-    def _blamed(self, error: Exception) -> str:
-        own = getattr(sys.modules.get(self._class.__module__), "__file__", None)
-        frames = traceback.extract_tb(error.__traceback__)[1:]
-        frame = next((one for one in reversed(frames) if one.filename == own), None)
-        where = f"; {Path(frame.filename).name}, line {frame.lineno}, in {frame.name}" if frame else ""
-        return f"manager {self.manager} failed after {self._world.now:.2f} s: {type(error).__name__}: {error}{where}"
+            said = in_words(error)
+            raise MissionError(f"manager {self.manager} failed after {self._world.now:.2f} s: {said}") from error
 
     def _decide_task(self) -> None:
         """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""

@@ -176,6 +176,7 @@ class RosaController(Controller):
         try:
             if not self.is_done:
                 self._log.finish()
+            self.findings = self._task.findings()
             self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
         finally:
             self._runner.shutdown()
@@ -294,6 +295,10 @@ class TaskLayer:
                 self._heard[number] = len(one.plans)
         return self._plans
 
+    def findings(self) -> Sequence[str]:
+        """Return what may be an oversight in what is planned with, once each."""
+        return list(dict.fromkeys(text for one in self._planning for text in getattr(one, "findings", ())))
+
 
 def rosa_run(
     mission: Mission,
@@ -330,10 +335,9 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
 
 
 def _planning(mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float) -> TaskLayer:
-    from missions.engine.declared import check_facts, mission_domain
+    from missions.engine.declared import mission_domain
     from rosa_pddl import PlanExecutor, Planner
 
-    check_facts(mission)
     domain = mission_domain(mission)
     planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
     missing = planner.missing(domain)

@@ -1,7 +1,6 @@
 """The domain that a mission's planned task layer works with: from files, or made of what its actions declare."""
 
 from collections.abc import Callable, Mapping
-from inspect import signature
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -56,12 +55,3 @@ def mission_domain(mission: Mission) -> Domain:
     if isinstance(mission.problem, DeclaredProblem):
         raise MissionError(f"mission {mission.name} has a domain file but a declared problem; give both as files")
     return load_domain(mission.domain, mission.problem)
-
-
-def check_facts(mission: Mission) -> None:
-    """Raise a MissionError unless the facts of a mission are called with what they are called with."""
-    try:
-        signature(mission.facts).bind(None, None)
-    except TypeError as error:
-        needed = f"the facts of mission {mission.name} are called with the knowledge base and the percepts"
-        raise MissionError(f"{needed}: {error}; write facts=lambda kb, percepts: {{...}}") from error

@@ -3,8 +3,11 @@
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from inspect import signature
 from math import nan
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
 
@@ -212,6 +215,10 @@ _FIELDS: Final[tuple[tuple[str, Callable[[object], bool], str], ...]] = (
     ("domain problem", lambda given: not isinstance(given, str), "a pathlib.Path"),
     ("engines", lambda given: not isinstance(given, str), "a tuple of names"),
 )
+_CALLED: Final = {  # what each function of a mission is called with
+    **{"model": "", "tree": "kb, percepts", "by_hand": "kb, percepts, managed", "facts": "kb, percepts"},
+    **{"why_not": "kb, percepts", "world.open": "values, rng", "world.verdict": "percepts, results, kb"},
+}
 
 
 @dataclass(frozen=True)
@@ -266,8 +273,21 @@ class Mission:
             for name in names.split():
                 if not is_fit(given := getattr(self, name)):
                     raise MissionError(f"{name} of mission {self.name} is {given!r}; expected is {expected}")
+        for name, arguments in _CALLED.items():
+            if (given := attrgetter(name)(self)) is not None:
+                _check_call(f"{name} of mission {self.name}", given, arguments)
         if self.tree is None and self.problem is None:
             raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
+
+
+def _check_call(what: str, given: Callable[..., object], arguments: str) -> None:
+    with suppress(ValueError):  # one that was not written in Python may not say how it is called
+        takes = signature(given)
+        try:
+            takes.bind(*arguments.split())
+        except TypeError as error:
+            said = f"{what} is called with ({arguments}), but takes {takes}: {error}"
+            raise MissionError(f"{said}; give it these parameters") from error
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
-from missions.engine.declared import check_facts, mission_domain
+from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, MissionError, Percepts
 from rosa_pddl import (
     Certificate,
@@ -110,7 +110,6 @@ def ask(
     _suppose_feasible(kb, domain, supposed.feasible, has_model)
     facts: Mapping[str, bool | float] = {}
     if mission is not None and not files:
-        check_facts(mission)
         facts = mission.facts(kb, Percepts())  # nothing is sensed yet, so what is false there may be true
     true = {domain.atom(text) for text, value in facts.items() if value is True}
     numbers = {text: value for text, value in facts.items() if not isinstance(value, bool)}

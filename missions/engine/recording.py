@@ -85,7 +85,7 @@ def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(f"cannot read the recording {path}: {error}") from None
+        raise MissionError(f"cannot read the recording {path}: {getattr(error, 'strerror', None) or error}") from None
     for number, line in enumerate(lines, start=1):
         where = f"{path}:{number}"
         try:

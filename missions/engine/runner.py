@@ -2,12 +2,11 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from math import isfinite
-from pathlib import Path
+from numbers import Real
 from time import perf_counter
-from traceback import extract_tb
 from typing import TYPE_CHECKING, NamedTuple
 
 from kb import DiagnosticProblem, KnowledgeBase, KnowledgeBaseError, Model, RequiredAction
@@ -24,6 +23,7 @@ from missions.engine.mission import (
     World,
 )
 from missions.engine.settings import RunSettings
+from rosa_bt.exceptions import in_words
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
@@ -75,6 +75,7 @@ class Controller(ABC):
         compute_s: seconds of this machine's time by part, not part of any decision.
         listeners: who hears of actions and adaptations.
         trouble: how the mission has to end at once; None if it may go on.
+        findings: what may be an oversight in what was planned with, in sentences; known at the end.
         is_stuck: whether nothing can be done any more, whatever time passes: the mission ends, and is judged.
     """
 
@@ -85,6 +86,7 @@ class Controller(ABC):
         self.compute_s: defaultdict[str, float] = defaultdict(float)
         self.listeners: Sequence[Listener] = ()
         self.trouble: Verdict | None = None
+        self.findings: Sequence[str] = ()
         self.is_stuck = False
 
     @property
@@ -229,7 +231,12 @@ class MissionRun:
 
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; those that were put in among them."""
-        return {**self.world.results(), **self.controller.inputs}
+        figures = self.world.results()
+        for name, value in figures.items():
+            if value is not None and not isinstance(value, Real):
+                said = f"results() of {type(self.world).__name__} gives {name!r} as {value!r:.80}"
+                raise MissionError(f"{said}; expected is a number, or None for what did not happen")
+        return {**figures, **self.controller.inputs}
 
     def run(self) -> Verdict:
         """Run until the mission is done, stuck or out of time; nothing is left running however this ends.
@@ -275,13 +282,15 @@ class MissionRun:
     def _advanced(self, until: float) -> Sequence[Message]:
         world, before, name = self.world, self.world.now, self.mission.name
         try:
-            messages = [*world.advance(until)]
+            given = world.advance(until)
+            if isinstance(given, Mapping) or not isinstance(given, Iterable):
+                said = f"advance() of {type(world).__name__} returned {given!r:.80}"
+                raise MissionError(f"{said}; it is to return a list of messages, empty if there are none")
+            messages = [*given]
         except (MissionError, KnowledgeBaseError):
             raise
         except Exception as error:  # whatever an author's world may raise
-            failed = f"the world of mission {name} failed after {before:.1f} s: {type(error).__name__}: {error}"
-            frame = extract_tb(error.__traceback__)[-1]
-            raise MissionError(f"{failed}; {Path(frame.filename).name}, line {frame.lineno}") from error
+            raise MissionError(f"the world of mission {name} failed after {before:.1f} s: {in_words(error)}") from error
         now = world.now
         if not isfinite(now) or now < before:
             raise MissionError(f"the world of mission {name} shows {now!r} s after {before!r} s; its time has to pass")

@@ -129,6 +129,8 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
         _, first = run.problems[0]
         text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
         console.print(f"[yellow]{escape(text)}[/]")
+    for finding in run.controller.findings:
+        console.print(f"[yellow]{escape(finding)}[/]")
     colour = "green" if verdict.success else "red"
     console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}")
     if verdict.detail:

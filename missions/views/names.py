@@ -13,6 +13,7 @@ from missions.engine.declared import declarations_of
 from missions.engine.mission import Mission, MissionError, Percepts
 from missions.engine.registry import Registry
 from rosa_bt import IsActionFeasible, RosaAction
+from rosa_bt.exceptions import in_words
 from rosa_bt.idioms import unguarded
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
@@ -66,7 +67,7 @@ def built(build: Callable[..., object], given: tuple[object, ...], title: str) -
     except KnowledgeBaseError:
         raise
     except Exception as error:  # whatever the author's code may raise
-        raise MissionError(f"cannot build {title}: {type(error).__name__}: {error}") from error
+        raise MissionError(f"cannot build {title}: {in_words(error)}") from error
 
 
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:

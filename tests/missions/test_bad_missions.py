@@ -175,6 +175,13 @@ def test_mission_without_a_plan_says_so(monkeypatch, capsys, altered, tmp_path):
     assert "there was no plan: unsolvable proven" in out
 
 
+def test_fact_of_an_object_that_there_is_not_is_told_once(altered, monkeypatch, capsys):
+    altered(facts=lambda kb, percepts: {"(pipeline_found pipelin)": True})
+    _, out, _ = run_altered(monkeypatch, capsys, "--task", "pddl", "--set", "duration_s=3")
+    assert out.count("what is sensed is passed over") == 1
+    assert "pipelin" in out
+
+
 def test_tree_that_is_none_is_refused(monkeypatch, capsys, altered):
     altered(tree=lambda kb, percepts: None)
     code, _, err = run_altered(monkeypatch, capsys)
@@ -211,7 +218,8 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
     run = rosa_run(mission, "bt", world)
     assert not run.run().success
     assert run.controller.tree.root.status is Status.FAILURE
-    assert run.controller.tree.root.feedback_message == "RuntimeError: boom"
+    line = Rash.update.__code__.co_firstlineno + 1
+    assert run.controller.tree.root.feedback_message == f"RuntimeError: boom; test_bad_missions.py, line {line}"
     assert run.kb.required_actions == ()
 
 

@@ -324,10 +324,10 @@ class Restless(Manager):
 @pytest.mark.parametrize(
     ("manager", "said"),
     [
-        (Faulty, r"Faulty failed after \d\.\d\d s: .*'spiral_serch'.*test_managers.py, line \d+, in begin"),
+        (Faulty, r"Faulty failed after \d\.\d\d s: .*'spiral_serch'.*test_managers.py, line \d+$"),
         (Hasty, "period_s is 0; allowed is a number of seconds above 0"),
-        (Forgetful, "Forgetful failed .*no task is being done.*in update"),
-        (Restless, "Restless failed .*search_pipeline is being done; end it first.*in update"),
+        (Forgetful, r"Forgetful failed .*no task is being done.*test_managers.py, line \d+$"),
+        (Restless, r"Restless failed .*search_pipeline is being done; end it first.*test_managers.py, line \d+$"),
     ],
 )
 def test_what_a_manager_does_wrong_is_told_with_its_name_the_moment_and_the_line(manager, said):

@@ -207,6 +207,8 @@ def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
         ({"domain": "domain.pddl"}, "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path"),
         ({"actions": ["explore"]}, "actions of mission NAME is ['explore']; expected is a mapping"),
         ({"engines": "tamer"}, "engines of mission NAME is 'tamer'; expected is a tuple of names"),
+        ({"tree": lambda kb: None}, "tree of mission NAME is called with (kb, percepts), but takes (kb): too many"),
+        ({"facts": lambda percepts: {}}, "facts of mission NAME is called with (kb, percepts), but takes (percepts)"),
     ],
 )
 def test_mission_with_a_wrong_field_is_refused_in_a_sentence(new, changes, message):

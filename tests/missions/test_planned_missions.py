@@ -11,7 +11,7 @@ from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
 from missions.engine.controller import build_task
 from missions.engine.declared import by_schema
-from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.mission import Mission, Percepts
 from missions.engine.question import answer, ask, read_situation
 from missions.engine.registry import find_mission
 from missions.uav.world import SKY
@@ -98,14 +98,6 @@ def test_engines_of_a_mission_plan_it_also_by_hand():
     DONE.clear()
     found = answer(ask([], mission, [], read_situation([]), []), 30.0)
     assert (found.result.engine, found.result.cost) == ("label-setting", 4.0)
-
-
-def test_facts_that_take_only_the_senses_are_refused_with_what_to_write():
-    mission = replace(SHELF, facts=lambda percepts: {})
-    with pytest.raises(MissionError, match="called with the knowledge base and the percepts: too many positional"):
-        run(mission, KnowledgeBase(shelf_model(), clock=lambda: 0.0))
-    with pytest.raises(MissionError, match=r"write facts=lambda kb, percepts: \{"):
-        ask([], mission, [], read_situation([]), [])
 
 
 def test_question_by_hand_knows_what_is_possible_in_its_situation():

@@ -90,6 +90,21 @@ def test_world_that_does_not_let_time_pass_is_refused_by_name_and_closed(goes, w
     assert run.kb.required_actions == ()
 
 
+def test_world_that_advances_to_nothing_or_has_words_for_figures_is_told_what_to_return():
+    class Silent(Field):
+        def advance(self, until):
+            super().advance(until)
+
+    class Wordy(Field):
+        def results(self):
+            return {"rooms": "many"}
+
+    with pytest.raises(MissionError, match=r"advance\(\) of Silent returned None; it is to return a list of messages"):
+        run_in(Silent()).run()
+    with pytest.raises(MissionError, match=r"results\(\) of Wordy gives 'rooms' as 'many'; expected is a number"):
+        run_in(Wordy()).results()
+
+
 def test_world_that_publishes_at_one_moment_for_ever_is_refused():
     class Loud(Field):
         def advance(self, until):

@@ -103,7 +103,7 @@ def test_exception_in_update_is_a_failure_with_its_text_and_terminates_once(kb):
     action = Scripted(kb, "scan", [ValueError("no such thing")])
     action.tick_once()
     assert action.status is Status.FAILURE
-    assert action.feedback_message == "ValueError: no such thing"
+    assert action.feedback_message.startswith("ValueError: no such thing; ")
     assert action.calls == ["initialise", "update", "terminate FAILURE"]
 
 
