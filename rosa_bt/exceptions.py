@@ -1,13 +1,12 @@
 """What can go wrong in the layer of trees; each message says what was given, what exists and what to do."""
 
-import re
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from traceback import walk_tb
 from typing import Final
 
-_OURS: Final = re.compile(r"(kb|rosa_bt|rosa_pddl|missions|py_trees)(\.|$)")
+_OURS: Final = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
 
 
 class RosaBtError(Exception):
@@ -48,8 +47,11 @@ def hint(name: str, known: Iterable[str], what: str) -> str:
     return f"{guess}{what}: {shown}"
 
 
-def in_words(error: Exception) -> str:
-    """Return an exception in words, with the place where the code that is not ours raised it or asked for it."""
-    frames = [one for one in walk_tb(error.__traceback__) if not _OURS.match(one[0].f_globals.get("__name__", ""))]
+def in_words(error: Exception, *ours: str) -> str:
+    """Return an exception in words, with the last place that is in no package of ours."""
+    own = (*_OURS, *ours)
+    frames = [
+        one for one in walk_tb(error.__traceback__) if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
+    ]
     where = "".join(f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:])
     return f"{type(error).__name__}: {error}{where}"

@@ -127,7 +127,7 @@ class BaselineController(Controller):
         try:
             return what(*args)
         except Exception as error:
-            said = in_words(error)
+            said = in_words(error, "suave_env")
             raise MissionError(f"manager {self.manager} failed after {self._world.now:.2f} s: {said}") from error
 
     def _decide_task(self) -> None:
