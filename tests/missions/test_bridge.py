@@ -176,9 +176,7 @@ def test_originals_services_are_served(robot):
         def call(service, **request):
             return robot.server.call(f"/rosa_kb/{service}", "", request).result(120)
 
-        until(
-            lambda: "/rosa_kb/action/request" in robot.server.call("/rosapi/services", "", {}).result(120)["services"]
-        )
+        until(lambda: "/rosa_kb/query" in robot.server.call("/rosapi/services", "", {}).result(120)["services"])
         assert {one["name"] for one in call("action/selectable", actions=[])["actions"]} == {"explore", "charge"}
         asked = call("action/request", action={"name": "explore", "is_required": True}, preference="")
         assert asked["action"] == {"name": "explore", "status": "unsolved", "is_required": True}
@@ -243,8 +241,8 @@ def test_nonsense_is_counted_refused_logged_once_and_survived(robot, caplog):
         with connect(robot.url, max_queue=None) as peer:  # answers that nobody reads hold up no farewell
             for _ in range(300):
                 peer.send(rng.choice(NONSENSE))
-            peer.send(json.dumps({"op": "publish", "topic": "/battery_state", "msg": {"percentage": 0.7}}))
-            until(lambda: kb.attributes["energy"].value == 0.7)
+            sane = json.dumps({"op": "publish", "topic": "/battery_state", "msg": {"percentage": 0.7}})
+            until(lambda: kb.attributes["energy"].value == 0.7, turn=lambda: peer.send(sane))  # the bridge may be late
         assert sum(robot.server.refused.values()) > 200
         for value in (None, "much", [1], {"a": 1}, float("nan")):
             robot.server.publish("/battery_state", "", {"percentage": value})
