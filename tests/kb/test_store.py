@@ -660,7 +660,8 @@ kb = KnowledgeBase(robot(), store={path!r})
 done = threading.Event()
 def tell():
     while not done.wait(0.001): kb.measure("load", 1.0)
-threading.Thread(target=tell).start()
+teller = threading.Thread(target=tell)
+teller.start()
 for number in range(8):
     if (child := os.fork()) == 0:
         told = 0
@@ -675,6 +676,7 @@ for number in range(8):
     _, status = os.waitpid(child, 0)
     assert os.waitstatus_to_exitcode(status) == 4, status
 done.set()
+teller.join()
 kb.measure("load", 2.0)
 print(kb.flush(120.0), kb.saved == kb.log.last, kb.store.check() > 0)
 kb.close()
