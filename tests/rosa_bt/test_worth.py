@@ -3,13 +3,14 @@
 from functools import cache
 
 import pytest
+from acting import Act
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from py_trees.common import Status
 from wrong_worlds import wrong_case
 
 from kb import InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
-from rosa_bt import Errand, Gain, Lookahead, RosaAction, WhatNext, Worth, WorthPlanner
+from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner
 
 DRAIN = 0.01
 
@@ -147,14 +148,9 @@ def test_wrong_forecasts_sensors_and_clocks_violate_nothing_that_reacting_keeps(
     assert sum(put_off for _, put_off in found) > 10
 
 
-class Doing(RosaAction):
-    def update(self):
-        return Status.RUNNING
-
-
 def test_first_that_is_feasible_is_done_and_with_nothing_stated_nothing_else_is_decided():
     kb, _ = mower()
-    tasks = [Doing(name, kb, name) for name in ("mow", "dock")]
+    tasks = [Act(kb, name) for name in ("mow", "dock")]
     going_away = Worth(60.0, (Gain("mow", 1.0, away=0.1),), (dock(),))
     for worth, doing in ((None, "mow"), (Worth(60.0), "mow"), (going_away, "dock")):
         kb.measure("charge", 0.3)

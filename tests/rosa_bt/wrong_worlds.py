@@ -3,18 +3,13 @@
 import math
 from random import Random
 
-from py_trees.common import Status
+from acting import Act
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.elements import Rate
-from rosa_bt import Errand, Gain, Lookahead, RosaAction, WhatNext, Worth, WorthPlanner, first_feasible
+from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner, first_feasible
 
 FAULTS = ("bias", "spikes", "dead sensor", "clock")
-
-
-class Doing(RosaAction):
-    def update(self):
-        return Status.RUNNING
 
 
 class Managed:
@@ -66,7 +61,7 @@ class Robot:
     def __init__(self, case, looks_ahead):
         chance, self.now = Random(case), 0.0
         self.kb = kb = KnowledgeBase(model_of(chance), clock=lambda: self.now)
-        tasks = [Doing("mow", kb, "mow"), Doing("dock", kb, "dock")]
+        tasks = [Act(kb, "mow"), Act(kb, "dock")]
         rate = {"fast": chance.uniform(0, 2), "slow": chance.uniform(0, 2)}
         gains = [Gain("mow", rate, chance.random(), chance.choice((-0.1, 0.3, 1.0)), chance.choice((0.0, 3.0)))]
         takes, spread = chance.uniform(0, 8), chance.uniform(0, 0.5)
