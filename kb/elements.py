@@ -89,9 +89,9 @@ def text(what: str, value: object) -> str:
     return value
 
 
-def flag(what: str, value: object) -> bool:
+def flag(what: str, value: object, error: type[ValueError] = ModelError) -> bool:
     if not isinstance(value, bool):
-        raise ModelError(f"{what} is True or False, not {shown(value)}")
+        raise error(f"{what} is True or False, not {shown(value)}")
     return value
 
 
@@ -208,7 +208,7 @@ def parameter_type(value: Parameter) -> str:
     """Return the type of a parameter in ROSA's words; a list without items is one of texts."""
     if isinstance(value, list):
         return f"{parameter_type(value[0])}_array" if value else "string_array"
-    return PARAMETER_TYPES[type(value)]
+    return next(word for kind, word in PARAMETER_TYPES.items() if isinstance(value, kind))
 
 
 def _is_scalar(value: object) -> bool:

@@ -319,7 +319,7 @@ class KnowledgeBase:
         """Tell whether a component is running; why it is not, in words, stands in explanations as long as it is not."""
         node = self._component(component)
         text("the reason why a component is not active", reason)
-        if self._knowledge.state.active[node.index] != flag("active", active):
+        if self._knowledge.state.active[node.index] != flag("active", active, InvalidValue):
             self._tell("component_active", node.name, active, reason)
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
@@ -383,7 +383,7 @@ class KnowledgeBase:
         """State that an element is required; False or None takes that back and hides no inferred requirement."""
         node = self._node(element, ("action", "function", "component"))
         if required is not None:
-            flag("required", required)
+            flag("required", required, InvalidValue)
         self._tell("assert_required", node.ref, required)
 
     @_telling
@@ -392,7 +392,7 @@ class KnowledgeBase:
         text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
         if selected is not None:
-            flag("selected", selected)
+            flag("selected", selected, InvalidValue)
         self._tell("assert_selected", node.ref, selected, reason)
 
     # ---------------------------------------------------------------- told: actions and plans
@@ -583,7 +583,7 @@ class KnowledgeBase:
     @_telling
     def record_answer(self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = "") -> VetoAnswer:
         """Put on record what was answered about a plan before it was executed, and why it was forbidden if it was."""
-        flag("is_vetoed", is_vetoed)
+        flag("is_vetoed", is_vetoed, InvalidValue)
         text("the reason of an answer", reason)
         self._tell("record_answer", self._knowledge.records.plan_of(plan).number, is_vetoed, reason)
         return next(reversed(self._knowledge.records.answers.values()))

@@ -51,7 +51,8 @@ class Forecast(NamedTuple):
 class FeasibleUntil(NamedTuple):
     """When an action is expected to become unfeasible [s, by the clock], and why; None for not `within` s from `now`.
 
-    It is as early if what it depends on is at the worse ends of the intervals, and as late if at the better ones.
+    It is as early if what it depends on is at the worse ends of the intervals, and as late if at the better ones;
+    `is_bounded` says whether the interval of what is reached is known.
     """
 
     action: str
@@ -61,6 +62,7 @@ class FeasibleUntil(NamedTuple):
     reason: str
     now: float
     within: float
+    is_bounded: bool = False
 
     def __str__(self) -> str:
         at, earliest, latest = (f"{one - self.now:.3g}" if one is not None else "" for one in self[1:4])
@@ -68,7 +70,7 @@ class FeasibleUntil(NamedTuple):
             return f"unfeasible now: {self.reason}"
         if at:
             between = f"{earliest or at} to {latest or f'more than {self.within:g}'}"
-            exactly = "how exactly is not known" if self.earliest == self.at == self.latest else between
+            exactly = between if self.is_bounded or self.earliest != self.latest else "how exactly is not known"
             return f"unfeasible in {at} s ({exactly}): {self.reason}"
         first = f", unfeasible in {earliest} s at the earliest: {self.reason}" if earliest else ""
         return f"feasible for {self.within:g} s, as far as is known{first}"
@@ -197,15 +199,15 @@ def feasible_until(
         outlooks = {one: base.forecast.outlook(state, one.parts[0], done) for one in constraints}
         known = {one: cache(outlook.at) for one, outlook in outlooks.items() if isinstance(outlook, Outlook)}
         found = [_first(state, node, known, now, ahead, side) for side in (_EXPECTED, _WORSE, _BETTER)]
-    reason = next((one[1] for one in found if one is not None), "nothing is known that makes it unfeasible")
     at, earliest, latest = (None if one is None else one[0] for one in found)
-    return FeasibleUntil(node.name, at, earliest, latest, reason, now, ahead)
+    first = next((one for one in found if one is not None), (0.0, "nothing is known that makes it unfeasible", False))
+    return FeasibleUntil(node.name, at, earliest, latest, first[1], now, ahead, first[2])
 
 
 def _first(
     state: State, action: Node, known: Mapping[Node, _At], now: float, within: float, side: int
-) -> tuple[float, str] | None:
-    """Return when an action becomes unfeasible, and why; None if it does not within the horizon."""
+) -> tuple[float, str, bool] | None:
+    """Return when an action becomes unfeasible, why, and whether how exactly is known; None if not in the horizon."""
     found: dict[tuple[Node, ...], bool] = {(): False}
 
     def violated(time: float) -> tuple[Node, ...]:
@@ -227,9 +229,10 @@ def _first(
                 before, time = (before, middle) if is_unfeasible(violated(middle)) else (middle, time)
             nodes, already = violated(time), violated(before)
             one = next((one for one in nodes if one not in already), nodes[0])
-            _, _, words = known[one](time) or (0.0, None, "")
+            _, radius, words = known[one](time) or (0.0, None, "")
             threshold = one.attribute.amount(exact(one.constraint.value))
-            return time, f"{one.attribute.name} {words.format(one.attribute.amount(''))} and reaches {threshold}"
+            reason = f"{one.attribute.name} {words.format(one.attribute.amount(''))} and reaches {threshold}"
+            return time, reason, radius is not None
     return None
 
 

@@ -137,25 +137,22 @@ class World:
         worker, known = self._workers[0], self._known
         is_anew = not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN
         past: list[Event] = []
-        while (
-            is_anew
-            and self._store is not None
-            and (some := self._store.events(past[-1].number if past else 0, _SLICE, measurements=False))
-        ):
+        store = self._store if is_anew else None
+        while store is not None and (some := store.events(past[-1].number if past else 0, _SLICE, measurements=False)):
             past += some
             yield
         chronicle = self._chronicle = _Chronicle(known) if is_anew else self._chronicle
         with reading as state:
             last = (past[-1].number if past else 0) if is_anew else self._last
             past += known.log.since(last, measurements=not is_anew)
-            is_amended = state.network.revision != self._revision or any(one.verb == "amend" for one in past)
-            if not is_anew and known.log.last == last and not is_amended:
+            is_amended = is_anew or state.network.revision != self._revision or any(one.verb == "amend" for one in past)
+            if known.log.last == last and not is_amended:
                 return
             is_lost = not is_anew and len(past) < known.log.last - last
             nodes = state.network.attributes.values() if is_anew else ()
             histories = [(node.name, state.histories[node.index]) for node in nodes if node.index in state.histories]
             measured = [(name, *sample) for name, history in histories for sample in history.samples(self._keep)]
-            model = self._model() if is_anew or is_amended else None
+            model = self._model() if is_amended else None
             if not is_lost:
                 records, inferred = chronicle.of_records(), self._inferred(state)
                 present = chronicle.of_state(state) if is_anew else []

@@ -167,7 +167,7 @@ class _Writer:
 
     def _check_arguments(self, leaf: Behaviour) -> None:
         bound = {"kb"} if self._registry is None else set(self._registry.bound)
-        known = {"name", "self", *bound}
+        known = {"name", "self", "behaviour_class_name", *bound}
         if isinstance(leaf, ActionBehaviour):
             known |= {"action", "preference"} | ({"during"} if isinstance(leaf, IsActionFeasible) else set())
             known |= set() if isinstance(leaf, RosaAction) and leaf.waits else {"wait", "timeout"}

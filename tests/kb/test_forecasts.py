@@ -52,7 +52,7 @@ def test_stated_rate_says_when_an_action_becomes_unfeasible_and_why(clock):
     found = kb.feasible_until("explore")
     assert found.at == pytest.approx(60 + (0.7 - 0.25) / 0.005, abs=0.01)
     assert found.earliest <= found.at + 1e-6
-    assert str(found).startswith("unfeasible in 90 s (how exactly is not known): ")
+    assert str(found).startswith("unfeasible in 90 s (90 to 90): ")
     assert "energy falls by 0.005/s while explore and reaches 0.25" in str(found)
     ahead = kb.forecast("energy", 30.0)
     assert ahead.value == pytest.approx(0.55)

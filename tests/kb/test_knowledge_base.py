@@ -328,10 +328,21 @@ def test_what_cannot_become_a_number_is_refused_in_our_words(kb, value):
         kb.measure("light", value)
 
 
-@pytest.mark.parametrize("active", ["no", None, 1.0, 2])
-def test_activity_is_a_boolean(kb, active):
-    with pytest.raises(KnowledgeBaseError):
-        kb.component_active("camera", active)
+@pytest.mark.parametrize("given", ["yes", 0, 1.0, 2])
+def test_what_is_so_or_not_is_a_boolean(kb, given):
+    kb.select({"see": "by camera"})
+    plan, before = kb.latest_plan, kb.log.last
+    for what, tell in {
+        "active": lambda: kb.component_active("camera", given),
+        "required": lambda: kb.assert_required("camera", given),
+        "selected": lambda: kb.assert_selected("night", given),
+        "is_vetoed": lambda: kb.record_answer(plan, given),
+    }.items():
+        with pytest.raises(InvalidValue, match=f"^{what} is True or False, not {given!r}$"):
+            tell()
+    with pytest.raises(InvalidValue, match="active is True or False, not None"):
+        kb.component_active("camera", None)
+    assert kb.log.last == before
 
 
 UNKNOWN = [

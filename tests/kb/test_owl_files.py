@@ -1,15 +1,17 @@
 """A model that is written as OWL is read back as it was, and others' readers understand what is written."""
 
 import shutil
+from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from models import models
 from test_files import odd_models
 
-from kb import Model, ModelError
+from kb import KnowledgeBase, Model, ModelError
 from kb.files import ModelFileError
 from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Ref, individuals, property_of
 from kb.owl.rdfxml import ROSA, metamodel, owl_text, plain_text
@@ -48,6 +50,21 @@ def test_model_is_the_same_after_a_way_through_owl_and_typeql(model, folder):
     Model.load(folder / "back.tql").save(folder / "again.owl")
     assert Model.load(folder / "again.owl") == model
     assert (folder / "again.owl").read_bytes() == (folder / "there.owl").read_bytes()
+
+
+class Mode(StrEnum):
+    QUIET = "quiet"
+
+
+def test_parameters_that_are_special_numbers_and_texts_are_written_as_what_they_are_of(tmp_path):
+    model = Model("rover")
+    given = {"angle": np.float64(0.5), "angles": [np.float64(1.0)], "mode": Mode.QUIET, "lamp": True}
+    model.component("camera").configuration("night", given)
+    model.save(tmp_path / "saved.owl")
+    model.save(tmp_path / "saved.tql")
+    assert Model.load(tmp_path / "saved.owl") == model == Model.load(tmp_path / "saved.tql")
+    types = KnowledgeBase(model).query("SELECT ?key ?type { ?x :key ?key ; :parameterType ?type } ORDER BY ?key")
+    assert types == [("angle", "double"), ("angles", "double_array"), ("lamp", "boolean"), ("mode", "string")]
 
 
 TQL = Path(__file__).parent / "typeql_files"

@@ -4,6 +4,7 @@ import pytest
 from py_trees import behaviours, common, composites, decorators
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.ports import PortsMixin
 from xml_leaves import registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
@@ -99,6 +100,24 @@ def test_leaves_have_the_names_under_which_they_are_registered():
     for name in ("right", "look_around"):
         with pytest.raises(ExportError, match=f"Turn '{name}' is not registered"):
             export_xml(Turn(name, -90.0), registry)
+
+
+class Beep(PortsMixin, Behaviour):
+    """Takes the name of its tag, as all that have ports of py_trees can, and has none."""
+
+    INPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
+    OUTPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
+
+    def update(self):
+        return Status.SUCCESS
+
+
+def test_leaf_that_takes_the_name_of_its_tag_is_written():
+    registry = BehaviourRegistry()
+    registry.register("Beep", Beep)
+    text = export_xml(Beep("horn"), registry)
+    assert '<Beep name="horn" />' in text
+    assert export_xml(load_xml(text, registry=registry), registry) == text
 
 
 def test_actions_are_written_with_what_they_do():
