@@ -444,10 +444,8 @@ class PlanExecutor(Behaviour):
                 self._drop_plan()
                 self.feedback_message = why
                 return Status.FAILURE
-            if self._replanning.had_no_plan:
-                self._want(Decision("the state changed", is_needed=True, cause=self._cause))
-            else:
-                self._want(Decision("start", is_needed=True))
+            changed = Decision("the state changed", is_needed=True, cause=self._cause)
+            self._want(changed if self._replanning.had_no_plan else Decision("start", is_needed=True))
         asked = self._replanning.ask_if_allowed(planned_from)
         if asked is not None:
             self._ended_meanwhile.clear()

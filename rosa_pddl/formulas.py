@@ -152,7 +152,7 @@ class Formulas:
             raise self._unknown_name("type", node, ())
         return kinds[name]
 
-    def atom(self, node: Node, scope: Scope, *, is_condition: bool = False) -> UpThing:
+    def atom(self, node: Node, scope: Scope, *, is_condition: bool = False, is_number: bool = False) -> UpThing:
         if not node.head:
             raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
@@ -162,6 +162,9 @@ class Formulas:
         if inside is None:
             raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *CHANGES))
         fluent = self._problem.fluent(inside)
+        if fluent.type.is_bool_type() is is_number:
+            found, hint = ("predicate", "number") if is_number else ("number", "predicate; compare it, as in (> (x) 0)")
+            raise self.source.error(node, f"found {start_of(node)!r}, which is a {found}, expected a {hint}")
         arguments = [self._term(part, scope) for part in node.children[1:]]
         name, signature = self._domain.outside[inside], fluent.signature
         if len(arguments) != len(signature):
@@ -195,7 +198,7 @@ class Formulas:
             parts = [self.number(part, scope) for part in node.children[1:]]
             return manager.Times(-1, *parts) if node.head == "-" and len(parts) == 1 else operators[node.head](*parts)
         if node.is_list:
-            return self.atom(node, scope)
+            return self.atom(node, scope, is_number=True)
         try:
             value = Fraction(node.lower)
             float(value)

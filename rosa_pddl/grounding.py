@@ -48,8 +48,7 @@ _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
 _LOOKS_S = 0.05
 # what steps that follow one another cost and use up, and their actions as patterns
-_INSTANTANEOUS: "WeakKeyDictionary[Domain, tuple[ResourceUsage, tuple[ActionPattern, ...]]]"
-_INSTANTANEOUS = WeakKeyDictionary()
+_INSTANTANEOUS = WeakKeyDictionary[Domain, tuple[ResourceUsage, tuple[ActionPattern, ...]]]()
 
 
 class NotRepresentableError(RosaPddlError):
@@ -430,7 +429,8 @@ class Grounded:
         """Return a task without its start and limits; what its graph has worked out is kept."""
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._weighed(fitted.frozen, weights)
-        varying = [one.cost if self._numbers.keys() & set(numeric_facts(one.cost)) else 0 for one in ready]
+        changed = self._numbers.keys()
+        varying = [one.cost if changed and changed & set(numeric_facts(one.cost)) else 0 for one in ready]
         fixed = [0 if more else one.cost for one, more in zip(ready, varying, strict=True)]
         amounts = [self._values_of(fixed, "costs", numbers)]
         for index, name in enumerate(self.domain.limited):

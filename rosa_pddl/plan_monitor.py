@@ -115,8 +115,13 @@ class PlanExecution:
         return tuple(number for number in range(len(self.steps)) if StepEvent(number, False) not in self.happened)
 
     @property
+    def running(self) -> tuple[int, ...]:
+        started = (one.number for one in self.events if not one.is_end and one in self.happened)
+        return tuple(number for number in started if StepEvent(number, True) not in self.happened)
+
+    @property
     def unfinished_steps(self) -> tuple[Step, ...]:
-        return tuple(step for number, step in enumerate(self.steps) if StepEvent(number, True) not in self.happened)
+        return tuple(self.steps[number] for number in (*self.running, *self.remaining))
 
     def starts_with(self, step: Step) -> int | None:
         """Return the number of an equal step that may start now, None if there is none."""
@@ -125,9 +130,7 @@ class PlanExecution:
     def prediction(self, state: State) -> Prediction:
         """Suppose that the rest happens as planned, from the atoms that are true now."""
         left = [event for event in self.events if event not in self.happened]
-        started = [one.number for one in self.events if not one.is_end and one in self.happened]
-        running = [number for number in started if StepEvent(number, True) not in self.happened]
-        flaw, facts = replay(self.domain, self.steps, ([event] for event in left), state, running)
+        flaw, facts = replay(self.domain, self.steps, ([event] for event in left), state, self.running)
         return Prediction(flaw or self._unreached(facts), facts)
 
     def _unreached(self, facts: State) -> str | None:
@@ -342,7 +345,10 @@ class PlanMonitor:
         plan, after = new
         if plan.prediction(after).flaw is not None or self.overspent(plan) is not None:
             return False
-        mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
+        try:
+            mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
+        except UnsupportedPddlError:  # a number that costs are made of is not known now
+            return False
         return mine * (1.0 + margin) < others - _SAME_COST
 
     def _price(
@@ -351,12 +357,10 @@ class PlanMonitor:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         held = self._holding(goals.soft, plan.prediction(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
-        numbers = self._usage.numbers(Problem(self._effects.domain, frozenset(), costs=self._numbers()))
-        costs = [
-            float(self._usage.value(self._usage.cost_of(step), numbers)) * shares.get(step, 1.0) * weights.get(step, 1)
-            for step in plan.unfinished_steps
-        ]
-        return forgone + sum(costs)
+        problem = Problem(self._effects.domain, state, costs=self._numbers())
+        steps, numbers = plan.unfinished_steps, self._usage.numbers(problem)
+        costs = zip(steps, self._usage.costs(problem, steps, numbers, begun=len(plan.running)), strict=True)
+        return forgone + sum(float(cost) * shares.get(step, 1.0) * weights.get(step, 1) for step, cost in costs)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
         return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))

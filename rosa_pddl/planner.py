@@ -284,7 +284,7 @@ class _Portfolio:
         """Return a plan that was made before, if it keeps all limits."""
         try:
             answer = self._checked(CERTIFIED, prepared)
-        except Trouble:
+        except (Trouble, UnsupportedPddlError):
             return None
         return self._report(answer, CERTIFIED, [Attempt(CERTIFIED, answer.outcome)])
 
@@ -498,7 +498,7 @@ class _Portfolio:
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
         try:
-            return usage_of(self._problem.domain).total_cost(self._problem, steps, self._numbers)
+            return float(sum(usage_of(self._problem.domain).costs(self._problem, steps, self._numbers)))
         except UnsupportedPddlError:
             return None
 

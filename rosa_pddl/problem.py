@@ -86,8 +86,10 @@ class Problem:
                 problem.set_initial_value(expression, exact(number))
         for goal in (*self.wanted, *domain.limits):
             problem.add_goal(_without_quantifiers(goal, problem) if overlapping else goal)
-        make = _durative if overlapping else _instantaneous
-        actions = {make(schema, domain, problem): schema.cost for schema in domain.schema_of.values()}
+        actions = dict[UpThing, UpThing]()
+        for one in domain.schema_of.values():
+            is_timed = overlapping and one.duration is not None
+            actions[_durative(one, domain, problem) if is_timed else _instantaneous(one, domain)] = one.cost
         problem.add_actions(actions)
         if domain.metric == "cost":
             costs = {action: cost for action, cost in actions.items() if cost is not None}
@@ -212,8 +214,6 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     """
     from unified_planning.model import DurativeAction, EndTiming, OpenTimeInterval, StartTiming
 
-    if schema.duration is None:
-        return _instantaneous(schema, domain, problem)
     made, start, end = _made(DurativeAction, schema, domain), StartTiming(), EndTiming()
     made.set_duration_constraint(schema.duration)
     whole = OpenTimeInterval(start, end)
@@ -229,7 +229,7 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     return made
 
 
-def _instantaneous(schema: Schema, domain: Domain, _: UpThing) -> UpThing:
+def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     from unified_planning.exceptions import UPException
     from unified_planning.model import InstantaneousAction
 

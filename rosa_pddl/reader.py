@@ -320,7 +320,8 @@ class _Reader:
         if node.head == "=" and len(node.children) == 3:
             _, target, value = node.children
             if target.head != _COST or not self._has_cost:
-                self._up_problem.set_initial_value(formulas.atom(target, {}), formulas.number(value, {}))
+                fluent = formulas.atom(target, {}, is_number=True)
+                self._up_problem.set_initial_value(fluent, formulas.number(value, {}))
         elif node.head == "not" and len(node.children) == 2:
             formulas.atom(node.children[1], {})
         else:
@@ -336,7 +337,7 @@ class _Reader:
                 return True
             compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
             left, right = sides_of(node)
-            self._limits.append(compare(formulas.atom(left, {}), formulas.number(right, {})))
+            self._limits.append(compare(formulas.number(left, {}), formulas.number(right, {})))
             return False
 
     def _read_metric(self) -> str:
@@ -481,10 +482,10 @@ class _ActionReader:
         if is_cost or target.head in self._uses.rising:
             self.rises[target.head] = value if before is None else manager.Plus(before, value)
         if head.startswith("scale"):
-            fluent = formulas.atom(target, where.scope)
+            fluent = formulas.atom(target, where.scope, is_number=True)
             head, value = "assign", (manager.Times if head == "scale-up" else manager.Div)(fluent, value)
         if not is_cost:
-            self._add(formulas.atom(target, where.scope), value, head.upper(), where)
+            self._add(formulas.atom(target, where.scope, is_number=True), value, head.upper(), where)
 
     def _add(self, fluent: UpThing, value: UpThing, kind: str, where: "_Where") -> None:
         """Keep an effect; what is only used up is the planner's business."""

@@ -16,7 +16,7 @@ from rosa_pddl.formulas import Condition
 from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
-from rosa_pddl.planner import Planner, awaited
+from rosa_pddl.planner import CERTIFIED, Planner, awaited
 from rosa_pddl.problem import Problem
 from rosa_pddl.validate import missing_at_start
 
@@ -201,10 +201,11 @@ class PlannerClient:
         future: Future[PlanningResult]
         try:
             future = self._planner.start(problem)
+            tried = future.result().attempts if future.done() else ()
+            is_prepared = CERTIFIED in [attempt.way for attempt in tried]
         except Exception as error:  # a planner must not stop the tree; what it raises is its answer
-            future = Future()
+            future, is_prepared = Future(), False
             future.set_exception(error)
-        is_prepared = self.is_prepared(lambda: problem)
         self._question = _Question(problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future)
         self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
 
@@ -227,7 +228,7 @@ class PlannerClient:
         if question is None or not self.has_answer:
             return None
         result = self._answer(question)
-        self._question, self.was_answered_at_once = None, False
+        self.give_up()
         return question, result
 
     def catch_up(self) -> None:
@@ -256,7 +257,6 @@ class PlannerClient:
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         if not question.future.done():
-            question.future.cancel()
             passed_s = self._clock() - question.at_s
             message = f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
             return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
@@ -415,6 +415,7 @@ class Replanning:
         """Forget when it was asked last, and what has failed."""
         self._last_asked_s = None
         self.setbacks.clear()
+        self._in_vain.clear()
 
     @property
     def is_busy(self) -> bool:

@@ -1,8 +1,7 @@
 """What steps cost and use up, exactly, from numbers and numeric facts whose values may differ each time."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from fractions import Fraction
 from math import ceil, floor, lcm
 from typing import TypeAlias
 
@@ -97,14 +96,13 @@ class ResourceUsage:
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
-    def total_cost(self, problem: Problem, steps: Iterable[Step], numbers: Numbers) -> float:
-        """Return what steps cost in turn, as the numbers of the state are then."""
-        domain, state, total = problem.domain, problem.state, Fraction(0)
-        for step in steps:
-            known = {**numbers, **numbers_in(state)} if domain.computed else numbers
-            total += self.value(self.cost_of(step), known)
-            state = ended(domain, step, started(domain, step, state)) if domain.computed else state
-        return float(total)
+    def costs(self, problem: Problem, steps: Iterable[Step], numbers: Numbers, begun: int = 0) -> Iterator[Exact]:
+        """Yield what steps, of which so many have begun, cost in turn, as the numbers of the state are then."""
+        domain, state = problem.domain, problem.state
+        for number, step in enumerate(steps):
+            yield self.value(self.cost_of(step), {**numbers, **numbers_in(state)} if domain.computed else numbers)
+            if domain.computed:
+                state = ended(domain, step, state if number < begun else started(domain, step, state))
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         """Return what may still be used up of each limited resource."""

@@ -350,18 +350,14 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | 
             yield from _atoms(domain, part, binding, seen)
 
 
-def text_of(domain: Domain | None, formula: UpThing, binding: Binding) -> str:
-    """Return a formula as PDDL text, its parameters replaced by what they are bound to.
-
-    It is in the names of the files, or without a domain in those of unified-planning's problem.
-    """
-    name = str if domain is None else domain.outside.__getitem__
+def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
+    """Return a formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
     if formula.is_parameter_exp():
         return binding.get(formula.parameter().name, f"?{formula.parameter().name}")
     if formula.is_variable_exp():
         return binding.get(formula.variable().name, f"?{formula.variable().name}")
     if formula.is_object_exp():
-        return name(formula.object().name)
+        return domain.outside[formula.object().name]
     if formula.is_bool_constant():
         return "(and)" if formula.is_true() else "(or)"
     if formula.is_constant():
@@ -370,11 +366,11 @@ def text_of(domain: Domain | None, formula: UpThing, binding: Binding) -> str:
     if formula.is_iff():
         return f"(and (imply {parts[0]} {parts[1]}) (imply {parts[1]} {parts[0]}))"
     if formula.is_fluent_exp():
-        head = name(formula.fluent().name)
+        head = domain.outside[formula.fluent().name]
     else:
         head = _HEADS.get(formula.node_type.name, formula.node_type.name.lower())
     if formula.is_exists() or formula.is_forall():
-        variables = (f"?{one.name} - {name(one.type.name)}" for one in formula.variables())
+        variables = (f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables())
         parts.insert(0, f"({' '.join(variables)})")
     return "(" + " ".join([head, *parts]) + ")"
 

@@ -11,7 +11,16 @@ from missions.engine.question import ask, certified, read_situation
 from missions.engine.registry import find_mission
 from missions.views.output import as_json
 from missions.views.plan import certificate_as_data
-from rosa_pddl import Certificate, Outcome, Planner, PlannerSettingError, Problem, certificate, initial_state
+from rosa_pddl import (
+    Certificate,
+    Outcome,
+    Planner,
+    PlannerSettingError,
+    PlanningResult,
+    Problem,
+    certificate,
+    initial_state,
+)
 from rosa_pddl.problem import without_feasibility
 from rosa_pddl.validate import flaw
 
@@ -134,3 +143,34 @@ def test_where_a_robot_has_come_farther_the_end_of_a_certified_plan_will_do(hous
     assert Planner(certificate=certified).plan(Problem(house, state - {"(road hall work)"})).outcome is (
         Outcome.UNSOLVABLE_PROVEN
     )
+
+
+def test_a_certified_plan_is_replayed_once_for_each_question(house, written):
+    asked = []
+
+    class Counting(Certificate):
+        def prepared(self, problem):
+            asked.append(problem)
+            return super().prepared(problem)
+
+    world = World(house, Planner(certificate=Counting(Certificate.load(written, house).entries)))
+    world.tick()
+    assert [step.schema for step in world.executor.current_steps] == ["walk"]
+    assert len(asked) == 1
+
+
+TANK = """(define (domain tank) (:predicates (there)) (:functions (used) (left))
+  (:action go :effect (and (there) (increase (used) 1))))"""
+
+
+@pytest.mark.parametrize("delay_s", [0.2, None])
+def test_where_a_limit_is_not_known_no_certified_plan_is_taken_and_it_is_told(tmp_path, delay_s):
+    goal = "(:goal (and (there) (<= (used) (left))))"
+    tank = load_text(tmp_path, TANK, f"(define (problem p) (:domain tank) (:init (= (used) 0)) {goal})")
+    made = Certificate({(): PlanningResult(Outcome.SOLVED, (tank.step("go", ()),))})
+    world = World(tank, Planner("label-setting", certificate=made), delay_s=delay_s)
+    assert world.run() is Status.FAILURE
+    assert "(left) is needed but has no value" in world.executor.feedback_message
+    world.facts = {"(left)": 2}
+    assert world.run() is Status.SUCCESS
+    assert world.executor.plans[-1].engine == "certificate"

@@ -211,6 +211,45 @@ def test_a_number_that_changed_is_news_to_an_eager_executor_only(roads, eager):
         assert world.executor.plans[1].reason == "something better may be possible: (toll) is 9"
 
 
+LOADS = """(define (domain loads) (:predicates (picked) (open) (there))
+  (:functions (total-cost) (load) (speed))
+  (:action pick :effect (and (picked) (increase (load) 5) (increase (total-cost) 1)))
+  (:action carry :precondition (picked) :effect (and (there) (increase (total-cost) (/ (load) (speed)))))
+  (:action crane :precondition (and (picked) (open)) :effect (and (there) (increase (total-cost) 3))))
+"""
+LOADS_PROBLEM = """(define (problem p) (:domain loads) (:init (= (load) 0) (= (speed) 1)) (:goal (there))
+  (:metric minimize (total-cost)))
+"""
+
+
+@pytest.fixture(scope="module")
+def loads(tmp_path_factory):
+    return load_text(tmp_path_factory.mktemp("loads"), LOADS, LOADS_PROBLEM)
+
+
+def carrying(loads):
+    world = World(loads, policy=ReplanningPolicy(eager=True))
+    world.ticks = {"carry": 9}
+    world.run(until="carry")
+    world.facts = {"(open)": True}
+    return world
+
+
+def test_plans_are_compared_by_what_steps_cost_with_the_numbers_that_have_changed_by_now(loads):
+    world = carrying(loads)
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["pick", "carry", "crane"]
+
+
+def test_where_it_is_not_known_what_a_step_costs_the_plan_stays(loads):
+    world = carrying(loads)
+    world.tick()
+    world.facts = {"(open)": True, "(speed)": 0.0}  # while the answer is on its way
+    assert world.run() is Status.SUCCESS
+    assert begun(world) == ["pick", "carry"]
+    assert Outcome.SOLVED_OPTIMALLY in [record.outcome for record in world.executor.plans[1:]]
+
+
 @pytest.mark.parametrize(
     ("sensed", "message"),
     [

@@ -14,7 +14,7 @@ CORPUS = Path(__file__).with_name("corpus")
 DOMAIN = """(define (domain plain)
   (:types thing other)
   (:predicates (ok ?t - thing) (odd ?o - other) (done ?t - thing))
-  (:functions (total-cost))
+  (:functions (total-cost) (far ?t - thing))
   (:durative-action go
     :parameters (?t - thing)
     :duration (= ?duration 5)
@@ -115,6 +115,28 @@ REFUSED = {
     "untimed effect": (("(at end (done ?t))", "(done ?t)"), 9, "expected '(at start ...)' or '(at end ...)' around it"),
     "effect over all": (("(at end (done ?t))", "(over all (done ?t))"), 9, "or '(at end ...)' around it"),
     "timed in an instant": ((":precondition (ok ?t)", ":precondition (at start (ok ?t))"), 12, "leave out 'at start'"),
+    "number as an effect": (
+        ("(done ?t) (increase", "(far ?t) (increase"),
+        13,
+        "'(far ?t)', which is a number, expected a pr",
+    ),
+    "number as a condition": (("(at start (ok ?t))", "(at start (not (far ?t)))"), 8, "compare it, as in (> (x) 0)"),
+    "number as a goal": (("(:goal (done a))", "(:goal (far a))"), 5, "'(far a)', which is a number, expected a pred"),
+    "number as a fact": (("(:init (ok a))", "(:init (far a))"), 4, "'(far a)', which is a number, expected a predi"),
+    "number denied": (("(:init (ok a))", "(:init (ok a) (not (far a)))"), 4, "'(far a)', which is a number, expected"),
+    "predicate that changes": (
+        ("(increase (total-cost) 2)", "(assign (done ?t) 2)"),
+        13,
+        "predicate, expected a number",
+    ),
+    "predicate as a factor": (
+        ("(increase (total-cost) 2)", "(scale-up (ok ?t) 2)"),
+        13,
+        "predicate, expected a number",
+    ),
+    "predicate as an amount": (("(total-cost) 2)", "(total-cost) (ok ?t))"), 13, "is a predicate, expected a number"),
+    "predicate compared": (("(:goal (done a))", "(:goal (> (done a) 1))"), 5, "is a predicate, expected a number"),
+    "predicate with a value": (("(:init (ok a))", "(:init (= (ok a) 1))"), 4, "is a predicate, expected a number"),
     "times within or": (("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"), 8, "around it"),
 }
 UNSUPPORTED = {

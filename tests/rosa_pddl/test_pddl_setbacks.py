@@ -142,6 +142,22 @@ def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_an
     assert [sorted(plan) for plan in world.plans()[asked:]] == [["near", "surface"]]
 
 
+def test_once_nothing_is_waited_for_any_more_what_is_not_needed_is_asked_at_once_too(ways):
+    planner = Troubled(0)
+    world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
+    world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
+    assert world.tick() is Status.RUNNING
+
+    def change():
+        planner.left, world.facts = 10**6, {"(damp)": False, "(near)": 1.0 + next(number) / 1000}
+
+    ticks(world, 30.0, change)  # the next pause ends at 51 s
+    asked = len(world.executor.plans)
+    world.executor.wait_no_more()
+    ticks(world, 0.2, change)
+    assert len(world.executor.plans) == asked + 1
+
+
 def test_with_trouble_the_safe_step_is_begun_at_once_and_the_plan_made_anew_beside_it(ways):
     world = World(ways, Troubled(2, safe=ways.step("surface", [])))
     world.facts = {"(damp)": False}
