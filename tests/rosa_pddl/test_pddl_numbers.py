@@ -1,12 +1,10 @@
 """Numbers that rise and fall: planned for exactly, kept in the state, sensed, and found again by brute force."""
 
-from collections import deque
 from fractions import Fraction
-from heapq import heappop, heappush
-from itertools import product
 from shutil import which
 
 import pytest
+from brute_force import fewest_steps, least_cost
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -14,8 +12,7 @@ from pddl_world import World
 from py_trees.common import Status
 
 from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, parse_domain
-from rosa_pddl.grounding import usage_of
-from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
+from rosa_pddl.validate import ended
 
 PLACES = ("dock", "w1", "w2", "w3", "w4")
 FAR = {(a, b): 5 + 3 * abs(i - j) for i, a in enumerate(PLACES) for j, b in enumerate(PLACES) if a != b}
@@ -140,31 +137,12 @@ def numeric_worlds(draw):
     return domain, f"(define (problem p) (:domain d) (:init {values}) (:goal {goal}))"
 
 
-def brute_force(domain, state):
-    """Return the fewest steps to the goal by looking at every state, None if there is no way."""
-    queue, seen = deque([(state, 0)]), {state}
-    steps = [domain.step(schema, ()) for schema in domain.schemas]
-    while queue:
-        state, count = queue.popleft()
-        if goal_holds(domain, state):
-            return count
-        for step in steps:
-            if missing_at_start(domain, step, state) is None:
-                after = ended(domain, step, started(domain, step, state))
-                if after not in seen:
-                    seen.add(after)
-                    queue.append((after, count + 1))
-        if len(seen) > 3000:
-            return -1
-    return None
-
-
 @settings(max_examples=40)
 @given(texts=numeric_worlds())
 def test_what_is_planned_in_random_worlds_is_what_brute_force_finds(texts):
     domain = parse_domain(*texts)
     state = initial_state(domain)
-    fewest = brute_force(domain, state)
+    fewest = fewest_steps(domain, state, most=3000)
     result = Planner(cached=0, timeout_s=300.0).plan(Problem(domain, state))
     if fewest == -1:
         return
@@ -206,22 +184,9 @@ def test_plans_cost_least_where_what_a_step_costs_depends_on_numbers_that_change
         (box b) (box {rng.choice(["a", "c"])}) {far}) (:goal (and (at c) (full) (not (box b))))
         (:metric minimize (total-cost)))""",
     )
-    usage, start = usage_of(domain), Problem(domain, initial_state(domain))
-    steps = [domain.step("drive", words) for words in product(places, repeat=2)]
-    steps += [domain.step(name, (place,)) for name in ("pick", "drop") for place in places]
-    queue, known, count = [(0, 0, start.state)], {}, 0
-    while True:
-        cost, _, state = heappop(queue)
-        if goal_holds(domain, state):
-            break
-        for step in steps if state not in known else ():
-            if missing_at_start(domain, step, state) is None:
-                count += 1
-                more = usage.value(usage.cost_of(step), usage.numbers(Problem(domain, state)))
-                heappush(queue, (cost + more, count, ended(domain, step, state)))
-        known[state] = cost
+    start = Problem(domain, initial_state(domain))
     result = Planner().plan(start)
-    assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, cost)
+    assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, least_cost(domain, start.state))
 
 
 def test_a_cost_below_nothing_is_refused_where_it_arises():

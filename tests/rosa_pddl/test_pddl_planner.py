@@ -2,20 +2,19 @@ import os
 import subprocess
 import sys
 import threading
-from collections import deque
 from concurrent.futures import CancelledError
 from contextlib import suppress
-from itertools import product
 from pathlib import Path
 
 import pytest
+from brute_force import fewest_steps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
 from rosa_pddl import Outcome, Planner, Problem, UnsupportedPddlError, feasible_atoms, initial_state, parse_domain
 from rosa_pddl.engines import fast_downward as downward
-from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start, started
+from rosa_pddl.validate import flaw
 
 
 def problem_of(domain, unfeasible=(), facts=()):
@@ -310,30 +309,6 @@ def test_what_is_searched_here_is_loaded_and_planned_without_the_engines_of_unif
 # ------------------------------------------------------------------ laws
 
 
-def ground_steps(domain):
-    for schema in domain.schema_of.values():
-        choices = [domain.objects_of(type_name) for _, type_name in schema.parameters]
-        yield from (domain.step(schema.name, arguments) for arguments in product(*choices))
-
-
-def shortest(domain, state):
-    """The naive twin of the planner: breadth first over states. The number of steps, None if there is no plan."""
-    steps = list(ground_steps(domain))
-    assert steps
-    depth, todo = {state: 0}, deque([state])
-    while todo:
-        state = todo.popleft()
-        if goal_holds(domain, state):
-            return depth[state]
-        for step in steps:
-            if missing_at_start(domain, step, state) is None:
-                after = ended(domain, step, started(domain, step, state))
-                if after not in depth:
-                    depth[after] = depth[state] + 1
-                    todo.append(after)
-    return None
-
-
 @settings(max_examples=8, deadline=None)
 @given(data=st.data())
 @pytest.mark.parametrize("which", ["rooms", "extended"])
@@ -344,7 +319,7 @@ def test_plans_are_as_short_as_those_of_the_naive_twin(request, which, data):
     unfeasible = data.draw(st.sets(st.sampled_from(domain.rosa_actions)))
     problem = problem_of(domain, unfeasible, facts)
     result = Planner().plan(problem)
-    expected = shortest(domain, problem.state)
+    expected = fewest_steps(domain, problem.state)
     assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
     assert len(result.steps) == (expected or 0)
     assert expected is None or flaw(domain, result.steps, problem.state) is None

@@ -1,21 +1,15 @@
 """The judges of plans say what unified-planning's validators say."""
 
 from fractions import Fraction
-from itertools import product
 
 import pytest
+from brute_force import ground_steps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import as_global, load_text
 
 from rosa_pddl import Problem, TimedStep, initial_state, schedule_flaw
 from rosa_pddl.validate import ended, flaw, missing_at_start, started
-
-
-def ground_steps(domain):
-    for schema in domain.schema_of.values():
-        choices = [domain.objects_of(type_name) for _, type_name in schema.parameters]
-        yield from (domain.step(schema.name, arguments) for arguments in product(*choices))
 
 
 def instance(domain, up_problem, step):

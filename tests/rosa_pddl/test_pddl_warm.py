@@ -1,11 +1,11 @@
 """A task grounded once answers as one that is grounded anew each time, whatever the state, goal and costs."""
 
-from heapq import heappop, heappush
 from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
+from brute_force import least_cost
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
@@ -13,8 +13,7 @@ from pddl_world import load_text
 from waypoints import Waypoints
 
 from rosa_pddl import Outcome, Planner, Problem, UnknownNameError, initial_state
-from rosa_pddl.grounding import usage_of
-from rosa_pddl.validate import ended, flaw, goal_holds, missing_at_start
+from rosa_pddl.validate import flaw
 
 
 def atoms_of(domain):
@@ -108,27 +107,9 @@ def test_so_it_does_in_random_domains(texts, data):
         state = frozenset(data.draw(st.sets(st.sampled_from(atoms))))
         costs = {"(c o0)": float(data.draw(st.integers(0, 5)))} if data.draw(st.booleans()) else {}
         problem = Problem(domain, state, costs=costs)
-        assert answer(warm.plan(problem)) == answer(cold.plan(problem)) == least_cost(domain, state, costs)
-
-
-def least_cost(domain, state, costs):
-    """Look at every state that can be reached, the nearest first."""
-    numbers = usage_of(domain).numbers(Problem(domain, state, costs=costs))
-    steps = [domain.step(name, words) for name in domain.schemas for words in product(("o0", "o1"), repeat=2)]
-    queue, done, pushed = [(0.0, 0, state)], set(), 0
-    while queue:
-        cost, _, state = heappop(queue)
-        if goal_holds(domain, state):
-            return Outcome.SOLVED_OPTIMALLY, cost
-        if state in done:
-            continue
-        done.add(state)
-        for step in steps:
-            if missing_at_start(domain, step, state) is None:
-                pushed += 1
-                price = usage_of(domain).total_cost(Problem(domain, state), [step], numbers)
-                heappush(queue, (cost + price, pushed, ended(domain, step, state)))
-    return Outcome.UNSOLVABLE_PROVEN, None
+        least = least_cost(domain, state, costs)
+        outcome = Outcome.UNSOLVABLE_PROVEN if least is None else Outcome.SOLVED_OPTIMALLY
+        assert answer(warm.plan(problem)) == answer(cold.plan(problem)) == (outcome, least)
 
 
 def test_every_state_of_the_extended_mission_is_answered_warm(extended):
