@@ -17,8 +17,8 @@ from kb.events import Log
 from kb.explanation.reasons import Explanation
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
-from rosa_pddl.problem import Problem, feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
-from rosa_pddl.resource_usage import ResourceUsage
+from rosa_pddl.problem import feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
+from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
 _MOST_DOMAINS = 8
@@ -86,7 +86,6 @@ class Belief:
         self._answer: Mapping[str, bool | float] = {}
         self._sensed = _Sensed()
         self._taken_in: tuple[State, Mapping[str, bool], Mapping[str, float] | None] | None = None
-        self._usage = ResourceUsage(domain)
         self.passed_over: dict[str, None] = {}
 
     @property
@@ -102,7 +101,7 @@ class Belief:
     def use(self, domain: Domain) -> None:
         """Go on with a domain of other objects; what was known of objects that it lacks is forgotten."""
         gone = {*self.domain.types} - {*domain.types}
-        self.domain, self._usage = domain, ResourceUsage(domain)
+        self.domain = domain
         kept = frozenset(fact for fact in self._now.facts if gone.isdisjoint(_names_in(fact)))
         numbers = {text: value for text, value in self._now.numbers.items() if gone.isdisjoint(_names_in(text))}
         self._now = replace(self._now, facts=kept, numbers=numbers)
@@ -164,8 +163,8 @@ class Belief:
         """Return the numbers once a step, however it ended, has used up what it may."""
         known = self._now.numbers
         try:
-            numbers = self._usage.numbers(Problem(self.domain, frozenset(), costs=known))
-            used = [self._usage.value(amount, numbers) for amount in self._usage.uses_of(step)]
+            usage, numbers = usage_of(self.domain), usage_of(self.domain).numbers(known)
+            used = [usage.value(amount, numbers) for amount in usage.uses_of(step)]
         except UnsupportedPddlError:
             return known  # nothing can be planned within limits of which nothing is known
         for key, amount in zip(map("({})".format, self.domain.limited), used, strict=True):

@@ -9,7 +9,6 @@ from functools import cached_property, lru_cache, partial
 from itertools import product
 from threading import Lock
 from typing import Any, TypeAlias
-from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, head_of, numbers_in
 from rosa_pddl.engines.processes import ProcessHandle
@@ -33,7 +32,7 @@ from rosa_pddl.invariants import Change as Swap
 from rosa_pddl.invariants import groups
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
-from rosa_pddl.resource_usage import Numbers, ResourceUsage, whole
+from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
@@ -47,8 +46,6 @@ _RULES_FOR_A_MOVE = 20
 _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
 _LOOKS_S = 0.05
-# what steps that follow one another cost and use up, and their actions as patterns
-_INSTANTANEOUS = WeakKeyDictionary[Domain, tuple[ResourceUsage, tuple[ActionPattern, ...]]]()
 
 
 class NotRepresentableError(RosaPddlError):
@@ -183,7 +180,7 @@ class Grounded:
 
     def __init__(self, domain: Domain, base: State, states: Sequence[State], go_on: Callable[[int], None]) -> None:
         self.domain, self.base, self.states = domain, base, tuple(states)
-        self._usage, patterns = _instantaneous(domain)
+        self._usage, patterns = usage_of(domain), _instantaneous(domain)
         self._reach = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
         self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
         self._possible = frozenset(text_of_row(name, row) for name, rows in self._reach.rows.items() for row in rows)
@@ -453,7 +450,7 @@ class Grounded:
         made = [Rule(one.layer, one.operation.needs, one.operation.effects[0][1], one.operation.tests) for one in own]
         return (*self._rules.rules, *made, *fitted.rules)
 
-    def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
+    def _values_of(self, made_of: Sequence[Number], what: str, numbers: Mapping[str, Exact]) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) for one in made_of]
         least = min(amounts, default=0)
         if least < 0:
@@ -529,17 +526,11 @@ def _literals(node: Node) -> Iterator[tuple[str, bool]]:
 # ---------------------------------------------------------------- kept
 
 
-def _instantaneous(domain: Domain) -> tuple[ResourceUsage, tuple[ActionPattern, ...]]:
+@lru_cache(_MOST_DOMAINS)
+def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
+    """Return the actions of steps that follow one another; UnsupportedPddlError says that they cannot."""
     with lock_of(domain):
-        if domain not in _INSTANTANEOUS:
-            actions = Problem(domain, frozenset()).build().actions
-            _INSTANTANEOUS[domain] = ResourceUsage(domain), (*patterns_of(domain, actions), *axioms_of(domain))
-        return _INSTANTANEOUS[domain]
-
-
-def usage_of(domain: Domain) -> ResourceUsage:
-    """Return what steps cost and use up; UnsupportedPddlError says that they cannot follow one another."""
-    return _instantaneous(domain)[0]
+        return *patterns_of(domain, Problem(domain, frozenset()).build().actions), *axioms_of(domain)
 
 
 def grounded(

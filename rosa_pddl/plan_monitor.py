@@ -1,21 +1,19 @@
 """How far a plan has come, in which order its steps may start, and whether the rest will still do."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from collections.abc import Set as AbstractSet
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain, groupby
 from typing import NamedTuple
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep, exact, head_of
+from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
-from rosa_pddl.instances import numeric_facts
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem
-from rosa_pddl.resource_usage import Remaining, ResourceUsage
-from rosa_pddl.search import note_signs
+from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import (
     SAME_TIME_S,
     StepEvent,
@@ -246,76 +244,26 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
     return bool(one[1] & (other[0] | other[1]) or one[0] & other[1])
 
 
-class ResourceLimits:
-    """The limits of a domain's resources, if it has any: numbers that decide whether there is a plan."""
-
-    def __init__(self, domain: Domain) -> None:
-        self._domain, self._usage = domain, ResourceUsage(domain)
-        self._stated = self._usage.numbers(Problem(domain, frozenset()))
-        used = [amount for each in self._usage.uses for amount in each.values()]
-        limits = [amount for each in self._usage.limits.values() for amount, _ in each]
-        self._used = frozenset(name for amount in used for name in numeric_facts(amount))
-        # a limit on the whole grows when less was used up before
-        self._limiting = frozenset([*self._usage.limits, *(text for one in limits for text in numeric_facts(one))])
-        signs: dict[str, set[int]] = {name: set() for name in self._used}
-        for amount in used:
-            note_signs(amount, 1, signs)
-        self._only_grow = all(found == {1} for found in signs.values())
-
-    def overspent(self, steps: Iterable[Step], numbers: _Numbers) -> str | None:
-        """Return which limit steps break, in words; None if they keep them all."""
-        if not self._domain.limits:
-            return None
-        listed = tuple(steps)
-        used = {text for step in listed for amount in self._usage.uses_of(step) for text in numeric_facts(amount)}
-        try:
-            return self._usage.overspent(self._asked(numbers, self._limiting | used), listed)
-        except UnsupportedPddlError:  # what is done without a plan, where a number is not known
-            return None
-
-    def leave_no_more(self, now: _Numbers, then: _Numbers) -> bool:
-        """Whether what is impossible with some numbers is so with others: no limit leaves more, no step uses less."""
-        if now is then or not self._domain.limits:
-            return True
-        try:
-            before, after = self._left(then), self._left(now)
-        except UnsupportedPddlError:  # a number is not known, so nothing can be planned
-            return now == then
-        limits = zip(before, after, strict=True)
-        if any(new.amount > old.amount or new.is_strict < old.is_strict for old, new in limits):
-            return False
-        known = {**self._stated, **then}
-        used = [(exact(now[key]), known.get(key)) for key in now if head_of(key) in self._used]
-        pairs = [(new, None if old is None else exact(old)) for new, old in used]
-        return all(new == old or (self._only_grow and old is not None and new > old) for new, old in pairs)
-
-    def _left(self, numbers: _Numbers) -> tuple[Remaining, ...]:
-        return self._usage.remaining(self._usage.numbers(self._asked(numbers, self._limiting)))
-
-    def _asked(self, numbers: _Numbers, keys: AbstractSet[str]) -> Problem:
-        costs = {key: numbers[key] for key in keys if key in numbers}  # of a large world it is a small part
-        return Problem(self._domain, frozenset(), costs=costs)
-
-
 class PlanMonitor:
     """Whether the plan that is executed will still do."""
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
         self._effects, self._numbers = effects, numbers
-        self._limits = ResourceLimits(effects.domain)
-        self._usage = ResourceUsage(effects.domain)
+        self._usage = usage_of(effects.domain)
 
     def is_no_easier(self, then: _Numbers) -> bool:
         """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
-        return self._limits.leave_no_more(self._numbers(), then)
+        return self._usage.leave_no_more(self._numbers(), then)
 
     def overspent(self, plan: PlanExecution) -> str | None:
         """Return which limit the steps break that have not started, in words; None if they keep them all.
 
         What runs is passed over: part of what it uses may be in what is sensed already.
         """
-        over = self._limits.overspent((plan.steps[number] for number in plan.remaining), self._numbers())
-        return None if over is None else f"the rest of the plan is too much: {over}"
+        with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
+            over = self._usage.overspent(self._numbers(), (plan.steps[number] for number in plan.remaining))
+            return None if over is None else f"the rest of the plan is too much: {over}"
+        return None
 
     def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
         """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
@@ -358,8 +306,8 @@ class PlanMonitor:
         held = self._holding(goals.soft, plan.prediction(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         problem = Problem(self._effects.domain, state, costs=self._numbers())
-        steps, numbers = plan.unfinished_steps, self._usage.numbers(problem)
-        costs = zip(steps, self._usage.costs(problem, steps, numbers, begun=len(plan.running)), strict=True)
+        steps = plan.unfinished_steps
+        costs = zip(steps, self._usage.costs(problem, steps, begun=len(plan.running)), strict=True)
         return forgone + sum(float(cost) * shares.get(step, 1.0) * weights.get(step, 1) for step, cost in costs)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:

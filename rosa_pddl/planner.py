@@ -31,12 +31,11 @@ from rosa_pddl.grounding import (
     NotRepresentableError,
     UnreachableGoalError,
     grounded,
-    usage_of,
 )
 from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
 from rosa_pddl.problem import Problem, lock_of
-from rosa_pddl.resource_usage import Numbers
+from rosa_pddl.resource_usage import Numbers, usage_of
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
 # What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
@@ -473,8 +472,7 @@ class _Portfolio:
             wrong = schedule_flaw(domain, answer.schedule, problem.state, problem.wanted)
         else:
             wrong = flaw(domain, answer.steps, problem.state, problem.wanted)
-        if wrong is None and domain.limits:
-            wrong = usage_of(domain).overspent(problem, answer.steps)
+        wrong = wrong or usage_of(domain).overspent(problem.costs, answer.steps)
         if wrong is not None:
             message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
             raise Trouble(Outcome.ENGINE_CRASHED, message)
@@ -498,13 +496,13 @@ class _Portfolio:
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
         try:
-            return float(sum(usage_of(self._problem.domain).costs(self._problem, steps, self._numbers)))
+            return float(sum(usage_of(self._problem.domain).costs(self._problem, steps)))
         except UnsupportedPddlError:
             return None
 
     @cached_property
     def _numbers(self) -> Numbers:
-        return usage_of(self._problem.domain).numbers(self._problem)
+        return usage_of(self._problem.domain).numbers(self._problem.costs, self._problem.state)
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:

@@ -50,11 +50,14 @@ class Problem:
     weights: Mapping[Step, int] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        numeric = self.domain.numeric if self.costs else frozenset()
-        for text in self.costs:
+        numeric, costs = self.domain.numeric if self.costs else frozenset(), dict[str, float]()
+        for text, value in self.costs.items():
+            costs[self.domain.atom(text)] = value
             head = head_of(self.domain.atom(text))
             if head not in numeric:
                 raise UnknownNameError(f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}")
+        if costs.keys() != self.costs.keys():
+            object.__setattr__(self, "costs", costs)  # in the spelling of the files
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
@@ -81,7 +84,7 @@ class Problem:
         for fact in sorted(self.state):
             problem.set_initial_value(*domain.stated(fact))
         for text, number in sorted(self.costs.items()):
-            expression = domain.expression(domain.atom(text))
+            expression = domain.expression(text)
             if problem.has_fluent(expression.fluent().name):
                 problem.set_initial_value(expression, exact(number))
         for goal in (*self.wanted, *domain.limits):

@@ -2,18 +2,42 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, floor, lcm
-from typing import TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, Step, UpThing, exact, numbers_in
+from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, exact, head_of, numbers_in
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
 from rosa_pddl.problem import Problem
-from rosa_pddl.search import Number, value_of
+from rosa_pddl.search import Number, note_signs, value_of
 from rosa_pddl.validate import ended, started, text_of
 
-Numbers: TypeAlias = Mapping[str, Exact]
-"""The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written."""
+_MOST_DOMAINS = 8
+
+
+class Numbers(Mapping[str, Exact]):
+    """The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written.
+
+    Those that are given count, or else those of the problem file; UnsupportedPddlError is raised where one is infinite.
+    """
+
+    def __init__(self, given: Mapping[str, float | Exact], domain: Domain, in_file: Mapping[str, Exact]) -> None:
+        self._given, self._domain, self._in_file = given, domain, in_file
+
+    def __getitem__(self, text: str) -> Exact:
+        if text not in self._given:
+            return self._in_file[text]
+        try:
+            return exact(self._given[text])
+        except (ValueError, OverflowError) as error:
+            message = f"{text} is {self._given[text]}, expected a finite number"
+            raise UnsupportedPddlError(message, self._domain.problem_file) from error
+
+    def __iter__(self) -> Iterator[str]:
+        return iter({**self._in_file, **self._given})
+
+    def __len__(self) -> int:
+        return len({**self._in_file, **self._given})
 
 
 @dataclass(frozen=True)
@@ -37,10 +61,6 @@ class ResourceUsage:
 
     A step costs what the metric says, or 1 if there is none. UnsupportedPddlError is raised where a number has no
     value, or none that is finite.
-
-    Attributes:
-        uses: what each action uses up of each, with its parameters.
-        limits: what each may come to at most, and whether so much is too much.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -49,41 +69,35 @@ class ResourceUsage:
         numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
         self._in_file = {text_of(domain, one, {}): exact(value) for one, value in numeric}
         self._costs: dict[str, Number] = dict.fromkeys(domain.schema_of, 0 if domain.metric == "cost" else 1)
-        for schema in domain.schema_of.values():
-            if schema.cost is not None:
-                self._costs[schema.name] = _compiled(domain, schema.cost, schema.parameters)
-        self.uses: list[dict[str, Number]] = [
-            {
-                one.name: _compiled(domain, one.uses[name], one.parameters)
-                for one in domain.schema_of.values()
-                if name in one.uses
-            }
-            for name in domain.limited
-        ]
-        self.limits: dict[str, list[tuple[Number, bool]]] = {f"({name})": [] for name in domain.limited}
+        self._uses: list[dict[str, Number]] = [{} for _ in domain.limited]
+        for one in domain.schema_of.values():
+            if one.cost is not None:
+                self._costs[one.name] = _compiled(domain, one.cost, one.parameters)
+            for name, uses in zip(domain.limited, self._uses, strict=True):
+                if name in one.uses:
+                    uses[one.name] = _compiled(domain, one.uses[name], one.parameters)
+        self._limits: dict[str, list[tuple[Number, bool]]] = {f"({name})": [] for name in domain.limited}
         for one in domain.limits:
             amount = bound_number(_compiled(domain, one.arg(1)), ())
-            self.limits[text_of(domain, one.arg(0), {})].append((amount, one.is_lt()))
+            self._limits[text_of(domain, one.arg(0), {})].append((amount, one.is_lt()))
+        used = [amount for uses in self._uses for amount in uses.values()]
+        self._signs: dict[str, set[int]] = {name: set() for amount in used for name in numeric_facts(amount)}
+        for amount in used:
+            note_signs(amount, 1, self._signs)
 
     def cost_of(self, step: Step) -> Number:
         return bound_number(self._costs[step.schema], step.arguments)
 
     def uses_of(self, step: Step) -> tuple[Number, ...]:
         """Return what a step uses up of each limited resource."""
-        return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self.uses])
+        return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses])
 
-    def numbers(self, problem: Problem) -> Numbers:
-        """Return the values of numeric facts: those of the problem file, or what the problem says instead."""
-        numbers = dict(self._in_file)
-        for text, value in problem.costs.items():
-            try:
-                numbers[problem.domain.atom(text)] = exact(value)
-            except (ValueError, OverflowError) as error:
-                message = f"{text} is {value}, expected a finite number"
-                raise UnsupportedPddlError(message, self._domain.problem_file) from error
-        return {**numbers, **numbers_in(problem.state)} if self._domain.computed else numbers
+    def numbers(self, given: Mapping[str, float], state: State = frozenset()) -> Numbers:
+        """Return the values of numeric facts: what is given or part of a state, or else those of the problem file."""
+        known = {**given, **numbers_in(state)} if self._domain.computed else given
+        return Numbers(known, self._domain, self._in_file)
 
-    def value(self, amount: Number, numbers: Numbers) -> Exact:
+    def value(self, amount: Number, numbers: Mapping[str, Exact]) -> Exact:
         try:
             value: Exact | None = value_of(amount, numbers)
         except KeyError as error:
@@ -96,27 +110,29 @@ class ResourceUsage:
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
-    def costs(self, problem: Problem, steps: Iterable[Step], numbers: Numbers, begun: int = 0) -> Iterator[Exact]:
+    def costs(self, problem: Problem, steps: Iterable[Step], begun: int = 0) -> Iterator[Exact]:
         """Yield what steps, of which so many have begun, cost in turn, as the numbers of the state are then."""
-        domain, state = problem.domain, problem.state
+        domain, state, numbers = problem.domain, problem.state, self.numbers(problem.costs, problem.state)
         for number, step in enumerate(steps):
-            yield self.value(self.cost_of(step), {**numbers, **numbers_in(state)} if domain.computed else numbers)
+            yield self.value(self.cost_of(step), numbers)
             if domain.computed:
                 state = ended(domain, step, state if number < begun else started(domain, step, state))
+                numbers = self.numbers(problem.costs, state)
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         """Return what may still be used up of each limited resource."""
         found = []
-        for text, limits in self.limits.items():
+        for text, limits in self._limits.items():
             used = self.value(("n", text), numbers)
             left = [Remaining(self.value(amount, numbers) - used, is_strict) for amount, is_strict in limits]
             found.append(min(left, key=lambda one: (one.amount, not one.is_strict)))
         return tuple(found)
 
-    def overspent(self, problem: Problem, steps: Iterable[Step]) -> str | None:
-        """Return which limit a plan breaks, in words; None if it keeps them all."""
-        numbers = self.numbers(problem)
-        used: list[Exact] = [0] * len(self._domain.limited)
+    def overspent(self, given: Mapping[str, float], steps: Iterable[Step]) -> str | None:
+        """Return which limit steps break with some numbers, in words; None if they keep them all."""
+        if not self._limits:
+            return None
+        numbers, used = self.numbers(given), list[Exact]([0] * len(self._limits))
         for step in steps:
             for number, one in enumerate(self.uses_of(step)):
                 used[number] += self.value(one, numbers)
@@ -124,6 +140,26 @@ class ResourceUsage:
             if left.is_exceeded_by(amount):
                 return f"it uses {float(amount):.12g} of {name}, {float(left.amount):.12g} are left"
         return None
+
+    def leave_no_more(self, now: Mapping[str, float], then: Mapping[str, float]) -> bool:
+        """Whether what is impossible with some numbers is so with others: no limit leaves more, no step uses less."""
+        if now is then or not self._limits:
+            return True
+        known, before = self.numbers(now), self.numbers(then)
+        try:
+            limits = zip(self.remaining(before), self.remaining(known), strict=True)
+        except UnsupportedPddlError:  # a number is not known, so nothing can be planned
+            return now == then
+        if any(new.amount > old.amount or new.is_strict < old.is_strict for old, new in limits):
+            return False
+        only_grow = all(found == {1} for found in self._signs.values())
+        pairs = [(known[key], before.get(key)) for key in now if head_of(key) in self._signs]
+        return all(new == old or (only_grow and old is not None and new > old) for new, old in pairs)
+
+
+@lru_cache(_MOST_DOMAINS)
+def usage_of(domain: Domain) -> ResourceUsage:
+    return ResourceUsage(domain)
 
 
 def _compiled(domain: Domain, amount: UpThing, parameters: Iterable[tuple[str, str]] = ()) -> Number:

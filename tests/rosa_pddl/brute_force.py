@@ -5,7 +5,7 @@ from heapq import heappop, heappush
 from itertools import product
 
 from rosa_pddl import Problem
-from rosa_pddl.grounding import usage_of
+from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
 
@@ -52,8 +52,7 @@ def least_cost(domain, state, costs=None):
             continue
         done.add(state)
         problem = Problem(domain, state, costs=costs or {})
-        numbers = usage.numbers(problem)
         for step, after in following(domain, steps, state):
             pushed += 1
-            heappush(queue, (cost + sum(usage.costs(problem, [step], numbers)), pushed, after))
+            heappush(queue, (cost + sum(usage.costs(problem, [step])), pushed, after))
     return None

@@ -9,7 +9,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, ReplanningPolicy
-from rosa_pddl.plan_monitor import ResourceLimits
+from rosa_pddl.resource_usage import ResourceUsage
 
 # Each leg can be driven, quickly and with much energy, or crept.
 DOMAIN = """(define (domain legs) (:requirements :typing :action-costs :numeric-fluents)
@@ -141,8 +141,8 @@ NUMBERS = st.fixed_dictionaries(
 @given(then=NUMBERS, now=NUMBERS)
 def test_numbers_that_leave_no_more_break_a_limit_whenever_the_others_did(legs, then, now):
     domain = legs["0.6"]
-    limits = ResourceLimits(domain)
-    if limits.leave_no_more(now, then):
+    usage = ResourceUsage(domain)
+    if usage.leave_no_more(now, then):
         for steps in product(("drive", "creep"), repeat=2):
             plan = [domain.step(one, words) for one, words in zip(steps, (("a", "b"), ("b", "c")), strict=True)]
-            assert limits.overspent(plan, then) is None or limits.overspent(plan, now) is not None
+            assert usage.overspent(then, plan) is None or usage.overspent(now, plan) is not None
