@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from sys import stdlib_module_names
 from traceback import walk_tb
 from typing import Final
 
@@ -48,8 +49,8 @@ def hint(name: str, known: Iterable[str], what: str) -> str:
 
 
 def in_words(error: Exception, *ours: str) -> str:
-    """Return an exception in words, with the last place that is in no package of ours."""
-    own = (*_OURS, *ours)
+    """Return an exception in words, with the last place that is in no package of ours or of Python's."""
+    own = (*_OURS, *ours, *stdlib_module_names)
     frames = [
         one for one in walk_tb(error.__traceback__) if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
     ]

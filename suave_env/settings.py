@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from itertools import accumulate
-from types import MappingProxyType
-from typing import TypeVar
+from typing import Final, TypeVar
 
 T = TypeVar("T", float, int, bool, str)
 
@@ -24,40 +23,36 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError
     return SuaveEnvError(f"there is no {kind} {name!r}; {hint}")
 
 
-RULES: Mapping[str, Mapping[str, float | bool | str]] = MappingProxyType(
-    {
-        # kas-lab/suave v1.3.0, with which the table of the ROSA paper was made: the defaults of Settings
-        "2024": MappingProxyType({}),
-        # kas-lab/suave of June 2025, and the experiment of that year: visibility period 120 s, no thruster failure
-        "2025": MappingProxyType(
-            {
-                "start_y_m": 2.5,
-                "start_x_sd_m": 0.0,
-                "start_y_sd_m": 0.0,
-                "bias_m": 0.0,
-                "bias_sd_m": 0.0,
-                "boot_s": 20.0,
-                "pipe_point_offset_m": 0.0,
-                "visibility_period_s": 120.0,
-                "thruster_events": "",
-                "thruster_events_chained": False,
-                "thruster_told_twice": True,
-                "recovery_interruptible": True,
-                "recharge_period_s": 0.5,
-                "recharge_resends": False,
-                "spiral_restarts": True,
-                "follow_loses_point": False,
-                "mission_period_s": 0.1,
-            }
-        ),
-    }
-)
+RULES: Final[Mapping[str, Mapping[str, float | bool | str]]] = {
+    # kas-lab/suave v1.3.0, with which the table of the ROSA paper was made: the defaults of Settings
+    "2024": {},
+    # kas-lab/suave of June 2025, and the experiment of that year: visibility period 120 s, no thruster failure
+    "2025": {
+        "start_y_m": 2.5,
+        "start_x_sd_m": 0.0,
+        "start_y_sd_m": 0.0,
+        "bias_m": 0.0,
+        "bias_sd_m": 0.0,
+        "boot_s": 20.0,
+        "pipe_point_offset_m": 0.0,
+        "visibility_period_s": 120.0,
+        "thruster_events": "",
+        "thruster_events_chained": False,
+        "thruster_told_twice": True,
+        "recovery_interruptible": True,
+        "recharge_period_s": 0.5,
+        "recharge_resends": False,
+        "spiral_restarts": True,
+        "follow_loses_point": False,
+        "mission_period_s": 0.1,
+    },
+}
 """What each set of rules says of the settings in which they differ, where that is not the default."""
 
 _SUAVE = "kas-lab/suave v1.3.0"
 _WORLD = "remaro_worlds 2650f19, min_pipes_environment"
 _MODEL = "vehicle model clydemcqueen/bluerov2_ignition"
-_ARDUPILOT = "ArduPilot, defaults of Sub"
+_SUB = "ArduPilot, defaults of Sub"
 _OWN = "own choice"
 _FITTED = "calibrated on three groups of published runs, see docs/sea.md"
 _DRAWN = "calibrated on the table of the ROSA paper, see docs/sea.md"
@@ -125,15 +120,15 @@ class Settings:
     propeller_m: float = _setting(0.076, "m", "diameter of a propeller, for the energy", "T200, data sheet", 0.01)
 
     # Guidance and control
-    speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_ARDUPILOT}: WPNAV_SPEED", 0.01)
-    climb_limit_m_s: float = _setting(2.5, "m/s", "upward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_UP", 0.01)
-    descent_limit_m_s: float = _setting(1.5, "m/s", "downward speed limit", f"{_ARDUPILOT}: WPNAV_SPEED_DN", 0.01)
-    acceleration_limit_m_s2: float = _setting(2.5, "m/s2", "horizontal limit", f"{_ARDUPILOT}: WPNAV_ACCEL", 0.01)
-    climb_acceleration_limit_m_s2: float = _setting(1.0, "m/s2", "vertical limit", f"{_ARDUPILOT}: WPNAV_ACCEL_Z", 0.01)
+    speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_SUB}: WPNAV_SPEED", 0.01)
+    climb_limit_m_s: float = _setting(2.5, "m/s", "upward speed limit", f"{_SUB}: WPNAV_SPEED_UP", 0.01)
+    descent_limit_m_s: float = _setting(1.5, "m/s", "downward speed limit", f"{_SUB}: WPNAV_SPEED_DN", 0.01)
+    acceleration_limit_m_s2: float = _setting(2.5, "m/s2", "horizontal acceleration", f"{_SUB}: WPNAV_ACCEL", 0.01)
+    climb_acceleration_limit_m_s2: float = _setting(1.0, "m/s2", "upward acceleration", f"{_SUB}: WPNAV_ACCEL_Z", 0.01)
     jerk_limit_m_s3: float = _setting(0.39, "m/s3", "jerk limit of a move", _FITTED, 0.01)
     velocity_lag_s: float = _setting(0.5, "s", "time constant of the velocity loop", _FITTED, 0.05)
-    position_gain: float = _setting(1.0, "1/s", "horizontal position gain", f"{_ARDUPILOT}: PSC_POSXY_P", 0)
-    height_gain: float = _setting(3.0, "1/s", "vertical position gain", f"{_ARDUPILOT}: PSC_POSZ_P", 0)
+    position_gain: float = _setting(1.0, "1/s", "horizontal position gain", f"{_SUB}: PSC_POSXY_P", 0)
+    height_gain: float = _setting(3.0, "1/s", "vertical position gain", f"{_SUB}: PSC_POSZ_P", 0)
     height_lag_s: float = _setting(0.2, "s", "time constant of the vertical velocity loop", _OWN, 0.05)
     integral_gain: float = _setting(5.0, "N/m", "gain on the integral of the velocity error", _OWN, 0)
     integral_limit_n: float = _setting(20.0, "N", "largest force of the integral, each axis", _OWN, 0)
@@ -157,8 +152,8 @@ class Settings:
     thruster_events: str = _setting(
         "1 failure 35", "-", "thruster, failure or recovery, time [s]; separated by commas; empty for none", _EXPERIMENT
     )
-    thruster_events_chained: bool = _setting(True, "-", "an event's time counts from the last (later: false)", _SUAVE)
-    thruster_told_twice: bool = _setting(False, "-", "also as ERROR and OK, not FALSE and RECOVERED only", _SUAVE)
+    thruster_events_chained: bool = _setting(True, "-", "an event's time is from the one before (later: false)", _SUAVE)
+    thruster_told_twice: bool = _setting(False, "-", "failures also as ERROR, recoveries as OK (later: true)", _SUAVE)
     thruster_monitor_period_s: float = _setting(1.0, "s", "period of the thruster monitor", _SUAVE, 0.05)
     recovery_wait_s: float = _setting(10.0, "s", "wait before the first thruster is restored", _SUAVE, 0)
     recovery_spacing_s: float = _setting(0.25, "s", "wait between thrusters being restored", _SUAVE, 0)
@@ -170,7 +165,7 @@ class Settings:
     battery_period_s: float = _setting(1.0, "s", "period of the battery and its monitor", _SUAVE, 0.05)
     recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (later: 0.5)", _SUAVE, 0.05)
     recharge_resends: bool = _setting(True, "-", "each tick sends the station again (later: false)", _SUAVE)
-    recharge_tolerance_m: float = _setting(0.5, "m", "distance in x and in y at which it is reached", _SUAVE, 0)
+    recharge_tolerance_m: float = _setting(0.5, "m", "distance in x and y at which the station is reached", _SUAVE, 0)
     station_x_m: float = _setting(-3.0, "m", "recharge station, east", _SUAVE)
     station_y_m: float = _setting(-2.0, "m", "recharge station, north", _SUAVE)
     station_z_m: float = _setting(-19.5, "m", "recharge station, up; never read by the vehicle", _SUAVE)
@@ -196,7 +191,7 @@ class Settings:
     activation_s: float = _setting(0.03, "s", "time that activating a component takes", _ROS, 0)
     deactivation_s: float = _setting(0.03, "s", "time that deactivating one takes", _ROS, 0)
     parameter_s: float = _setting(0.03, "s", "time that setting parameters takes", _ROS, 0)
-    guided_period_s: float = _setting(1.0, "s", "period at which nodes are told of GUIDED; clocks lag", _SUAVE, 0.01)
+    guided_period_s: float = _setting(1.0, "s", "period at which nodes hear of GUIDED; their clocks lag", _SUAVE, 0.01)
     mission_period_s: float = _setting(1.0, "s", "period of the mission node without a tree (later: 0.1)", _SUAVE, 0.01)
     tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree: sleeps of 100 and 50 ms", _SUAVE, 0.01)
 
@@ -261,7 +256,7 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
 
 
 def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
-    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s]'
+    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0'
     try:
         number, kind, time = int(words[0]), words[1], float(words[2])
     except (ValueError, IndexError):

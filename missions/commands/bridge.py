@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -15,8 +16,9 @@ from py_trees.behaviours import Running
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model
 from missions.commands import ROBOT, assignments, open_console
-from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS
+from missions.views.names import tree_builder
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import Node
 from rosa_bt import TreeRunner
@@ -56,7 +58,9 @@ def bridge(
         with closing(Bridge(kb, node, settings, percepts)) as connected:
             node.watch(lambda _, text: console.print(text, markup=False))
             manager = ConfigurationManager(kb, connected.managed)
-            root = Running("others decide") if make_tree is None else make_tree(kb, percepts)
+            root: Behaviour = Running("others decide")
+            if make_tree is not None:
+                root = built(f"the tree of {tree or robot}", Behaviour, partial(make_tree, kb, percepts))  # type: ignore[type-abstract]  # only asked about
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)
             end = math.inf if seconds is None else time.monotonic() + seconds
             try:
@@ -73,23 +77,21 @@ def bridge(
 
 def robot_of(
     name: str, tree: str | None, *, answer: bool
-) -> tuple[Model, Callable[..., Behaviour] | None, Mission | None]:
+) -> tuple[Model, Callable[..., object] | None, Mission | None]:
     """Return the model of a robot, what makes its tree (None if others decide), and the mission if it is one."""
     if Path(name).suffix in (".tql", ".owl"):
         found: object = Model.load(name)
     else:
         found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; a robot of your own is a file or module:NAME")
-    make_tree = None if tree is None else MISSIONS.find(tree, "none by that name; write module:NAME")
-    if isinstance(found, Mission):
-        model, make_tree = found.model(), make_tree or found.tree
-    else:
-        made = found() if callable(found) else found
-        if not isinstance(made, Model):
-            raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
-        model = made
+    mission = found if isinstance(found, Mission) else None
+    make = found.model if isinstance(found, Mission) else found
+    if not (isinstance(make, Model) or callable(make)):
+        raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
+    model = make if isinstance(make, Model) else built(name, Model, make)
+    make_tree = tree_builder(tree) if tree else None if mission is None else mission.tree
     if not answer and make_tree is None:
         raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
-    return model, None if answer else make_tree, found if isinstance(found, Mission) else None
+    return model, None if answer else make_tree, mission
 
 
 def _settings(config: Path | None, url: str | None, attributes: list[str]) -> BridgeSettings:

@@ -10,11 +10,12 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from kb import Model
+from kb import KnowledgeBase, Model
 from kb.checks.findings import Finding, found, rules
 from kb.files import read_text
 from kb.owl.rdfxml import owl_text
 from missions.commands import FAILED, complain, open_console
+from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, MissionError
 from missions.engine.registry import find_mission
 from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
@@ -88,7 +89,17 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
         places.setdefault(name, []).append(place)
     is_complete = "" not in places  # what a tree is given later may be any action
     places.pop("", None)
-    return Judgement(model.name, (*_placed(model.check(places), places, is_complete), *unguarded))
+    findings = [*_placed(model.check(places), places, is_complete), *unguarded]
+    return Judgement(model.name, (*findings, *(() if mission is None else _oversights(mission, model, findings))))
+
+
+def _oversights(mission: Mission, model: Model, findings: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield what planning for a mission would pass over, where it can be planned and nothing says so yet."""
+    said = [f" {one.element.removeprefix('action ')!r} " for one in findings if one.code == "unmentioned-action"]
+    if mission.problem is not None and not any(one.code == "unknown-action" for one in findings):
+        for note in mission_domain(mission).check(KnowledgeBase(model)):
+            if not any(name in note for name in said):
+                yield found("file-note", f"mission {mission.name}", note)
 
 
 def model_of(files: Sequence[Path], mission: Mission | None) -> Model:

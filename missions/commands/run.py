@@ -29,7 +29,7 @@ from missions.views.steering import Steering
 
 def run(
     mission: Annotated[str, typer.Argument(help=MISSION)],
-    task: Annotated[str | None, typer.Option(help="Task layer: bt (tree) or pddl (planned); or what there is.")] = None,
+    task: Annotated[str | None, typer.Option(help="By a tree (bt) or plans (pddl); default: what is there.")] = None,
     manager: Annotated[
         str,
         typer.Option(
@@ -51,7 +51,7 @@ def run(
     live: Annotated[int | None, typer.Option(metavar="PORT", help="Show the run meanwhile as a page (0: any).")] = None,
     host: Annotated[str, typer.Option(help="Where --live listens; others need the token in the link.")] = "127.0.0.1",
     token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
-    allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page pace and disturb it.")] = False,
+    allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")] = False,
     tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
     realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     speed: Annotated[float | None, typer.Option(help="Times real time at most, 0: no limit; --live alone: 1.")] = None,

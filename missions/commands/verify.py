@@ -15,7 +15,7 @@ from missions.views.output import OutputFile, as_json
 def verify(
     mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
     task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
-    failures: Annotated[int, typer.Option(help="So many components have failed at once at most.")] = 1,
+    failures: Annotated[int, typer.Option(min=0, help="So many components have failed at once at most.")] = 1,
     at_once: Annotated[int, typer.Option(help="So many facts change between two ticks at most.")] = 1,
     slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
     reaction: Annotated[int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")] = 1,

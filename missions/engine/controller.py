@@ -1,6 +1,7 @@
 """Who decides in a run of ours: knowledge base, configuration manager and task layer, a tree or a plan executor."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from inspect import signature
 from math import inf
 from time import perf_counter
@@ -14,7 +15,7 @@ from py_trees.trees import BehaviourTree
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
-from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World, built
 from missions.engine.runner import Controller, Listener, MissionRun, Seen
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
@@ -26,6 +27,8 @@ OURS: Final = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 
 TASK_KINDS: Final = ("bt", "pddl")
+_FAR: Final = 50
+"""How many times a threshold a measurement is that may be in another unit; of degrees in a radian there are 57."""
 
 
 class RosaController(Controller):
@@ -176,7 +179,7 @@ class RosaController(Controller):
         try:
             if not self.is_done:
                 self._log.finish()
-            self.findings = self._task.findings()
+            self.findings = [*self._task.findings(), *_off_scale(self._kb)]
             self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
         finally:
             self._runner.shutdown()
@@ -233,6 +236,15 @@ class RosaController(Controller):
     def _report_adaptation(self, adaptation: Adaptation) -> None:
         for listener in self.listeners:
             listener.adaptation(adaptation)
+
+
+def _off_scale(kb: KnowledgeBase) -> Iterator[str]:
+    """Yield the thresholds that all that was measured is far from, as it is if they are in another unit."""
+    for one in kb.model.constraints:
+        sizes = [abs(value) for _, value in kb.attributes[one.attribute].history if value]
+        if sizes and (min(sizes) > _FAR * abs(one.value) > 0 or _FAR * max(sizes) < abs(one.value)):
+            said = f"{one.attribute} was measured {min(sizes):g} to {max(sizes):g}, far from its threshold"
+            yield f"{said} {one.operator} {one.value:g}; are both in the same unit?"
 
 
 def _is_timeless(kb: KnowledgeBase) -> bool:
@@ -327,10 +339,7 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
     if kind == "bt":
         if mission.tree is None:
             raise MissionError(f"mission {mission.name} has no tree; run it with --task pddl, or give it tree=...")
-        root = mission.tree(kb, percepts)
-        if not isinstance(root, Behaviour):
-            raise MissionError(f"the tree of mission {mission.name} is {root!r}, not a py_trees behaviour")
-        return TaskLayer(root)
+        return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, partial(mission.tree, kb, percepts)))  # type: ignore[type-abstract]  # only asked about
     return _planning(mission, kb, percepts, delay_s)
 
 

@@ -5,24 +5,28 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from inspect import signature
+from inspect import Parameter, signature
 from math import nan
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
+from py_trees.trees import BehaviourTree
 
-from kb import KnowledgeBase, ManagedSystem, Model
+from kb import KnowledgeBase, KnowledgeBaseError, ManagedSystem, Model
 from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, near, own_values
 from missions.engine.settings import Setting as Setting
+from rosa_bt.exceptions import in_words
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from rosa_pddl.generation import DeclaredProblem
+
+T = TypeVar("T")
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
@@ -275,19 +279,35 @@ class Mission:
                     raise MissionError(f"{name} of mission {self.name} is {given!r}; expected is {expected}")
         for name, arguments in _CALLED.items():
             if (given := attrgetter(name)(self)) is not None:
-                _check_call(f"{name} of mission {self.name}", given, arguments)
+                with suppress(ValueError):  # one that was not written in Python may not say how it is called
+                    takes = signature(given)
+                    try:
+                        takes.bind(*arguments.split())
+                    except TypeError as error:
+                        called = f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
+                        raise MissionError(f"{called}: {error}; give it these parameters") from error
         if self.tree is None and self.problem is None:
             raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
 
 
-def _check_call(what: str, given: Callable[..., object], arguments: str) -> None:
-    with suppress(ValueError):  # one that was not written in Python may not say how it is called
-        takes = signature(given)
-        try:
-            takes.bind(*arguments.split())
-        except TypeError as error:
-            said = f"{what} is called with ({arguments}), but takes {takes}: {error}"
-            raise MissionError(f"{said}; give it these parameters") from error
+def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
+    """Return what a function of an author makes, called with as many of these things as it has to be called with.
+
+    Raises:
+        MissionError: it fails, or makes something else. Of a tree of py_trees its root is taken.
+    """
+    try:
+        parameters = signature(build).parameters.values() if given else ()
+        places = [one.default for one in parameters if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        made = build(*given[: places.count(Parameter.empty)])
+    except (MissionError, KnowledgeBaseError):
+        raise
+    except Exception as error:  # whatever the author's code may raise
+        raise MissionError(f"cannot build {title}: {in_words(error)}") from error
+    made = made.root if isinstance(made, BehaviourTree) else made
+    if not isinstance(made, kind):
+        raise MissionError(f"{title} is {made!r}, not a {'py_trees behaviour' if kind is Behaviour else kind.__name__}")
+    return made
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:

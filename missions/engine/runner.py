@@ -231,11 +231,13 @@ class MissionRun:
 
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names; those that were put in among them."""
-        figures = self.world.results()
+        figures, gives = self.world.results(), f"results() of {type(self.world).__name__} gives"
+        if not isinstance(figures, Mapping):
+            raise MissionError(f"{gives} {figures!r:.80}; expected is a mapping, empty if there are no figures")
         for name, value in figures.items():
             if value is not None and not isinstance(value, Real):
-                said = f"results() of {type(self.world).__name__} gives {name!r} as {value!r:.80}"
-                raise MissionError(f"{said}; expected is a number, or None for what did not happen")
+                wrong = f"{gives} {name!r} as {value!r:.80}"
+                raise MissionError(f"{wrong}; expected is a number, or None for what did not happen")
         return {**figures, **self.controller.inputs}
 
     def run(self) -> Verdict:
@@ -253,7 +255,7 @@ class MissionRun:
                 controller.end()
         if controller.trouble:
             return controller.trouble
-        verdict = controller.verdict(world.results())
+        verdict = controller.verdict(self.results())
         if controller.is_done and world.now < duration_s and verdict.outcome in (*NO_SUCCESS, TIME_LIMIT):
             # it was judged by a goal that is not reached, as if time had run out
             ended = f"the task ended after {world.now:.1f} s of {duration_s:g} s, short of the mission's goal"

@@ -66,7 +66,7 @@ def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.C
             finally:
                 connection.close()
     except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be read: {error}") from None
+        raise StoreError(f"{path}: the store cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 def _head(log: Path) -> bytes:

@@ -5,10 +5,10 @@ a model has a statement for each.
 """
 
 import tomllib
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
 
@@ -20,12 +20,10 @@ from missions.baselines import modes as modes_module
 from missions.baselines.bt import TreeManager
 from missions.baselines.controller import BaselineController
 from missions.baselines.registry import open_run
-from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA
-from missions.views.names import built
 
-T = TypeVar("T")
 MODES_FILE: Final = Path(modes_module.__file__).with_name("modes.toml")
 
 RULE: Final = (
@@ -221,7 +219,7 @@ def count_tree(mission: Mission, name: str) -> TreeEffort:
     tree = next(value for value in vars(manager).values() if isinstance(value, Behaviour))
     model = _model(mission.name, mission)
     given = KnowledgeBase(model), Percepts()
-    task = _built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only asked about; each of the sea has one
+    task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only asked about; each of the sea has one
     functions = tomllib.loads(MODES_FILE.read_text(encoding="utf-8")).values()
     needed = [one for one in functions if one["component"] in model.components]
     modes = sum(1 + len(values) for one in needed for values in one["modes"].values())
@@ -255,14 +253,7 @@ def _parts_data(parts: Parts | None, first: str, second: str) -> dict[str, int] 
 
 
 def _model(name: str, mission: Mission) -> Model:
-    return _built(f"the model of {name}", Model, AS_PUBLISHED.get(name, mission.model))
-
-
-def _built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
-    made = built(build, given, title)
-    if not isinstance(made, kind):
-        raise MissionError(f"{title} is {made!r}, not a {kind.__name__}")
-    return made
+    return built(f"the model of {name}", Model, AS_PUBLISHED.get(name, mission.model))
 
 
 AGV: Final = (

@@ -18,7 +18,7 @@ from kb import DiagnosticProblem, Event, KnowledgeBase, Model, UnknownName
 from kb.diagnostics import Measurement, read_diagnostics
 from missions.engine.components import VERBS
 from missions.engine.controller import RosaController
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, built
 from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
@@ -141,21 +141,11 @@ def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: Task
         raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
     wanted = find_mission(mission) if isinstance(mission, str) else mission
     if not isinstance(wanted, Mission):
-        model = wanted if isinstance(wanted, Model) else _made(wanted)
+        model = wanted if isinstance(wanted, Model) else built("the model to replay to", Model, wanted)
         if behaviour is None:
             raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
         return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
     return replace(wanted, tree=behaviour or wanted.tree)
-
-
-def _made(make: Callable[[], object]) -> Model:
-    try:
-        model = make()
-    except TypeError:
-        model = None
-    if not isinstance(model, Model):
-        raise MissionError(f"a mission, its name, a model or a function that makes one is replayed to, not {make!r}")
-    return model
 
 
 def _messages_of(source: "str | Path | Bag | Iterable[Message]") -> list[Message]:

@@ -46,7 +46,7 @@ class Narrator(_WithBar, Listener):
         self._bar = self._progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
-        self._say(time_s, escape(text))
+        self._say(time_s, escape(text.partition(" because ")[0] if " is unfeasible because " in text else text))
 
     def adaptation(self, adaptation: Adaptation) -> None:
         _print_adaptation(self._console, adaptation)

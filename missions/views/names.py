@@ -1,19 +1,16 @@
 """Which ROSA actions a behaviour tree or PDDL files use, found without running either."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from inspect import Parameter, signature
 from pathlib import Path
 from typing import Final
 
 from py_trees.behaviour import Behaviour
-from py_trees.trees import BehaviourTree
 
-from kb import KnowledgeBase, KnowledgeBaseError, Model
+from kb import KnowledgeBase, Model
 from missions.engine.declared import declarations_of
-from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import Registry
 from rosa_bt import IsActionFeasible, RosaAction
-from rosa_bt.exceptions import in_words
 from rosa_bt.idioms import unguarded
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
@@ -34,10 +31,10 @@ class _Tolerant(KnowledgeBase):
 
 def tree_builder(reference: str) -> Callable[..., object]:
     """Return what is given as module:callable; MissionError if it cannot be imported or called."""
-    built: object = Registry("tree", {}).find(reference, "none by name, a tree is given as module:callable")
-    if not callable(built):
-        raise MissionError(f"{reference!r} is a {type(built).__name__}, not a function that builds a tree")
-    return built
+    found: object = Registry("tree", {}).find(reference, "none by name, a tree is given as module:callable")
+    if not callable(found):
+        raise MissionError(f"{reference!r} is a {type(found).__name__}, not a function that builds a tree")
+    return found
 
 
 def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tuple[Uses, Uses]:
@@ -45,29 +42,12 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tup
 
     It is built with a knowledge base and percepts, or with as many of these as it needs.
     """
-    root = built(build, (_Tolerant(model), Percepts()), title)
-    if isinstance(root, BehaviourTree):
-        root = root.root
-    if not isinstance(root, Behaviour):
-        raise MissionError(f"{title} is {root!r}, not a py_trees behaviour")
+    root = built(title, Behaviour, build, _Tolerant(model), Percepts())  # type: ignore[type-abstract]  # only asked about
     asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
     uses, careless = (
         [(_action(one), f"behaviour {one.name!r} of {title}") for one in some] for some in (asking, unguarded(root))
     )
     return uses, careless
-
-
-def built(build: Callable[..., object], given: tuple[object, ...], title: str) -> object:
-    """Call a function with as many of the given things as it has to be called with."""
-    kinds = (Parameter.POSITIONAL_ONLY, Parameter.POSITIONAL_OR_KEYWORD)
-    try:
-        parameters = signature(build).parameters.values()
-        needed = [one for one in parameters if one.kind in kinds and one.default is Parameter.empty]
-        return build(*given[: len(needed)])
-    except KnowledgeBaseError:
-        raise
-    except Exception as error:  # whatever the author's code may raise
-        raise MissionError(f"cannot build {title}: {in_words(error)}") from error
 
 
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:

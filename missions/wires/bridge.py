@@ -64,7 +64,7 @@ class BridgeSettings:
         try:
             read = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise MissionError(f"cannot read {path}: {error}") from None
+            raise MissionError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
         known = {one.name: one for one in fields(cls)}
         for name, value in read.items():
             if name not in known:

@@ -235,7 +235,8 @@ def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
 
 def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     is_list = isinstance(value, list)
-    code, name = _BY_TYPE[type((value or [0.0])[0] if is_list else value)]
+    kinds = type((value or [0.0])[0] if is_list else value).__mro__  # what is of numpy is of a type below one of these
+    code, name = next(_BY_TYPE[kind] for kind in kinds if kind in _BY_TYPE)
     return {"type": code + 5, f"{name}_array_value": value} if is_list else {"type": code, f"{name}_value": value}
 
 

@@ -189,6 +189,14 @@ def test_tree_that_is_none_is_refused(monkeypatch, capsys, altered):
     assert "the tree of mission altered is None, not a py_trees behaviour" in err
 
 
+def test_tree_that_cannot_be_built_is_refused_with_the_line(monkeypatch, capsys, altered):
+    altered(tree=lambda kb, percepts: percepts.nothing)
+    code, _, err = run_altered(monkeypatch, capsys)
+    assert code == 2
+    said = "cannot build the tree of mission altered: AttributeError: 'Percepts' object has no attribute 'nothing'"
+    assert f"{said}; test_bad_missions.py, line" in err
+
+
 def test_unknown_names_and_nan_in_diagnostics_are_reported_and_the_mission_goes_on(monkeypatch):
     original = runner.MissionRun._turn
 

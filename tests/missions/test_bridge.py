@@ -6,8 +6,10 @@ import time
 from contextlib import contextmanager, suppress
 from threading import Event
 
+import numpy as np
 import pytest
 from cut_wires import Wire
+from running import called
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -15,6 +17,7 @@ from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.engine.mission import MissionError
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import RosError
+from missions.wires.rosa_services import parameter_messages
 from missions.wires.rosbridge import Rosbridge
 from missions.wires.rosbridge_server import RosbridgeServer
 
@@ -330,6 +333,36 @@ def test_call_without_a_connection_or_a_server_fails_at_once(robot):
     node.close()
     with pytest.raises(RosError, match="nobody serves"):
         robot.server.call("/nowhere", "", {}).result(60)
+
+
+def test_parameters_are_told_by_their_types_those_of_numpy_too():
+    told = parameter_messages({"a": np.float64(0.5), "b": True, "c": 3, "d": ["x"], "e": []})
+    assert [one["value"] for one in told] == [
+        {"type": 3, "double_value": 0.5},
+        {"type": 1, "bool_value": True},
+        {"type": 2, "integer_value": 3},
+        {"type": 9, "string_array_value": ["x"]},
+        {"type": 8, "double_array_value": []},
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (
+            ["small_rover:ENERGY_DROP"],
+            "'small_rover:ENERGY_DROP' is no mission, no model and no function that makes one",
+        ),
+        (["small_rover:rover_tree", "--answer"], "cannot build small_rover:rover_tree"),
+        (["suave", "--tree", "small_rover:ENERGY_DROP"], "is a list, not a function that builds a tree"),
+        (["suave", "--tree", "small_rover:rover_model"], "cannot build the tree of small_rover:rover_model: TypeError"),
+        (["suave", "--config", "nowhere.toml"], "cannot read nowhere.toml: No such file or directory\n"),
+    ],
+)
+def test_robot_or_tree_that_is_none_is_told_in_a_sentence(monkeypatch, capsys, arguments, words):
+    code, _, err = called(capsys, monkeypatch, "bridge", *arguments, "--serve", 0, "--seconds", 0.1)
+    assert code == 2
+    assert words in err
 
 
 def test_wrong_settings_are_told(tmp_path):

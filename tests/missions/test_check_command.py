@@ -220,6 +220,26 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
     assert "did you mean 'search_pipeline'" in out
 
 
+def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_mentioned_nowhere(rosa, monkeypatch):
+    suave = MISSIONS["suave"]
+
+    def larger():
+        model = suave.model()
+        model.action("surface", requires=[model.functions["maintain_motion"]])
+        return model
+
+    named = dataclasses.replace(suave, name="ascending", model=larger)
+    ascending = dataclasses.replace(named, tree=lambda kb, percepts: IsActionFeasible("up?", kb, "surface"))
+    register(monkeypatch, "ascending", ascending)
+    code, out, _ = rosa("--mission", "ascending")
+    assert (code, "warning file-note" in out) == (0, True)
+    assert "the action 'surface' of the knowledge base is never planned" in out
+    register(monkeypatch, "planned", dataclasses.replace(named, tree=None))
+    _, out, _ = rosa("--mission", "planned")
+    assert "action surface is mentioned nowhere" in out
+    assert "never planned" not in out
+
+
 def test_tree_may_be_given_as_something_that_needs_nothing():
     assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it") == ([], [])
     with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):

@@ -90,6 +90,12 @@ def test_run_tells_each_adaptation_with_its_reason_and_ends_with_a_table(quick):
         assert words in " ".join(out.split()), words
 
 
+def test_why_an_action_is_unfeasible_is_told_once(quick):
+    _, out, _ = quick("run", "suave_extended", "--set", "duration_s=152")
+    assert "inspect_pipeline is abandoned: inspect_pipeline is unfeasible\n" in out
+    assert out.count("battery_level just below 0.25 violates >= 0.25") == 1
+
+
 def test_run_without_progress_prints_the_result_only(quick):
     code, out, _ = quick("run", "suave", "--no-progress", "--set", "duration_s=150")
     assert code == 0

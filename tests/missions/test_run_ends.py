@@ -1,5 +1,6 @@
 """However a run ends, it ends, and says truly how: also with a world or a task that its author got wrong."""
 
+import json
 import math
 from dataclasses import replace
 
@@ -99,10 +100,43 @@ def test_world_that_advances_to_nothing_or_has_words_for_figures_is_told_what_to
         def results(self):
             return {"rooms": "many"}
 
+    class Empty(Field):
+        def results(self):
+            return None
+
+    with pytest.raises(MissionError, match=r"results\(\) of Empty gives None; expected is a mapping, empty if there"):
+        run_in(Empty()).run()
     with pytest.raises(MissionError, match=r"advance\(\) of Silent returned None; it is to return a list of messages"):
         run_in(Silent()).run()
     with pytest.raises(MissionError, match=r"results\(\) of Wordy gives 'rooms' as 'many'; expected is a number"):
         run_in(Wordy()).results()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ((100.0, 20.0), ["energy was measured 20 to 100, far from its threshold >= 0.2; are both in the same unit?"]),
+        (
+            (0.001, 0.002),
+            ["energy was measured 0.001 to 0.002, far from its threshold >= 0.2; are both in the same unit?"],
+        ),
+        ((1.0, 0.005), []),
+        ((0.0, 0.0), []),
+        ((), []),
+    ],
+)
+def test_threshold_that_all_that_was_measured_is_far_from_is_told(values, words):
+    run = run_in(Field(news=[measured(0.0, energy=value, light=0.9) for value in values]))
+    run.run()
+    assert run.controller.findings == words
+
+
+def test_place_of_a_mistake_is_the_authors_line_and_not_that_in_python(monkeypatch):
+    def broken(now, until):
+        return json.loads("{")
+
+    with pytest.raises(MissionError, match=r"JSONDecodeError: .*; test_run_ends\.py, line \d+$"):
+        run_in(Field(broken)).run()
 
 
 def test_world_that_publishes_at_one_moment_for_ever_is_refused():

@@ -191,5 +191,5 @@ def test_what_is_no_store_is_an_error(tmp_path):
     for command in ("info", "check"):
         with pytest.raises(StoreError, match="no store but another file"):
             store(command, tmp_path / "diary")
-        with pytest.raises(StoreError, match="cannot be read"):
+        with pytest.raises(StoreError, match=r"cannot be read: No such file or directory$"):
             store(command, tmp_path / "nowhere")
