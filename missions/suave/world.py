@@ -19,19 +19,21 @@ from missions.engine.mission import (
     WorldKind,
 )
 from missions.engine.settings import declared, read_values
-from suave_env import Settings, SuaveEnvError
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from suave_env import Change, SuaveEnv
+    from suave_env import Change, Settings, SuaveEnv
 
 
 class Sea(World):
     """Adapter of the simulator to what a mission needs."""
 
     def __init__(self, env: "SuaveEnv") -> None:
+        from suave_env import SuaveEnvError
+
         self._env = env
+        self._trouble = SuaveEnvError
         settings = env.settings
         takes = settings.activation_s, settings.deactivation_s, settings.parameter_s
         self._nodes = SimulatedComponents(lambda: env.now, env.components, dict(zip(VERBS, takes, strict=True)))
@@ -49,7 +51,7 @@ class Sea(World):
         return self._env.components.history
 
     @property
-    def settings(self) -> Settings:
+    def settings(self) -> "Settings":
         return self._env.settings
 
     def advance(self, until: float) -> list[Message]:
@@ -60,7 +62,7 @@ class Sea(World):
                 messages = env.advance(until if end >= until else max(env.now, end), pause=True)
                 if nodes.catch_up() or messages or env.now >= until:
                     return list(messages)
-        except SuaveEnvError as error:
+        except self._trouble as error:
             raise MissionError(str(error)) from error
 
     def results(self) -> Mapping[str, float | None]:
@@ -98,10 +100,12 @@ class Sea(World):
 
 class _SeaKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
+        from suave_env import Settings
+
         return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: "Generator") -> Sea:
-        from suave_env import SuaveEnv
+        from suave_env import Settings, SuaveEnv, SuaveEnvError
 
         try:
             return Sea(SuaveEnv(Settings().replace(**read_values(declared(Settings), values)), rng))

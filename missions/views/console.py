@@ -46,7 +46,8 @@ class Narrator(_WithBar, Listener):
         self._bar = self._progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
-        self._say(time_s, escape(text.partition(" because ")[0] if " is unfeasible because " in text else text))
+        short = text.partition(" because ")[0] if " is unfeasible because " in text else text  # the adaptation says why
+        _say(self._console, time_s, escape(short))
 
     def adaptation(self, adaptation: Adaptation) -> None:
         _print_adaptation(self._console, adaptation)
@@ -54,12 +55,12 @@ class Narrator(_WithBar, Listener):
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
         steps = ", then ".join(step.action or step.schema for step in plan.steps)
         found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
-        self._say(time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
+        _say(self._console, time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
         if (problem.key, problem.reason) not in self._known_problems:
             self._known_problems.add((problem.key, problem.reason))
-            self._say(time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
+            _say(self._console, time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
 
     def tick(self, run: MissionRun) -> None:
         if self._progress.disable:
@@ -68,9 +69,6 @@ class Narrator(_WithBar, Listener):
         measured = run.controller.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
         self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
-
-    def _say(self, time_s: float, text: str) -> None:
-        _say(self._console, time_s, text)
 
 
 class Recorder(Listener):
