@@ -275,8 +275,7 @@ class PlanExecutor(Behaviour):
             self._domain = domain
             for part in (self._belief, self._effects, self.goals):
                 part.use(domain)
-            self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
-            self._replanning.use(PlanningTask(self._effects, lambda: self._belief.numbers), self._monitor)
+            self._replanning.objects_changed()
         self._found_valid = self._expected = None
         if self._plan is not None:
             self._plan = replace(self._plan, domain=self._effects.domain)

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import chain, groupby
+from itertools import chain
 from typing import NamedTuple
 
 from rosa_pddl.belief import ExpectedEffects
@@ -12,15 +12,14 @@ from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import (
-    SAME_TIME_S,
     StepEvent,
     affected_atoms,
     binding_of,
     goal_holds,
     mentioned_atoms,
+    moments,
     one_after_the_other,
     replay,
 )
@@ -193,12 +192,12 @@ def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]
 
 def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[StepEvent, ...]:
     """Order starts and ends; at one moment first what ends, then what starts, then what is over at once."""
-    dated: list[tuple[int, int, StepEvent]] = []
-    for number, one in enumerate(timed):
-        dated.append((round(one.start_s / SAME_TIME_S), 1, StepEvent(number, False)))
-        dated.append((round(one.end_s / SAME_TIME_S), 0 if one.duration_s > 0.0 else 2, StepEvent(number, True)))
-    moments = groupby(sorted(dated), key=lambda one: one[0])
-    return tuple(chain.from_iterable(_in_turn(domain, timed, [event for *_, event in moment]) for _, moment in moments))
+
+    def rank(event: StepEvent) -> tuple[int, StepEvent]:
+        return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
+
+    in_turn = (_in_turn(domain, timed, sorted(moment, key=rank)) for moment in moments(timed))
+    return tuple(chain.from_iterable(in_turn))
 
 
 def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: list[StepEvent]) -> Iterator[StepEvent]:
@@ -249,11 +248,10 @@ class PlanMonitor:
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
         self._effects, self._numbers = effects, numbers
-        self._usage = usage_of(effects.domain)
 
     def is_no_easier(self, then: _Numbers) -> bool:
         """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
-        return self._usage.leave_no_more(self._numbers(), then)
+        return usage_of(self._effects.domain).leave_no_more(self._numbers(), then)
 
     def overspent(self, plan: PlanExecution) -> str | None:
         """Return which limit the steps break that have not started, in words; None if they keep them all.
@@ -261,7 +259,7 @@ class PlanMonitor:
         What runs is passed over: part of what it uses may be in what is sensed already.
         """
         with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
-            over = self._usage.overspent(self._numbers(), (plan.steps[number] for number in plan.remaining))
+            over = usage_of(plan.domain).overspent(self._numbers(), (plan.steps[number] for number in plan.remaining))
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
@@ -305,9 +303,8 @@ class PlanMonitor:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
         held = self._holding(goals.soft, plan.prediction(state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
-        problem = Problem(self._effects.domain, state, costs=self._numbers())
-        steps = plan.unfinished_steps
-        costs = zip(steps, self._usage.costs(problem, steps, begun=len(plan.running)), strict=True)
+        steps, begun = plan.unfinished_steps, len(plan.running)
+        costs = zip(steps, usage_of(plan.domain).costs(self._numbers(), state, steps, begun), strict=True)
         return forgone + sum(float(cost) * shares.get(step, 1.0) * weights.get(step, 1) for step, cost in costs)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:

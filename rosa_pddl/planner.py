@@ -495,8 +495,9 @@ class _Portfolio:
         return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
+        problem = self._problem
         try:
-            return float(sum(usage_of(self._problem.domain).costs(self._problem, steps)))
+            return float(sum(usage_of(problem.domain).costs(problem.costs, problem.state, steps)))
         except UnsupportedPddlError:
             return None
 

@@ -1,7 +1,7 @@
 """Reads PDDL into unified-planning's model; what cannot be read or planned for is refused with its place."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -11,7 +11,7 @@ from typing import NamedTuple
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts
 from rosa_pddl.exceptions import UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, nodes_of
-from rosa_pddl.number_uses import NumberUses, parts_of, sides_of
+from rosa_pddl.number_uses import NumberUses
 from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
     ANY,
@@ -115,11 +115,9 @@ class _Reader:
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
         self._lineages: dict[str, tuple[str, ...]] = {}
         self._schemas: dict[str, Schema] = {}
-        self._rises: dict[str, dict[str, UpThing]] = {}
-        self._limits: list[UpThing] = []
-        self._uses_of_numbers = NumberUses(domain, problem)
+        self._costs: dict[str, UpThing] = {}
         self._draft = Domain(
-            computed=self._uses_of_numbers.computed,
+            computed=frozenset(str(one.children[0]) for one in section(domain, ":functions") if one.head),
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
             problem_file=problem.file,
@@ -168,24 +166,25 @@ class _Reader:
             if node.head in BODY:
                 with _located(domain, node):
                     self._read_action(node)
-        for fact in (part for node in section(problem, ":init") for part in parts_of(node)):
+        for fact in (part for node in section(problem, ":init") for part in _parts_of(node)):
             with _located(problem, fact):
                 self._read_fact(fact)
-        goals = [goal for node in section(problem, ":goal") for goal in parts_of(node)]
-        texts = [str(goal) for goal in goals if self._read_goal(goal)]
-        metric = self._read_metric()
+        goals = [(str(one), self._read_goal(one)) for node in section(problem, ":goal") for one in _parts_of(node)]
+        uses = self._sort_numbers([goal for _, goal in goals])
+        metric = self._read_metric({self._outside[one.name].lower(): rises for one, rises in uses.rises.items()})
         self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
         return replace(
             self._draft,
             rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
             schemas=tuple(self._schemas),
-            goals=tuple(texts),
+            goals=tuple(text for text, goal in goals if goal not in uses.limits),
+            computed=frozenset(self._outside[one.name] for one in uses.computed),
             metric=metric,
             oversights=(
                 *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
                 *self._again,
             ),
-            limits=tuple(self._limits),
+            limits=tuple(uses.limits),
         )
 
     def _unknown(self, source: Source, node: Node, message: str) -> Exception:
@@ -286,10 +285,10 @@ class _Reader:
         parts = body_of(source, node)
         parameters = self._variables(parts[":parameters"].children if ":parameters" in parts else ())
         self._declare(source, "action", node.children[1])
-        reader = _ActionReader(self._domain, self._draft, parameters, self._uses_of_numbers, name, self._has_cost)
+        reader = _ActionReader(self._domain, parameters, name, self._has_cost)
         reader.read(node, parts)
-        for used, amount in reader.rises.items():
-            self._rises.setdefault(used, {})[name] = amount
+        if reader.cost is not None:
+            self._costs[name] = reader.cost
         does = self._actions.get(name)
         if does is not None:
             if does.startswith("?") and does[1:] not in parameters:
@@ -300,12 +299,11 @@ class _Reader:
                 needed = listed(FEASIBLE, does)
                 reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
         action = does.removeprefix("?") if does else _rosa_action_of(name, reader.conditions, parameters, self._outside)
-        resources = [one for one in reader.rises if one in self._uses_of_numbers.resources]
         self._schemas[name] = Schema(
             name=name,
             parameters=tuple((one, self._outside[kind.name]) for one, kind in parameters.items()),
             action=action,
-            uses={self._outside[self._inside["predicate", one]]: reader.rises[one] for one in resources},
+            uses={},
             duration=reader.duration,
             **{when: tuple(found) for when, found in reader.parts.items()},
         )
@@ -327,45 +325,55 @@ class _Reader:
         else:
             self._up_problem.set_initial_value(formulas.atom(node, {}), True)
 
-    def _read_goal(self, node: Node) -> bool:
-        """Take in a part of the goal; return whether it is a condition, not a limit."""
-        formulas = self._problem
-        with _located(formulas.source, node):
-            is_pair = node.head in COMPARISONS and len(node.children) == 3
-            if not is_pair or sides_of(node)[0].head not in self._uses_of_numbers.resources:
-                self._up_problem.add_goal(formulas.condition(node, {}, "the goal"))
-                return True
-            compare = formulas.manager.LT if node.head in ("<", ">") else formulas.manager.LE
-            left, right = sides_of(node)
-            self._limits.append(compare(formulas.number(left, {}), formulas.number(right, {})))
-            return False
+    def _read_goal(self, node: Node) -> UpThing:
+        with _located(self._problem.source, node):
+            goal = self._problem.condition(node, {}, "the goal")
+            self._up_problem.add_goal(goal)
+            return goal
 
-    def _read_metric(self) -> str:
+    def _sort_numbers(self, goals: Sequence[UpThing]) -> NumberUses:
+        """Find out what numbers are for; leave what is only added up out of goals and effects."""
+        derived = (one.condition for one in (*self._draft.derived.values(), *self._draft.axioms.values()))
+        uses = NumberUses(self._schemas.values(), self._costs.values(), derived, goals)
+        self._up_problem.clear_goals()
+        for goal in goals:
+            if goal not in uses.limits:
+                self._up_problem.add_goal(goal)
+        for name, schema in self._schemas.items():
+            start, end = (
+                tuple(one for one in effects if one.fluent.fluent() not in uses.resources)
+                for effects in (schema.start_effects, schema.end_effects)
+            )
+            used = {self._outside[one.name]: uses.rises[one][name] for one in uses.resources if name in uses.rises[one]}
+            self._schemas[name] = replace(schema, start_effects=start, end_effects=end, uses=used)
+        return uses
+
+    def _read_metric(self, rising: Mapping[str, Mapping[str, UpThing]]) -> str:
         for word in section(self._problem.source, ":metric")[1:]:
             node = word if word.is_list else replace(word, word=None, children=(word,))  # `minimize c` is `(c)`
             if node.head == "total-time":
                 return "makespan"
-            for name, cost in self._minimized(node).items():
+            for name, cost in self._minimized(node, rising).items():
                 self._schemas[name] = replace(self._schemas[name], cost=cost)
             return "cost"
         return ""
 
-    def _minimized(self, node: Node) -> dict[str, UpThing]:
+    def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Mapping[str, UpThing]:
         """Return what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
         source, manager = self._problem.source, self._up_problem.environment.expression_manager
         head, parts = node.head, node.children[1:]
-        if head in self._uses_of_numbers.rising or (head == _COST and self._has_cost):
-            return self._rises.get(head, {})
+        if head in rising or (head == _COST and self._has_cost):
+            return rising.get(head, self._costs)
         if head == "+":
-            return self._summed([self._minimized(part) for part in parts])
+            return self._summed([self._minimized(part, rising) for part in parts])
         constant = [part for part in parts if _NUMBER.fullmatch(part.lower)]
         if head == "*" and len(parts) == 2 and len(constant) == 1:
             factor = self._problem.number(constant[0], {})
-            given = self._minimized(next(part for part in parts if part is not constant[0]))
+            given = self._minimized(next(part for part in parts if part is not constant[0]), rising)
             return {action: manager.Times(factor, amount) for action, amount in given.items()}
         if head == _COST:
             raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
-        names = ", ".join(sorted(f"({one})" for one in self._uses_of_numbers.rising)) or "none"
+        names = ", ".join(sorted(f"({one})" for one in rising)) or "none"
         message = (
             f"found {start_of(node)!r}, expected (total-cost), (total-time), or a sum of numbers without arguments"
         )
@@ -382,20 +390,11 @@ class _Reader:
 class _ActionReader:
     """Reads what an action needs and does, how long it takes, and what it costs."""
 
-    def __init__(
-        self,
-        formulas: Formulas,
-        domain: Domain,
-        parameters: Mapping[str, UpThing],
-        uses: NumberUses,
-        name: str,
-        has_cost: bool,
-    ) -> None:
+    def __init__(self, formulas: Formulas, parameters: Mapping[str, UpThing], name: str, has_cost: bool) -> None:
         from unified_planning.model import Parameter
 
-        self._formulas, self._source, self._draft = formulas, formulas.source, domain
-        self._uses, self._name, self._has_cost = uses, name, has_cost
-        manager, environment = formulas.manager, domain.up_problem.environment
+        self._formulas, self._source, self._name, self._has_cost = formulas, formulas.source, name, has_cost
+        manager, environment = formulas.manager, formulas.manager.environment
         self._scope = {
             f"?{one}": manager.ParameterExp(Parameter(one, kind, environment)) for one, kind in parameters.items()
         }
@@ -403,7 +402,7 @@ class _ActionReader:
             one: [] for one in ("start", "over_all", "end", "start_effects", "end_effects")
         }
         self.duration: UpThing = None
-        self.rises: dict[str, UpThing] = {}
+        self.cost: UpThing = None
 
     @property
     def conditions(self) -> list[UpThing]:
@@ -466,7 +465,7 @@ class _ActionReader:
             self._add(fluent, formulas.manager.Bool(not is_deleted), "ASSIGN", where)
 
     def _read_change(self, node: Node, where: "_Where") -> None:
-        """Read what an action costs, or does to a number; several rises add up."""
+        """Read what an action costs, which adds up, or does to a number."""
         formulas, manager = self._formulas, self._formulas.manager
         if len(node.children) != 3 or not node.children[1].head:
             raise self._source.error(node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)")
@@ -478,22 +477,20 @@ class _ActionReader:
         if is_cost and (head != "increase" or not where.is_plain):
             message = "makes the cost of a step depend on conditions; write an action for each"
             raise formulas.numeric(node, self._name, message)
-        value, before = formulas.number(amount, where.scope), self.rises.get(target.head)
-        if is_cost or target.head in self._uses.rising:
-            self.rises[target.head] = value if before is None else manager.Plus(before, value)
+        value = formulas.number(amount, where.scope)
+        if is_cost:
+            self.cost = value if self.cost is None else manager.Plus(self.cost, value)
+            return
+        fluent = formulas.atom(target, where.scope, is_number=True)
         if head.startswith("scale"):
-            fluent = formulas.atom(target, where.scope, is_number=True)
             head, value = "assign", (manager.Times if head == "scale-up" else manager.Div)(fluent, value)
-        if not is_cost:
-            self._add(formulas.atom(target, where.scope, is_number=True), value, head.upper(), where)
+        self._add(fluent, value, head.upper(), where)
 
     def _add(self, fluent: UpThing, value: UpThing, kind: str, where: "_Where") -> None:
-        """Keep an effect; what is only used up is the planner's business."""
         from unified_planning.model import Effect, EffectKind
 
-        if fluent.type.is_bool_type() or self._draft.outside[fluent.fluent().name] in self._draft.computed:
-            effect = Effect(fluent, value, where.condition, EffectKind[kind], where.variables)
-            self.parts[f"{where.time}_effects"].append(effect)
+        effect = Effect(fluent, value, where.condition, EffectKind[kind], where.variables)
+        self.parts[f"{where.time}_effects"].append(effect)
 
 
 class _Where(NamedTuple):
@@ -513,6 +510,15 @@ class _Where(NamedTuple):
         if condition.is_true() or self.condition.is_true():
             return self if condition.is_true() else self._replace(condition=condition)
         return self._replace(condition=condition.environment.expression_manager.And(self.condition, condition))
+
+
+def _parts_of(node: Node) -> Iterator[Node]:
+    """Yield the parts of a conjunction that are none."""
+    if node.head == "and":
+        for part in node.children[1:]:
+            yield from _parts_of(part)
+    elif node.children or not node.is_list:
+        yield node
 
 
 def _rules(source: Source) -> Mapping[str, list[Node]]:

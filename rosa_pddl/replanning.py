@@ -403,12 +403,9 @@ class Replanning:
         self.setbacks, self._in_vain = Setbacks(clock, policy), Setbacks(clock, policy)
         self.records: list[PlanRecord] = []
 
-    def use(self, task: PlanningTask, monitor: PlanMonitor) -> None:
-        """Go on in a world of other objects; what is being planned is for one that is no more."""
-        self._task, self._monitor = task, monitor
+    def objects_changed(self) -> None:
+        """Plan for the objects that there are now, if a plan was being made."""
         if self._client.is_under_way:
-            self._client.give_up()
-            self._diagnosis = None
             self.want(Decision("the objects changed", is_needed=True))
 
     def wait_no_more(self) -> None:

@@ -8,7 +8,6 @@ from math import ceil, floor, lcm
 from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, exact, head_of, numbers_in
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
-from rosa_pddl.problem import Problem
 from rosa_pddl.search import Number, note_signs, value_of
 from rosa_pddl.validate import ended, started, text_of
 
@@ -110,14 +109,13 @@ class ResourceUsage:
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
-    def costs(self, problem: Problem, steps: Iterable[Step], begun: int = 0) -> Iterator[Exact]:
+    def costs(self, given: Mapping[str, float], state: State, steps: Iterable[Step], begun: int = 0) -> Iterator[Exact]:
         """Yield what steps, of which so many have begun, cost in turn, as the numbers of the state are then."""
-        domain, state, numbers = problem.domain, problem.state, self.numbers(problem.costs, problem.state)
+        domain = self._domain
         for number, step in enumerate(steps):
-            yield self.value(self.cost_of(step), numbers)
+            yield self.value(self.cost_of(step), self.numbers(given, state))
             if domain.computed:
                 state = ended(domain, step, state if number < begun else started(domain, step, state))
-                numbers = self.numbers(problem.costs, state)
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         """Return what may still be used up of each limited resource."""

@@ -156,7 +156,7 @@ def schedule_flaw(
         if not _lasts_as_declared(domain, timed):
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
     steps = [timed.step for timed in schedule]
-    wrong, facts = replay(domain, steps, _moments(schedule), state)
+    wrong, facts = replay(domain, steps, moments(schedule), state)
     return wrong or (None if goal_holds(domain, facts, goals) else "the plan does not reach the goal")
 
 
@@ -171,7 +171,8 @@ def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
     return least - SAME_TIME_S <= timed.duration_s <= most + SAME_TIME_S and timed.duration_s > 0.0
 
 
-def _moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
+def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
+    """Yield what happens at once, by the numbers of the steps, one moment after the other."""
     dated = [(timed.start_s, StepEvent(number, False)) for number, timed in enumerate(schedule)]
     dated += [(timed.end_s, StepEvent(number, True)) for number, timed in enumerate(schedule)]
     together: list[StepEvent] = []

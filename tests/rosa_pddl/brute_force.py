@@ -4,7 +4,6 @@ from collections import deque
 from heapq import heappop, heappush
 from itertools import product
 
-from rosa_pddl import Problem
 from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
@@ -51,8 +50,7 @@ def least_cost(domain, state, costs=None):
         if state in done:
             continue
         done.add(state)
-        problem = Problem(domain, state, costs=costs or {})
         for step, after in following(domain, steps, state):
             pushed += 1
-            heappush(queue, (cost + sum(usage.costs(problem, [step])), pushed, after))
+            heappush(queue, (cost + sum(usage.costs(costs or {}, state, [step])), pushed, after))
     return None
