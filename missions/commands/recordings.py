@@ -52,20 +52,18 @@ def replay(
             raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
         if not mission and asked not in MISSIONS and ":" not in asked:
             raise MissionError(f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME")
-        page, watched = RunRecorder(), list[MissionRun]()
+        pages: list[RunRecorder] = []
 
         def watch(run_anew: MissionRun) -> None:
-            page.begin(run_anew, run.get("seed") or 0, {})
-            run_anew.listen(page)
-            watched.append(run_anew)
+            pages.append(RunRecorder(run_anew, run.get("seed") or 0, {}))
 
         source, by = bag if is_bag(recording) else bag.messages, task or run.get("task", "bt")
         decisions = decide(source, asked, task=by, strict=False, watch=watch if report else None, traced=False)
     finally:
         gc.enable()
     if report is not None:
-        page.end(watched[0], Verdict("replayed", f"decided once more from {recording.name}"))
-        write_report(report, page.recorder.recorded)
+        pages[0].end(Verdict("replayed", f"decided once more from {recording.name}"))
+        write_report(report, pages[0].recorder.recorded)
     console = open_console()
     if (recorded := bag.run.get("typeql")) and (changed := _changed(recorded, decisions.kb.model)):
         console.print(f"recorded with the model {bag.run['model']}, decided with {changed}", markup=False)

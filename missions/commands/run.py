@@ -1,7 +1,6 @@
 """`rosa run`: a mission to its end, with what happened and why, and the files that it leaves."""
 
 import time
-from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -10,18 +9,16 @@ from typing import Annotated
 import typer
 
 from missions.baselines import open_run
-from missions.baselines.registry import options_of
 from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.controller import RosaController
-from missions.engine.mission import MissionError, Verdict, split_settings
+from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import header
 from missions.engine.registry import find_mission
-from missions.engine.runner import Listener, MissionRun
-from missions.engine.settings import own_values
+from missions.engine.runner import MissionRun
 from missions.extras import needs
 from missions.views.console import Narrator, Recorder, print_result
 from missions.views.live import KEEP, LiveView
-from missions.views.output import OutputFile, as_json, open_files, summary, timing_of
+from missions.views.output import as_json, open_files, summary, timing_of
 from missions.views.report import report as page_of
 from missions.views.run_recorder import RunRecorder
 from missions.views.steering import Steering
@@ -63,25 +60,28 @@ def run(
             import matplotlib  # noqa: F401  # it is found out before the run that it is missing
     found = find_mission(mission)
     changed = assignments(settings or [], "--set") | ({} if rules is None else {"rules": rules})
-    _, of_mission = own_values(options_of(manager, found), changed)
-    run_settings, _ = split_settings(found, of_mission)
     console = open_console()
     with ExitStack() as stack:
         mcap = record if record is not None and record.suffix == ".mcap" else None
         lines = None if mcap else record
         files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}, stack)
-        narrator = Narrator(console, run_settings.duration_s)
-        recorder = Recorder(files["record"]) if "record" in files else Listener()
-        page, is_paced = _page(files, live, mcap, tui), realtime or live is not None or tui
-        steering = Steering((1.0 if is_paced else 0.0) if speed is None else speed)
-        listeners: list[Listener] = [*([narrator] if progress else []), recorder, *([page] if page else []), steering]
-        opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed, listeners=tuple(listeners))
+        steering = Steering((1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed)
+        opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
+        progress = progress and not tui
+        narrator, page = Narrator(console, opened.settings.duration_s), None
+        if progress:
+            opened.listen(narrator)
         if groot2 is not None:
             _publish(opened, groot2, stack)
         if "record" in files:
+            recorder = Recorder(files["record"])
             recorder.message(header(opened, seed))
-        if page:
-            page.begin(opened, seed, changed)
+            opened.listen(recorder)
+        if "report" in files:
+            page = RunRecorder(opened, seed, changed)
+        elif live is not None or mcap or tui:
+            page = RunRecorder(opened, seed, changed, None if live is None else KEEP, what_if=False)
+        opened.listen(steering)
         if page and live is not None:
             if allow_control:
                 steering.begin(opened)
@@ -93,7 +93,6 @@ def run(
             from missions.wires.mcap import record_run
 
             opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
-        progress = progress and not tui
         with narrator if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
@@ -109,7 +108,7 @@ def run(
         for name in texts.keys() & files.keys():
             files[name].finish(texts[name])
         if page:
-            page.end(opened, verdict)
+            page.end(verdict)
         if page and "report" in files:
             files["report"].finish(page_of(page.recorder.recorded))
         if "plot" in files:  # last, because it takes longest
@@ -131,13 +130,6 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
         if not going.done():
             run.controller.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
         return going.result()
-
-
-def _page(files: Mapping[str, OutputFile], live: int | None, mcap: Path | None, tui: bool) -> RunRecorder | None:
-    """Return what writes down what there is to see, if anybody will look."""
-    if live is None and mcap is None and not tui and "report" not in files:
-        return None
-    return RunRecorder() if "report" in files else RunRecorder(KEEP if live is not None else None, what_if=False)
 
 
 def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:

@@ -1,7 +1,8 @@
 """`rosa verify`: a mission against everything that can happen, before it leaves."""
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -9,7 +10,9 @@ from missions.commands import FAILED, UNFINISHED
 from missions.engine.registry import find_mission
 from missions.proof.story import as_test
 from missions.proof.verification import prove, setup_of
-from missions.views.output import OutputFile, as_json
+from missions.views.output import as_json, open_files
+
+_IMPORTS: Final = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
 
 
 def verify(
@@ -30,26 +33,26 @@ def verify(
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
     setup = setup_of(find_mission(mission), task, **options)
     groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
-    proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
-    typer.echo(f"{mission}: {proof}")
-    rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
-    rows[:0] = [("if for good", "it reaches", "and does meanwhile")]
-    wide, long = (max(len(row[column]) for row in rows) for column in (0, 1))
-    for facts, reaches, actions in rows:
-        typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
-    if json is not None:
-        with OutputFile(json) as file:
-            file.finish(as_json(proof.as_data()))
-    shown = proof.shown
-    if report is not None:
-        proof.report(report)
-    if test is not None and shown is not None and shown.trail is not None:
-        imports = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
-        made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
-        with OutputFile(test) as file:
-            file.finish(as_test(f"{imports}\n{made}", shown.name, shown.what, shown.trail))
-    elif test is not None:
-        typer.echo(f"{'no story shows what is broken' if proof.broken else 'nothing is broken'}: no test is written")
+    with ExitStack() as stack:
+        files = open_files({"json": json, "report": report, "test": test}, stack)
+        proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
+        typer.echo(f"{mission}: {proof}")
+        rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
+        rows[:0] = [("if for good", "it reaches", "and does meanwhile")]
+        wide, long = (max(len(row[column]) for row in rows) for column in (0, 1))
+        for facts, reaches, actions in rows:
+            typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
+        if "json" in files:
+            files["json"].finish(as_json(proof.as_data()))
+        if report is not None:
+            proof.report(report)
+        shown = proof.shown
+        if "test" in files and shown is not None and shown.trail is not None:
+            made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
+            files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown.name, shown.what, shown.trail))
+        elif "test" in files:
+            why = "no story shows what is broken" if proof.broken else "nothing is broken"
+            typer.echo(f"{why}: no test is written")
     if proof.broken:
         raise typer.Exit(FAILED)
     if not proof.found.is_finished:

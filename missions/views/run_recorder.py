@@ -14,7 +14,7 @@ from missions.views.rows import Recorded
 
 
 class RunRecorder(Listener):
-    """Hears of a run and writes down what there is to see: `begin` before it, `end` after it.
+    """Listens to a run that is open, and writes down what there is to see; `end` after it.
 
     Under a manager without a knowledge base one of our own hears the same messages and says what they mean.
 
@@ -23,19 +23,15 @@ class RunRecorder(Listener):
         what_if: whether to work out what would have been if something else had been measured.
     """
 
-    recorder: Recorder
-
-    def __init__(self, keep: int | None = None, *, what_if: bool = True) -> None:
-        self._keep, self._what_if = keep, what_if
-        self._shown = self._disturbed = self._failed = 0
+    def __init__(
+        self, run: MissionRun, seed: int, settings: Mapping[str, str], keep: int | None = None, *, what_if: bool = True
+    ) -> None:
+        self._run = run
         self._scene: tuple[str, ...] | None = None
-        self._own: KnowledgeBase | None = None
-        self._measured: frozenset[str] = frozenset()
-
-    def begin(self, run: MissionRun, seed: int, settings: Mapping[str, str]) -> None:
-        kb, sample = run.controller.kb, run.world.sample()
-        if kb is None:
-            kb = self._own = KnowledgeBase(run.model, clock=lambda: run.world.now)
+        self._shown = self._disturbed = self._failed = 0
+        self._own = None if run.controller.kb else KnowledgeBase(run.model, clock=lambda: run.world.now)
+        kb, sample = run.controller.kb or self._own, run.world.sample()
+        assert kb is not None
         self._measured = frozenset(kb.attributes)
         header = {
             **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
@@ -43,12 +39,14 @@ class RunRecorder(Listener):
             "units": {name: unit for name, unit in map(_split, sample.signals if sample else ()) if unit},
         }
         tree = getattr(run.controller, "tree", None)
-        self.recorder = Recorder(kb, tree, keep=self._keep, what_if=self._what_if, header=header)
-        self._show(run)
+        self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)
+        self._show()
+        run.listen(self)
 
-    def end(self, run: MissionRun, verdict: Verdict) -> None:
+    def end(self, verdict: Verdict) -> None:
+        run = self._run
         self.tick(run)
-        self._show(run)
+        self._show()
         figures = [list(figure_in_words(name, value, run.model)) for name, value in run.results().items()]
         shown = {"outcome": verdict.outcome, "success": verdict.success, "reason": verdict.reason, "figures": figures}
         self.recorder.put("result", 0, shown)
@@ -68,11 +66,11 @@ class RunRecorder(Listener):
     def tick(self, run: MissionRun) -> None:
         if len(run.trace) > self._shown:
             self._shown = len(run.trace)
-            self._show(run)
+            self._show()
 
-    def _show(self, run: MissionRun) -> None:
+    def _show(self) -> None:
         """Write down what the world shows now, and what has happened in it."""
-        recorder = self.recorder
+        recorder, run = self.recorder, self._run
         sample = run.trace[-1][0] if run.trace else run.world.sample()
         if sample is not None:
             recorder.posed(sample.time, sample.position)
@@ -93,12 +91,10 @@ class RunRecorder(Listener):
 
 def record(mission: str, manager: str, task: str, seed: int, settings: Mapping[str, str]) -> Recorded:
     """Do a run of a mission and return what there is to see of it."""
-    recorder = RunRecorder()
-    found = find_mission(mission)
-    run = open_run(found, manager=manager, task=task, seed=seed, settings=settings, listeners=(recorder,))
-    recorder.begin(run, seed, settings)
-    recorder.end(run, run.run())
-    return recorder.recorder.recorded
+    run = open_run(find_mission(mission), manager=manager, task=task, seed=seed, settings=settings)
+    page = RunRecorder(run, seed, settings)
+    page.end(run.run())
+    return page.recorder.recorded
 
 
 def _split(signal: str) -> tuple[str, str]:

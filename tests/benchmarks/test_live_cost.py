@@ -29,11 +29,9 @@ HOUR_S = 3600
 
 def flown(pages):
     """Fly a mission that so many pages look at; returns its processor time for a tick [s], its rows and the pages'."""
-    recorder, steering = RunRecorder(100_000, what_if=False), Steering(SPEED)
-    run = open_run(
-        find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)}, listeners=(recorder, steering)
-    )
-    recorder.begin(run, 0, {})
+    steering = Steering(SPEED)
+    run = open_run(find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)}, listeners=(steering,))
+    recorder = RunRecorder(run, 0, {}, 100_000, what_if=False)
     view = LiveView(run.kb, port=0, recorder=recorder.recorder, steering=steering)
     looking = None
     if pages:

@@ -70,16 +70,15 @@ def view(rover):
 @contextmanager
 def mission(steering, **settings):
     """A mission under way in a thread, with a view of it that may steer it."""
-    page = RunRecorder(what_if=False)
     given = {name: str(value) for name, value in settings.items()}
-    run = open_run(find_mission("suave_extended"), settings=given, listeners=(page, steering))
-    page.begin(run, 0, given)
+    run = open_run(find_mission("suave_extended"), settings=given, listeners=(steering,))
+    page = RunRecorder(run, 0, given, what_if=False)
     steering.begin(run)
     done = []
 
     def fly():
         verdict = run.run()
-        page.end(run, verdict)
+        page.end(verdict)
         done.append(verdict)
 
     thread = threading.Thread(target=fly)

@@ -24,10 +24,10 @@ from rosa_bt import TreeRunner
 
 @cache
 def recorded(mission="suave_extended", task="bt", manager="ours", seed=0, **settings):
-    recorder, given = RunRecorder(), {name: str(value) for name, value in settings.items()}
-    run = open_run(find_mission(mission), manager=manager, task=task, seed=seed, settings=given, listeners=(recorder,))
-    recorder.begin(run, seed, given)
-    recorder.end(run, run.run())
+    given = {name: str(value) for name, value in settings.items()}
+    run = open_run(find_mission(mission), manager=manager, task=task, seed=seed, settings=given)
+    recorder = RunRecorder(run, seed, given)
+    recorder.end(run.run())
     return recorder.recorder.recorded, run
 
 
@@ -59,9 +59,8 @@ def test_rows_say_at_each_instant_what_the_knowledge_base_says():
             for number, one in enumerate(run.adaptations, start=1):
                 assert ("adaptation", number) in seen or one.reaction_s is None
 
-    recorder = Compare(what_if=False)
-    run = open_run(find_mission("suave_extended"), seed=3, settings={"duration": "200"}, listeners=(recorder,))
-    recorder.begin(run, 3, {})
+    run = open_run(find_mission("suave_extended"), seed=3, settings={"duration": "200"})
+    Compare(run, 3, {}, what_if=False)
     run.run()
     assert len(compared) > 50_000
 
@@ -357,8 +356,7 @@ def test_facts_told_by_other_threads_while_the_robot_ticks_are_all_shown(caplog)
 
 
 def test_signal_that_names_no_unit_leaves_an_attribute_its_own():
-    recorder = RunRecorder()
-    recorder.begin(open_run(find_mission("suave_extended")), 0, {})
+    recorder = RunRecorder(open_run(find_mission("suave_extended")), 0, {})
     units = recorder.recorder.header["units"]
     assert units["water_visibility"] == "m"
     assert "battery_level" not in units  # the sea's signal is "battery level [-]"

@@ -26,10 +26,9 @@ pytestmark = needs_browser
 
 @cache
 def recorded(mission, task="bt", seed=0):
-    page = RunRecorder()
-    run = open_run(find_mission(mission), manager="ours", task=task, seed=seed, settings={}, listeners=(page,))
-    page.begin(run, seed, {})
-    page.end(run, run.run())
+    run = open_run(find_mission(mission), manager="ours", task=task, seed=seed, settings={})
+    page = RunRecorder(run, seed, {})
+    page.end(run.run())
     return page.recorder.recorded
 
 

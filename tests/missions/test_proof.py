@@ -320,6 +320,19 @@ def test_command_that_does_not_finish_exits_with_3_writes_no_test_and_says_what_
     assert not test.exists()
 
 
+def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tmp_path, monkeypatch):
+    monkeypatch.setattr("missions.commands.verify.prove", None)
+    for option in ("--json", "--report", "--test"):
+        done = CliRunner().invoke(cli.app, ["verify", "suave", option, str(tmp_path / "nowhere" / "file")])
+        assert "nowhere/file: No such file or directory" in str(done.exception)
+
+
+def test_fewer_failures_than_none_are_refused():
+    done = CliRunner().invoke(cli.app, ["verify", "suave", "--failures", "-1"])
+    assert done.exit_code == 2
+    assert "greater than or equal to 0" in done.output
+
+
 def test_unknown_action_that_excludes_another_is_refused():
     done = CliRunner().invoke(cli.app, ["verify", "suave", "--exclusive", "search_pipelin, inspect_pipeline"])
     assert isinstance(done.exception, UnknownName)

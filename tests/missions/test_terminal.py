@@ -17,17 +17,9 @@ from missions.views.terminal import RecorderFeed, SocketFeed, TerminalView
 @pytest.fixture(scope="module")
 def recorder():
     """What there was to see of a battery drop."""
-    page = RunRecorder(what_if=False)
-    run = open_run(
-        find_mission("suave_extended"),
-        manager="ours",
-        task="bt",
-        seed=0,
-        settings={"duration_s": "160"},
-        listeners=(page,),
-    )
-    page.begin(run, 0, {})
-    page.end(run, run.run())
+    run = open_run(find_mission("suave_extended"), settings={"duration_s": "160"})
+    page = RunRecorder(run, 0, {}, what_if=False)
+    page.end(run.run())
     return page.recorder
 
 
