@@ -38,8 +38,8 @@ def verify(
         proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
         typer.echo(f"{mission}: {proof}")
         rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
-        rows[:0] = [("if for good", "it reaches", "and does meanwhile")]
-        wide, long = (max(len(row[column]) for row in rows) for column in (0, 1))
+        rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
+        wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
         for facts, reaches, actions in rows:
             typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
         if "json" in files:

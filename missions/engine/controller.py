@@ -5,7 +5,7 @@ from functools import partial
 from inspect import signature
 from math import inf
 from time import perf_counter
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -259,23 +259,10 @@ def _is_timeless(kb: KnowledgeBase) -> bool:
         )
 
 
-@runtime_checkable
-class Planning(Protocol):
-    """A behaviour that plans: the plans of one in a tree are those of the run."""
-
-    @property
-    def plans(self) -> tuple["PlanRecord", ...]: ...
-
-
-@runtime_checkable
-class Waiting(Planning, Protocol):
-    """One that waits for an answer that is due between ticks, as a tick never waits: `rosa_pddl.PlanExecutor`."""
-
-    def catch_up(self) -> None: ...
-
-
 class TaskLayer:
     """What decides about actions: the behaviour to tick, and the task plans of all behaviours in it that plan.
+
+    One that can `catch_up`, as `rosa_pddl.PlanExecutor`, waits between ticks for an answer that is due: no tick does.
 
     Attributes:
         close: to be called at the end: lets go of what was used for planning.
@@ -284,13 +271,13 @@ class TaskLayer:
 
     def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "_Made | None" = None) -> None:
         self.root, self.close, self._made = root, close, made
-        self._planning = [one for one in root.iterate() if isinstance(one, Planning)]
-        self._waiting = [one for one in root.iterate() if isinstance(one, Waiting)]
+        self._planning: list[Any] = [one for one in root.iterate() if has_plans(one)]
+        self._waiting = [one for one in self._planning if hasattr(one, "catch_up")]
         self._heard = [0] * len(self._planning)
         self._plans: tuple[PlanRecord, ...] = ()
         while isinstance(root, Decorator):
             root = root.decorated
-        self.is_planned = isinstance(root, Waiting)
+        self.is_planned = root in self._waiting
 
     def catch_up(self) -> None:
         """Wait for answers that are due; to be called between ticks."""
@@ -310,6 +297,11 @@ class TaskLayer:
     def findings(self) -> Sequence[str]:
         """Return what may be an oversight in what is planned with, once each."""
         return list(dict.fromkeys(text for one in self._planning for text in getattr(one, "findings", ())))
+
+
+def has_plans(behaviour: Behaviour) -> bool:
+    """Whether a behaviour plans: its `plans`, a tuple of `rosa_pddl.PlanRecord`, are then those of the run."""
+    return isinstance(getattr(behaviour, "plans", None), tuple)
 
 
 def rosa_run(

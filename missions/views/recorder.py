@@ -20,6 +20,7 @@ from py_trees.visitors import VisitorBase
 from kb import Attempt, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
+from missions.engine.controller import has_plans
 from missions.engine.mission import MissionError
 from missions.views.chain import chain_of
 from missions.views.facts import CHOSEN, cases, choice_of, described, plain
@@ -362,7 +363,7 @@ class _TreeRows(VisitorBase):
             uid = present[behaviour] = self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
             parents += [(child, uid) for child in reversed(behaviour.children)]
             self._below.append((behaviour, list(behaviour.children)))
-            if isinstance(getattr(behaviour, "plans", None), tuple):
+            if has_plans(behaviour):
                 self._planning.append(behaviour)
             elements = recorder.elements_of(behaviour)
             for index in elements:
@@ -381,7 +382,7 @@ def _shape(behaviour: Behaviour) -> str:
     for kinds, shape in _SHAPES:
         if isinstance(behaviour, kinds):
             return shape
-    if isinstance(getattr(behaviour, "plans", None), tuple):
+    if has_plans(behaviour):
         return "plan"
     return "other" if behaviour.children else "action"
 

@@ -327,6 +327,18 @@ def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tm
         assert "nowhere/file: No such file or directory" in str(done.exception)
 
 
+def test_mission_in_which_nothing_can_fail_has_no_table_of_what_that_leads_to(tmp_path, monkeypatch):
+    (tmp_path / "calm.py").write_text(
+        "from dataclasses import replace\nfrom py_trees.behaviours import Success\nfrom kb import Model\n"
+        "from missions.suave import MISSION as SUAVE\n"
+        "MISSION = replace(SUAVE, model=lambda: Model('calm'), tree=lambda kb, percepts: Success('done'))\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    done = CliRunner().invoke(cli.app, ["verify", "calm:MISSION"])
+    assert done.exit_code == 0, done.output
+    assert "if for good" not in done.output
+
+
 def test_fewer_failures_than_none_are_refused():
     done = CliRunner().invoke(cli.app, ["verify", "suave", "--failures", "-1"])
     assert done.exit_code == 2

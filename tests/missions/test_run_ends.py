@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy
 import pytest
-from py_trees.behaviours import Success
+from py_trees.behaviours import Running, Success
 from running import register, run_mission
 from small_rover import rover_model, rover_tree
 
@@ -129,6 +129,14 @@ def test_threshold_that_all_that_was_measured_is_far_from_is_told(values, words)
     run = run_in(Field(news=[measured(0.0, energy=value, light=0.9) for value in values]))
     run.run()
     assert run.controller.findings == words
+
+
+def test_behaviour_that_has_plans_of_its_own_does_not_plan_for_the_run():
+    tourist = Running("tourist")
+    tourist.plans = ["beach"]
+    run = run_in(Field(), replace(ROVER, tree=lambda kb, percepts: tourist), duration_s=0.5)
+    run.run()
+    assert run.plans == ()
 
 
 def test_place_of_a_mistake_is_the_authors_line_and_not_that_in_python(monkeypatch):
