@@ -277,8 +277,6 @@ class PlanExecutor(Behaviour):
                 part.use(domain)
             self._replanning.objects_changed()
         self._found_valid = self._expected = None
-        if self._plan is not None:
-            self._plan = replace(self._plan, domain=self._effects.domain)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -389,8 +387,8 @@ class PlanExecutor(Behaviour):
 
     def _watch(self, state: State) -> None:
         """Stop what cannot go on, and find out whether the plan still does."""
-        if self._effects.update() and self._plan is not None:
-            self._plan = replace(self._plan, domain=self._effects.domain)
+        if self._effects.update():
+            self._found_valid = None
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
         if goals_changed:
             self._replanning.goals_changed(is_needed=self._plan is None)
@@ -416,7 +414,7 @@ class PlanExecutor(Behaviour):
             return None
         if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
             return "the state changed"
-        flaw = plan.prediction(state).flaw or self._monitor.overspent(plan)
+        flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(plan)
         self._found_valid = (plan, now) if flaw is None else None
         return flaw
 
@@ -567,17 +565,15 @@ class PlanExecutor(Behaviour):
             self._ended_meanwhile.append(step)
         unmet = self._effects.ended(step, state)
         if unmet and self._plan is not None:
-            self._rely_no_more(replace(self._plan, domain=self._effects.domain), unmet)
+            self._rely_no_more(self._plan, unmet)
         return None
 
     def _rely_no_more(self, plan: PlanExecution, unmet: Iterable[UnmetEffect]) -> None:
-        """Go on without what a step did not make feasible, or plan anew if the rest needs that."""
-        state = self._belief.observe()
+        """Plan anew if the rest of the plan needs what a step did not make feasible."""
+        domain, state = self._effects.domain, self._belief.observe()
         expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
-        if plan.prediction(state).flaw is not None and plan.prediction(expected).flaw is None:
+        if plan.prediction(domain, state).flaw is not None and plan.prediction(domain, expected).flaw is None:
             self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
-        else:
-            self._plan = plan
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
         """Stop steps if they still run, take back what was believed because they had started, and release them."""

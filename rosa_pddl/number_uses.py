@@ -55,12 +55,13 @@ class NumberUses:
         return goal.arg(0).fluent() in self.rises and self._is_fixed_sum(goal.arg(1))
 
     def _is_fixed_sum(self, amount: UpThing) -> bool:
-        """Whether an amount is a sum of numbers that no action changes, with constants as factors."""
+        """Whether an amount is a sum of numbers that no action changes, with constants of 0 or more as factors."""
         if amount.is_constant() or amount.is_fluent_exp():
             return amount.is_constant() or amount.fluent() not in self._changed
-        is_product = amount.is_times() and len([part for part in amount.args if not part.is_constant()]) > 1
-        is_sum = (amount.is_plus() or amount.is_minus() or amount.is_times()) and not is_product
-        return is_sum and all(map(self._is_fixed_sum, amount.args))
+        if not (amount.is_plus() or amount.is_minus() or amount.is_times()):
+            return False
+        factors = [part for part in amount.args if not part.is_constant() or part.constant_value() < 0]
+        return not (amount.is_times() and len(factors) > 1) and all(map(self._is_fixed_sum, amount.args))
 
 
 def _numbers_of(formulas: Iterable[UpThing]) -> set[UpThing]:

@@ -64,7 +64,6 @@ class PlanExecution:
     Before a step may start, what is in `after` at its place has to have happened.
     """
 
-    domain: Domain
     steps: tuple[Step, ...]
     events: tuple[StepEvent, ...]
     after: tuple[frozenset[StepEvent], ...]
@@ -94,7 +93,7 @@ class PlanExecution:
                 if clash is None or clash(steps[one], step) or _interfere(touched[one], touched[number])
             ]
             after.append(frozenset(StepEvent(one, True) for one in waits))
-        return cls(domain, steps, one_after_the_other(len(steps)), tuple(after), goals)
+        return cls(steps, one_after_the_other(len(steps)), tuple(after), goals)
 
     def with_event(self, *events: StepEvent) -> "PlanExecution":
         return replace(self, happened=self.happened.union(events))
@@ -124,17 +123,13 @@ class PlanExecution:
         """Return the number of an equal step that may start now, None if there is none."""
         return next((number for number in self.startable if self.steps[number] == step), None)
 
-    def prediction(self, state: State) -> Prediction:
+    def prediction(self, domain: Domain, state: State) -> Prediction:
         """Suppose that the rest happens as planned, from the atoms that are true now."""
         left = [event for event in self.events if event not in self.happened]
-        flaw, facts = replay(self.domain, self.steps, ([event] for event in left), state, self.running)
-        return Prediction(flaw or self._unreached(facts), facts)
-
-    def _unreached(self, facts: State) -> str | None:
-        for goal in self.goals:
-            if not goal_holds(self.domain, facts, [goal.expression]):
-                return f"the rest of the plan does not reach {goal.text}"
-        return None
+        flaw, facts = replay(domain, self.steps, ([event] for event in left), state, self.running)
+        missed = (goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression]))
+        unreached = None if flaw else next(missed, None)
+        return Prediction(flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts)
 
 
 def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]) -> PlanExecution:
@@ -150,9 +145,7 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
         )
         for number in range(len(timed))
     )
-    return PlanExecution(
-        domain, tuple(one.step for one in timed), events, _not_too_early(domain, timed, touched, after), goals
-    )
+    return PlanExecution(tuple(one.step for one in timed), events, _not_too_early(domain, timed, touched, after), goals)
 
 
 def _not_too_early(
@@ -259,21 +252,20 @@ class PlanMonitor:
         What runs is passed over: part of what it uses may be in what is sensed already.
         """
         with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
-            over = usage_of(plan.domain).overspent(self._numbers(), (plan.steps[number] for number in plan.remaining))
+            steps = (plan.steps[number] for number in plan.remaining)
+            over = usage_of(self._effects.domain).overspent(self._numbers(), steps)
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
     def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
         """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
-        return replace(plan, goals=goals.hard + self._holding(goals.soft, plan.prediction(state).facts))
+        facts = plan.prediction(self._effects.domain, state).facts
+        return replace(plan, goals=goals.hard + self._holding(goals.soft, facts))
 
     def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
         """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
-        if len(self._holding(goals.hard, state)) < len(goals.hard):
-            return False
-        if plan is not None and plan.is_finished:
-            return True
-        return len(self._holding(goals.soft, state)) == len(goals.soft)
+        wanted = goals.hard if plan is not None and plan.is_finished else tuple(goals)
+        return self._holding(wanted, state) == wanted
 
     def is_better(
         self,
@@ -289,7 +281,7 @@ class PlanMonitor:
         Of running steps so much is left, and some steps count several times.
         """
         plan, after = new
-        if plan.prediction(after).flaw is not None or self.overspent(plan) is not None:
+        if plan.prediction(self._effects.domain, after).flaw is not None or self.overspent(plan) is not None:
             return False
         try:
             mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
@@ -301,10 +293,11 @@ class PlanMonitor:
         self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
     ) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
-        held = self._holding(goals.soft, plan.prediction(state).facts)
+        domain = self._effects.domain
+        held = self._holding(goals.soft, plan.prediction(domain, state).facts)
         forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         steps, begun = plan.unfinished_steps, len(plan.running)
-        costs = zip(steps, usage_of(plan.domain).costs(self._numbers(), state, steps, begun), strict=True)
+        costs = zip(steps, usage_of(domain).costs(self._numbers(), state, steps, begun), strict=True)
         return forgone + sum(float(cost) * shares.get(step, 1.0) * weights.get(step, 1) for step, cost in costs)
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:

@@ -1,6 +1,5 @@
 """From what the knowledge base says and the mission senses to the problem that a planner gets."""
 
-import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -20,9 +19,9 @@ from rosa_pddl.domain import (
     number_fact,
 )
 from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
+from rosa_pddl.syntax import NAME
 from rosa_pddl.validate import text_of
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _LOCKS: "WeakKeyDictionary[UpThing, UpThing]" = WeakKeyDictionary()
 
 
@@ -130,7 +129,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     lineage = tuple(domain.outside[one.name].lower() for one in (up_types[kind], *up_types[kind].ancestors))
     if ACTION_TYPE in lineage:
         raise UnknownNameError(f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}")
-    if not _NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
+    if not NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
         raise UnknownNameError(
             f"{name!r} cannot be added, expected a name that no object has: a letter, then letters, digits, '_' or '-'"
         )

@@ -16,6 +16,7 @@ from rosa_pddl.problem import Problem
 from rosa_pddl.syntax import (
     ANY,
     BODY,
+    NAME,
     Node,
     Source,
     body_of,
@@ -30,7 +31,6 @@ from rosa_pddl.syntax import (
     typed,
 )
 
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
 _COST = "total-cost"

@@ -497,7 +497,7 @@ class Replanning:
             self._in_vain.add(None)
         if outcome.is_solved:
             plan = PlanExecution.of(domain, result, promised, self._clash)
-            wrong = plan.prediction(state).flaw if is_fresh else None
+            wrong = plan.prediction(domain, state).flaw if is_fresh else None
             if wrong is None:
                 return _Found(plan, decision)
             # the same question would get the same answer, again and again

@@ -8,6 +8,7 @@ from typing import Final
 
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError, nearest
 
+NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 _TOKEN = re.compile(r";[^\n]*|\s+|[()]|[^\s();]+")
 
 BODY: Final[Mapping[str, tuple[str, ...]]] = {

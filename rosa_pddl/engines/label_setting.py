@@ -19,7 +19,7 @@ from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
-from rosa_pddl.reader import NAME
+from rosa_pddl.syntax import NAME
 
 _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),

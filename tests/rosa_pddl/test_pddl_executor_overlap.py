@@ -159,7 +159,7 @@ def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_
     assert schedule_flaw(cellar, schedule, state) is None
     steps = tuple(timed.step for timed in schedule)
     plan = PlanExecution.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
-    assert plan.prediction(state).flaw is None
+    assert plan.prediction(cellar, state).flaw is None
 
 
 def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_would_do(cellar):

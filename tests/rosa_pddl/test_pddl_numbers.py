@@ -197,3 +197,13 @@ def test_a_cost_below_nothing_is_refused_where_it_arises():
     )
     result = Planner("label-setting").plan(Problem(domain, initial_state(domain)))
     assert "a step costs less than nothing in some state" in result.attempts[0].message
+
+
+@pytest.mark.parametrize("amount", ["(- (h))", "(* -1 (h))", "-2"])
+def test_a_number_that_is_increased_by_less_than_nothing_falls(amount):
+    domain = parse_domain(
+        f"(define (domain d) (:predicates (p)) (:functions (r) (h)) (:action a :effect (increase (r) {amount})))",
+        "(define (problem p) (:domain d) (:init (= (r) 0) (= (h) 2)) (:goal (<= (r) -3)))",
+    )
+    result = Planner().plan(Problem(domain, initial_state(domain)))
+    assert [step.schema for step in result.steps] == ["a", "a"], result.message

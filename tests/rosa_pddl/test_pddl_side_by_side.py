@@ -66,7 +66,7 @@ def test_every_order_that_may_come_about_comes_to_the_same(world):
         steps += [step] if wrong is None else []
     result = PlanningResult(Outcome.SOLVED, tuple(steps))
     plan = PlanExecution.of(domain, result, (), lambda one, other: False)
-    in_turn = PlanExecution.of(domain, result, ()).prediction(state)
+    in_turn = PlanExecution.of(domain, result, ()).prediction(domain, state)
     assert in_turn.flaw is None
     for order in orders(plan):
         assert replay(domain, plan.steps, [[event] for event in order], state) == (None, in_turn.facts)
