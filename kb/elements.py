@@ -13,7 +13,7 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard, TypeVar, get_type_hints
 
-from kb.exceptions import InvalidValue, ModelError, UnknownName
+from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
 from kb.status import OPERATORS
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
@@ -553,13 +553,14 @@ REFERENCES: Final[Mapping[str, type[Element]]] = {
     "function": Function,
     "components": Component,
     "component": Component,
+    "configuration": Configuration,
     "attribute": Attribute,
     "action": Action,
     "activate": Component,
     "deactivate": Component,
     "parameters": Configuration,
 }
-"""The fields of elements and facts that name other elements, and of which class; parameters are those of a plan."""
+"""The fields of elements, facts and records that name others, and of which class; parameters are those of a plan."""
 
 
 CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
@@ -603,6 +604,22 @@ class ByName(Mapping[str, T]):
 def called(element: Changeable) -> str:
     """Return the name of an element; a constraint or estimation is called by its attribute."""
     return element.name if isinstance(element, Element) else element.attribute
+
+
+def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, advice: str = "") -> T:
+    """Return what a bare name stands for in the tables of some kinds: with an advice the only one, else the first.
+
+    Raises:
+        AmbiguousName: several kinds have such a name, and an advice what to do then is given.
+    """
+    found = {kind: table[name] for kind, table in tables.items() if isinstance(name, str) and name in table}
+    if not found:
+        raise UnknownName(what, name, [one for table in tables.values() for one in table])
+    if advice and len(found) > 1:
+        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in found)
+        first = f"{next(iter(found)).removeprefix('function ')}s[{name!r}]"
+        raise AmbiguousName(f"{name!r} names several things: {kinds}; {advice}{first}")
+    return next(iter(found.values()))
 
 
 def exact(value: float) -> str:

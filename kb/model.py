@@ -56,9 +56,10 @@ from kb.elements import (
     flag,
     identifier,
     listed,
+    meant_by,
     pid,
 )
-from kb.exceptions import AmbiguousName, DuplicateName, InvalidValue, ModelError, UnknownName
+from kb.exceptions import DuplicateName, InvalidValue, ModelError, UnknownName
 from kb.facts import TABLES, Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.notebook import table as html_table
@@ -125,9 +126,7 @@ class Model:
 
     def __init__(self, name: str) -> None:
         self.name = identifier("model", name)
-        self._tables: dict[type[Element], dict[str, Any]] = {cls: {} for cls in KINDS if issubclass(cls, Element)}
-        self._constraints: dict[Constraint, None] = {}
-        self._estimations: dict[Estimation, None] = {}
+        self._tables: dict[type, dict[Any, Any]] = {cls: {} for cls in KINDS}
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
@@ -145,12 +144,12 @@ class Model:
     @property
     def constraints(self) -> tuple[Constraint, ...]:
         """All constraints, in order of declaration."""
-        return tuple(self._constraints)
+        return tuple(self._tables[Constraint])
 
     @property
     def estimations(self) -> tuple[Estimation, ...]:
         """All estimations, in order of declaration."""
-        return tuple(self._estimations)
+        return tuple(self._tables[Estimation])
 
     @property
     def facts(self) -> tuple[Fact, ...]:
@@ -349,7 +348,7 @@ class Model:
                 if rest:
                     _set(constraint, {"constrained": rest})
             for one in removed:
-                self._table(one).pop(_key(one), None)
+                self._tables[type(one)].pop(_key(one), None)
             self._facts = facts
 
         self._amend("removed", removed, put)
@@ -433,13 +432,13 @@ class Model:
             self._batch = None
             if self.pending is None:
                 for one in batch:
-                    self._table(one).pop(_key(one), None)
+                    self._tables[type(one)].pop(_key(one), None)
             raise
 
     def _declare(self, *added: Changeable) -> None:
         def put() -> None:
             for one in added:
-                self._table(one)[_key(one)] = one
+                self._tables[type(one)][_key(one)] = one
 
         if self._batch is None:
             self._amend("declared", added, put)
@@ -459,16 +458,13 @@ class Model:
         for observer in observers:
             observer.heard()
 
-    def _table(self, one: Changeable) -> dict[Any, Any]:
-        if isinstance(one, Element):
-            return self._tables[type(one)]
-        return self._constraints if isinstance(one, Constraint) else self._estimations
-
     def _watching(self) -> list[Observer]:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
     def _meant(self, what: str, element: Changeable | str) -> Changeable:
-        found = _named(self, element) if isinstance(element, str) else element
+        tables: dict[str, dict[str, Element]] = {KINDS[cls]: self._tables[cls] for cls in TABLES.values()}
+        advice = "give the one meant, e.g. model."
+        found = meant_by(element, tables, "element", advice) if isinstance(element, str) else element
         self._owned(what, found, Changeable)
         return found
 
@@ -477,19 +473,14 @@ class Model:
             names = ", ".join(kind.__name__ for kind in get_args(kinds))
             raise ModelError(f"{what} can be one of {names}; not {element!r}")
 
-    def _owned(self, what: str, element: object, kinds: UnionType) -> None:
+    def _owned(self, what: str, element: Changeable, kinds: UnionType) -> None:
         self._of_kind(what, element, kinds)
-        if isinstance(element, Constraint):
-            found, name = element in self._constraints, str(element)
-        elif isinstance(element, Estimation):
-            found, name = element in self._estimations, f"the estimation of {element.attribute!r}"
-        else:
-            assert isinstance(element, Element)
-            if element.model is not self:
-                raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
-            found, name = self._tables[type(element)].get(element.name) is element, repr(element.name)
-        if not found:
-            raise ModelError(f"{name} is not in model {self.name!r}, or no longer")
+        if isinstance(element, Element) and element.model is not self:
+            raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
+        if self._tables[type(element)].get(_key(element)) is not element:
+            name = str(element) if isinstance(element, Constraint) else repr(called(element))
+            of = "the estimation of " if isinstance(element, Estimation) else ""
+            raise ModelError(f"{of}{name} is not in model {self.name!r}, or no longer")
 
 
 def _key(one: Changeable) -> object:
@@ -514,38 +505,16 @@ def _suffix(file: Path, *, is_read: bool = True) -> str:
     return suffix
 
 
-def _named(model: Contents, name: str) -> Element:
-    """Return the one element that has a name.
-
-    Raises:
-        AmbiguousName: elements of several kinds have it.
-    """
-    tables = tables_of(model)
-    found = {word: tables[cls][name] for word, cls in TABLES.items() if name in tables[cls]}
-    if not found:
-        raise UnknownName("element", name, dict.fromkeys(one for table in tables.values() for one in table))
-    if len(found) > 1:
-        called = [KINDS[type(one)] for one in found.values()]
-        kinds = ", ".join(f"{'an' if kind[0] == 'a' else 'a'} {kind}" for kind in called)
-        first = f"model.{next(iter(found))}[{name!r}]"
-        raise AmbiguousName(f"{name!r} names several things: {kinds}; give the one meant, e.g. {first}")
-    (element,) = found.values()
-    return element
-
-
 def _users_of(model: Contents, element: Element) -> list[str]:
     given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
     owners = (*model.actions.values(), *model.designs.values(), *model.configurations.values())
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
     users |= {one: f"constraint {one}" for one in model.constraints}
     users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
-    found = [text for one, text in users.items() if any(_names(getattr(one, field, ()), element) for field in given)]
+    named = ((text, getattr(one, field, ())) for one, text in users.items() for field in given)
+    found = [text for text, names in named if element.name in (names if isinstance(names, tuple) else (names,))]
     rated = model.attributes.values() if isinstance(element, Action) else ()
     return found + [f"a rate of {one.name!r}" for one in rated for rate in one.rates if rate.while_ == element.name]
-
-
-def _names(value: str | Collection[str], element: Element) -> bool:
-    return value == element.name if isinstance(value, str) else element.name in value
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:

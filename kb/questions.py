@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from kb.elements import Constraint, Element, exact, finite_number, listed, shown
-from kb.exceptions import AmbiguousName, InvalidValue, UnknownName
+from kb.elements import Constraint, Element, exact, finite_number, listed, meant_by, shown
+from kb.exceptions import InvalidValue
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
 from kb.explanation.reasons import Explanation
@@ -151,14 +151,7 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
     searched = {kind: network.of_kind(kind) for kind in kinds if kind != "constraint"}
-    found = [table[element] for table in searched.values() if isinstance(element, str) and element in table]
-    if not found:
-        raise UnknownName(" or ".join(searched), element, [name for table in searched.values() for name in table])
-    if unique and len(found) > 1:
-        things = ", ".join(f"{'an' if node.kind == 'action' else 'a'} {node.kind}" for node in found)
-        example = f"kb.{found[0].kind.removeprefix('function ')}s[{element!r}]"
-        raise AmbiguousName(f"{element!r} names several things: {things}; pass the view meant, e.g. {example}")
-    return found[0]
+    return meant_by(element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else "")
 
 
 def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:

@@ -27,6 +27,7 @@ class Ref(NamedTuple):
 
 
 Value = str | bool | int | float | Ref
+Values = dict[str, tuple[Value, ...]]
 
 
 class Individual(NamedTuple):
@@ -53,7 +54,7 @@ SPECIAL: Final[Mapping[tuple[type, str], str]] = {
 GENERAL: Final[Mapping[str, str]] = {special: CLASSES[cls] for (cls, _), special in SPECIAL.items()}
 """The kind of which another is a special one."""
 
-_PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
+_PROPERTIES: Final[Mapping[tuple[type | None, str], str]] = {
     (elements.Action, "functions"): "requires",
     (elements.FunctionDesign, "function"): "realises",
     (elements.FunctionDesign, "components"): "uses",
@@ -65,18 +66,16 @@ _PROPERTIES: Final[Mapping[tuple[type, str], str]] = {
     (elements.Estimation, "causer"): "causedBy",
     (elements.Estimation, "kind"): "effect",
     (facts.MeasurementFact, "attribute"): "measures",
-    (facts.StatusFact, "element"): "about",
-    (facts.RequiredFact, "element"): "about",
-    (facts.SelectedFact, "element"): "about",
-    (facts.ActiveFact, "component"): "about",
-    (facts.ProcessFact, "component"): "about",
-    (facts.RequiredActionFact, "action"): "about",
-    (facts.RequiredActionFact, "preference"): "hasPreference",
-    (facts.PlanFact, "activate"): "activates",
-    (facts.PlanFact, "deactivate"): "deactivates",
-    (facts.PlanFact, "parameters"): "setsParametersOf",
+    (None, "element"): "about",
+    (None, "action"): "about",
+    (None, "component"): "about",
+    (None, "preference"): "hasPreference",
+    (None, "activate"): "activates",
+    (None, "deactivate"): "deactivates",
+    (None, "parameters"): "setsParametersOf",
+    (None, "configuration"): "setsParametersOf",
 }
-"""What a field is called, where that is not its own name."""
+"""What a field of a class, or of any other class, is called, where that is not its own name."""
 
 _NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell", "low", "high"})
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
@@ -84,7 +83,8 @@ _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 def property_of(cls: type, field: str) -> str:
     first, *others = field.split("_")
-    return _PROPERTIES.get((cls, field)) or first + "".join(other.capitalize() for other in others)
+    known = _PROPERTIES.get((cls, field)) or _PROPERTIES.get((None, field))
+    return known or first + "".join(other.capitalize() for other in others)
 
 
 class Serials:
@@ -161,32 +161,43 @@ def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
     return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
 
 
-def _described(
-    one: elements.Changeable | facts.Fact, own: str, position: int, serials: Serials
+def described(
+    kind: str, own: str, said: Mapping[str, object], serials: Serials, cls: type = object
 ) -> Iterator[Individual]:
-    values: dict[str, tuple[Value, ...]] = {"position": (position,)}
-    for field in fields(one):
-        value = getattr(one, field.name)
-        if field.name == "model" or (field.name == "kind" and not isinstance(one, elements.Estimation)):
-            continue
-        if isinstance(value, Mapping):
-            inner = list(nested(PARAMETER if isinstance(one, elements.Configuration) else PREFERENCE, own, value))
+    """Yield what is nested in something of a class, and then itself, with what its fields say."""
+    values: Values = {}
+    for field, value in said.items():
+        given = {value: 1.0} if field == "preference" and isinstance(value, str) else value
+        if isinstance(given, Mapping):
+            sort = PREFERENCE if field == "preference" else PARAMETER
+            inner = list(nested(sort, own, given))
             yield from inner
-            if not inner and isinstance(one, facts.RequiredActionFact):
-                values["prefersNothing"] = (True,)
-            plain: tuple[Value, ...] = tuple(Ref(each.id) for each in inner)
+            plain, name = tuple[Value, ...](Ref(each.id) for each in inner), f"has{sort}"
         else:
-            plain = tuple(_plain(type(one), field.name, value, serials))
+            plain, name = tuple(_plain(field, given, serials)), property_of(cls, field)
         if plain:
-            values[property_of(type(one), field.name)] = plain
-    kind = SPECIAL.get((type(one), str(getattr(one, "kind", ""))), CLASSES[type(one)])
+            values[name] = plain
     yield Individual(kind, own, values)
 
 
-def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[Value]:
+def _described(
+    one: elements.Changeable | facts.Fact, own: str, position: int, serials: Serials
+) -> Iterator[Individual]:
+    kind = SPECIAL.get((type(one), str(getattr(one, "kind", ""))), CLASSES[type(one)])
+    unsaid = (
+        {"model"} if isinstance(one, elements.Estimation) else {"model", "kind"}
+    )  # its own kind is the individual's
+    said = {field.name: getattr(one, field.name) for field in fields(one) if field.name not in unsaid}
+    more = {"position": position, "prefers_nothing": said.get("preference") == {} or None}
+    return described(kind, own, {**more, **said}, serials, type(one))
+
+
+def _plain(field: str, value: object, serials: Serials) -> Iterator[Value]:
     if value is None or value == "" or value in (math.inf, -math.inf):
         return
-    if isinstance(value, elements.Constraint):
+    if isinstance(value, Ref):
+        yield value
+    elif isinstance(value, elements.Constraint):
         yield Ref(element_id(value, serials))
     elif isinstance(value, elements.Element):
         yield Ref(named_id(type(value), value.name))
@@ -195,7 +206,7 @@ def _plain(cls: type, field: str, value: object, serials: Serials) -> Iterator[V
             yield json.dumps(value)
     elif isinstance(value, tuple):
         for one in value:
-            yield from _plain(cls, field, one, serials)
+            yield from _plain(field, one, serials)
     elif isinstance(value, str) and field in elements.REFERENCES:
         yield Ref(named_id(elements.REFERENCES[field], value))
     elif isinstance(value, StrEnum):

@@ -10,26 +10,25 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from itertools import chain, count
 from threading import Lock
-from types import MappingProxyType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, Final
 from weakref import finalize
 
-from kb.elements import KINDS, Action, Attribute, Changeable, Component, Configuration, Parameters
+from kb.elements import KINDS, Attribute, Changeable
 from kb.events import Event
 from kb.exceptions import InvalidValue, UnknownName
-from kb.facts import TABLES, ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import TABLES, ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
 from kb.owl.individuals import (
-    PARAMETER,
-    PREFERENCE,
+    CLASSES,
     STATED,
     Individual,
     Ref,
-    Value,
+    Values,
+    described,
     element_id,
     individuals,
     named_id,
-    nested,
 )
 from kb.owl.rdfxml import BASE, metamodel
 from kb.owl.worker import Answer, Worker, give_back, stopped, take
@@ -37,11 +36,9 @@ from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, Ve
 from kb.state import State
 from kb.store import Store
 
-Values = dict[str, tuple[Value, ...]]
 Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
 
 _CLASSES: Final[Mapping[str, type]] = {kind: cls for cls, kind in KINDS.items()}
-_NOTHING: Final[Parameters] = MappingProxyType({})
 _PRESENT: Final[Mapping[str, str]] = {
     "Failure": "failed",
     "Activity": "active",
@@ -52,27 +49,15 @@ _PRESENT: Final[Mapping[str, str]] = {
 """What can be so now, by the facts of the state that say so."""
 Period = tuple[str, str, Mapping[str, Any]]
 """What is so for a time: its kind, what it is about, and what else is known of it."""
-Told = tuple[tuple[str, str, type | None], ...]
-"""Properties, the fields that they tell, and of which class the elements are that these name."""
-_ENDS: Final[Told] = (("end", "end", None), ("result", "result", None), ("reason", "reason", None))
-_RECORDS: Final[Mapping[str, Told]] = {
-    "RequiredAction": (("start", "start", None), ("about", "action", Action)),
-    "ReconfigurationPlan": (
-        *(("start", "start", None), ("activates", "activate", Component), ("deactivates", "deactivate", Component)),
-        *(("setsParametersOf", "parameters", Configuration), ("reason", "reason", None)),
-    ),
-    "ComponentProcess": (("start", "start", None), ("about", "component", Component), ("pid", "pid", None)),
-    "Attempt": (
-        *(("start", "start", None), ("ofPlan", "plan", None), ("about", "component", Component)),
-        *(("operation", "operation", None), ("number", "number", None)),
-        ("setsParametersOf", "configuration", Configuration),
-    ),
-    "VetoAnswer": (
-        *(("ofPlan", "plan", None), ("isVetoed", "is_vetoed", None), ("time", "time", None)),
-        ("reason", "reason", None),
-    ),
+_ENDS: Final = ("end", "result", "reason")
+_RECORDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "RequiredAction": ("start", "action", "preference"),
+    "ReconfigurationPlan": ("start", "activate", "deactivate", "parameters", "reason"),
+    "ComponentProcess": ("start", "component", "pid"),
+    "Attempt": ("start", "component", "operation", "number", "configuration", "parameters"),
+    "VetoAnswer": ("is_vetoed", "time", "reason"),
 }
-"""What is told of each kind of record when it begins."""
+"""The fields of each kind of record that are told when it begins, beside its plan."""
 _LONGEST: Final = 1_000_000  # query [characters]
 _SLICE: Final = 1000  # events of the store that are read at a time
 _MOST_GROWN: Final = 20_000  # events, besides measurements that are kept, that are added before a world is made anew
@@ -280,7 +265,10 @@ class _Chronicle:
                 yield from self._amended(time, how, written)
             case "begin", _:
                 for fact in self._known.model.facts:
-                    yield from self._stated(time, fact)
+                    if isinstance(fact, ActiveFact | StatusFact | RequiredFact | SelectedFact):
+                        element = fact.component if isinstance(fact, ActiveFact) else fact.element
+                        about = self._about(element) if isinstance(element, str) else self._id(element)
+                        yield from self._began(CLASSES[type(fact)], about, time, status=getattr(fact, "status", None))
 
     def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
         changed = {self._about((kind, name)): is_so for kind, name, is_so in event.effects}
@@ -296,43 +284,16 @@ class _Chronicle:
             for word, about in [key for key in self._open if key[1] == written]:
                 yield from self._ended(word, about, time)
 
-    def _stated(self, time: float, fact: Fact) -> Iterator[Individual]:
-        if isinstance(fact, ActiveFact):
-            yield from self._began("Activity", self._about(fact.component), time)
-        elif isinstance(fact, StatusFact):
-            yield from self._began("AssertedStatus", self._id(fact.element), time, status=str(fact.status))
-        elif isinstance(fact, RequiredFact | SelectedFact):
-            word = "Selection" if isinstance(fact, SelectedFact) else "AssertedRequirement"
-            yield from self._began(word, self._id(fact.element), time)
-
     def _is_so(
-        self,
-        word: str,
-        about: str,
-        time: float,
-        is_so: bool,
-        reason: str = "",
-        **values: Any,  # noqa: ANN401  # of properties
+        self, word: str, about: str, time: float, is_so: bool, reason: str = "", **said: object
     ) -> Iterator[Individual]:
         yield from self._ended(word, about, time)
         if is_so:
-            yield from self._began(word, about, time, reason=reason, **values)
+            yield from self._began(word, about, time, reason=reason, **said)
 
-    def _began(
-        self,
-        word: str,
-        about: str,
-        time: float | None,
-        *,
-        parameters: Parameters = _NOTHING,
-        **values: Any,  # noqa: ANN401  # of properties
-    ) -> Iterator[Individual]:
+    def _began(self, word: str, about: str, time: float | None, **said: object) -> Iterator[Individual]:
         self._open[word, about] = own = self._next()
-        within = list(nested(PARAMETER, own, parameters))
-        yield from within
-        said: Values = {name: (value,) for name, value in values.items() if value not in (None, "")}
-        start: Values = {} if time is None else {"start": (float(time),)}
-        yield Individual(word, own, {"about": (Ref(about),), **start, **said, **_refs("hasParameter", within)})
+        return described(word, own, {"about": Ref(about), "start": time, **said}, self._known.serials)
 
     def _ended(self, word: str, about: str, time: float) -> Iterator[Individual]:
         own = self._open.pop((word, about), None)
@@ -372,39 +333,16 @@ class _Chronicle:
         for key, record in list(self._unended.items()):
             if not isinstance(record, VetoAnswer) and record.end is not None:
                 del self._unended[key]
-                found.append(Individual("", self._ids[id(record)], self._said(record, _ENDS)))
+                said = {name: getattr(record, name, None) for name in _ENDS}
+                found += described("", self._ids[id(record)], said, self._known.serials)
         return found
 
     def _recorded(self, word: str, record: Record) -> Iterator[Individual]:
         own = self._ids[id(record)] = self._next()
-        within: list[Individual] = []
-        if isinstance(record, RequiredAction) and record.preference is not None:
-            preference = record.preference
-            within = list(nested(PREFERENCE, own, {preference: 1.0} if isinstance(preference, str) else preference))
-        elif isinstance(record, Attempt):
-            within = list(nested(PARAMETER, own, record.parameters))
-        yield from within
-        nests = "hasPreference" if isinstance(record, RequiredAction) else "hasParameter"
-        yield Individual(word, own, {**self._said(record, _RECORDS[word]), **_refs(nests, within)})
-
-    def _said(self, record: Record, told: Told) -> Values:
-        said: Values = {}
-        for name, field, cls in told:
-            value = getattr(record, field, None)
-            if value in (None, "", ()):
-                continue
-            if cls is not None:
-                said[name] = tuple(Ref(named_id(cls, one)) for one in ((value,) if isinstance(value, str) else value))
-            elif not isinstance(value, ReconfigurationPlan):
-                said[name] = (value,)
-            elif id(value) in self._ids:
-                said[name] = (Ref(self._ids[id(value)]),)
-        return said
+        plan = self._ids.get(id(getattr(record, "plan", None)))
+        said = {name: getattr(record, name) for name in _RECORDS[word]}
+        of = {} if plan is None else {"of_plan": Ref(plan)}
+        return described(word, own, {**said, **of}, self._known.serials, type(record))
 
     def _next(self) -> str:
         return f"{STATED}.{next(self._count)}"
-
-
-def _refs(name: str, within: Iterable[Individual]) -> Values:
-    listed = tuple(Ref(one.id) for one in within)
-    return {name: listed} if listed else {}

@@ -256,6 +256,13 @@ def test_what_something_else_is_made_of_cannot_be_removed(kb):
     assert "camera" in kb.components
 
 
+def test_a_configuration_called_like_a_parameter_can_be_removed():
+    model = Model("rover")
+    model.component("camera").configuration("exposure", {"exposure": 0.5})
+    model.remove("exposure")
+    assert not model.configurations
+
+
 def test_a_shared_constraint_holds_on_for_the_others_when_one_is_removed(kb):
     model = kb.model
     rest = model.action("rest")
