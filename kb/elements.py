@@ -14,7 +14,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard, TypeVar, get_type_hints
 
 from kb.exceptions import AmbiguousName, InvalidValue, ModelError, UnknownName
-from kb.status import OPERATORS
+from kb.status import OPERATORS, STATUSES, Status
 
 ChoiceT = TypeVar("ChoiceT", bound=StrEnum)
 ElementT = TypeVar("ElementT", bound="Element")
@@ -166,6 +166,16 @@ def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:
         return options(str(given))
     except ValueError:
         raise UnknownName(what, given, [str(option) for option in options]) from None
+
+
+def status_of(kind: str, given: object) -> Status:
+    """Return a status that elements of a kind can have."""
+    if given not in tuple(Status):
+        known = ", ".join(repr(str(one)) for one in Status)
+        raise InvalidValue(f"{shown(given)} is no status; a status is one of {known}")
+    if given not in STATUSES.get(kind, ()):
+        raise InvalidValue(f"a {kind} is never {given!s}; it can be {', '.join(STATUSES.get(kind, ()))}")
+    return Status(str(given))
 
 
 def listed(what: str, values: object) -> tuple[Any, ...]:

@@ -17,7 +17,7 @@ from kb.amendments import amendment
 from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.explanation.choice import note_nothing
-from kb.explanation.reasons import reading, why_selected
+from kb.explanation.reasons import reading, staleness, why_selected
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref
@@ -235,10 +235,7 @@ class Knowledge:
     def _stale(self, event: Event, name: str) -> Event:
         node = self.network.attributes[name]
         self._layer.stale[node.index] = True
-        element, measured = node.attribute, self.state.time[node.index]
-        age = 0.0 if measured is None else event.time - measured
-        limit = f"at most {element.max_age:g} s" if age > element.max_age else "and no more"
-        words = f"{name} is stale: measured {age:.1f} s ago, {limit}"
+        words = f"{name} {staleness(self.state.time[node.index], node, event.time)}"
         put = partial(self.measurements.put_stale, node)
         return self._put(event, node.constraints, put, words=words, matters=None)
 
@@ -315,7 +312,7 @@ class Knowledge:
         self._layer.requested[node.index] = True
         weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
         record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
-        return self._put(event, [node], partial(self.records.request, record))
+        return self._put(event, [node], partial(self.records.put, "requests", event.number, record))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:
         node, record = self.network.actions[name], self.records.required[name]
@@ -344,7 +341,7 @@ class Knowledge:
             why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
             number = next(reversed(self.records.plans), 0) + 1
             plan = planned(self.state, selection, why, event.time, event.cause, number)
-            put = partial(self.records.plan, plan)
+            put = partial(self.records.put, "plans", number, plan)
             return self._put(event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False)
         known, reasons = self.state.reasons, layer.reasons.items()
         if not effects and all(reason == known.get(key, Reason()) for key, reason in reasons):

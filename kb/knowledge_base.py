@@ -15,7 +15,7 @@ from weakref import finalize
 from kb import questions
 from kb.amendments import amend
 from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
-from kb.elements import Parameters, finite_number, flag, text
+from kb.elements import Parameters, finite_number, flag, status_of, text
 from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
@@ -31,7 +31,6 @@ from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
-    RESULTS,
     Attempt,
     HistoryView,
     Memory,
@@ -44,7 +43,7 @@ from kb.records import (
     check_result,
 )
 from kb.state import Overlay, State
-from kb.status import STATUSES, Status
+from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
 from kb.views import named, views_of
 
@@ -359,16 +358,10 @@ class KnowledgeBase:
             reason: why, in words; it stands in explanations and in the store.
             until: when it lapses by itself [s, by the clock of this base], after now; None or `math.inf` for never.
         """
-        try:
-            wanted = Status(status)
-        except ValueError:
-            known = ", ".join(repr(str(one)) for one in Status)
-            raise InvalidValue(f"{status!r} is no status; a status is one of {known}") from None
         text("the reason of an asserted status", reason)
         end = None if until is None or until == math.inf else finite_number(until)
         node = self._node(element, ELEMENTS)
-        if wanted not in STATUSES[node.kind]:
-            raise InvalidValue(f"a {node.kind} is never {wanted!s}; it can be {', '.join(STATUSES[node.kind])}")
+        wanted = status_of(node.kind, status)
         if end is not None and end <= (now := self._knowledge.now):
             raise InvalidValue(f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}")
         self._tell("assert_status", node.ref, str(wanted), reason, end)
@@ -467,8 +460,7 @@ class KnowledgeBase:
         Raises:
             InvalidValue: one of them is unfeasible now; nothing is selected.
         """
-        if reason != "":
-            text("the reason of a choice", reason)
+        text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
         chosen = _chosen(network.designs, "function design", network.functions, "function", designs)
@@ -492,8 +484,7 @@ class KnowledgeBase:
 
         One that completes abandons every other plan that is open.
         """
-        if result not in RESULTS:
-            check_result(result)
+        check_result(result)
         made = self._knowledge.records.plan_of(plan)
         if made.end is not None:
             return False
@@ -567,10 +558,8 @@ class KnowledgeBase:
         The attempt may be given by its serial number; a result is "completed", "failed" or "abandoned". The parameters
         of a command that has configured a component are in force then.
         """
-        if result not in RESULTS:
-            check_result(result)
-        if reason != "":
-            text("the reason why an attempt ends", reason)
+        check_result(result)
+        text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         if type(serial) is not int:
             raise InvalidValue(f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number")

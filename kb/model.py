@@ -58,14 +58,14 @@ from kb.elements import (
     listed,
     meant_by,
     pid,
+    status_of,
 )
-from kb.exceptions import DuplicateName, InvalidValue, ModelError, UnknownName
+from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import TABLES, Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.notebook import table as html_table
 from kb.owl.individuals import individuals, plain_json
 from kb.records import check_result
-from kb.status import STATUSES, Status
 
 ElementT = TypeVar("ElementT", bound=Element)
 
@@ -522,7 +522,7 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
     if isinstance(fact, StatusFact):
-        return replace(fact, status=_status(KINDS[type(fact.element)], fact.status))
+        return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
     if isinstance(fact, RequiredFact | SelectedFact):
         kinds, what = (_REQUIRABLE, "required") if isinstance(fact, RequiredFact) else (_SELECTABLE, "selected")
         if not isinstance(fact.element, kinds):
@@ -547,14 +547,6 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
         weights = {name: finite_number(weight) for name, weight in fact.preference.items()}
         values["preference"] = MappingProxyType(weights) if weights else None
     return replace(fact, **values)
-
-
-def _status(kind: str, given: object) -> Status:
-    known = STATUSES.get(kind, ())
-    found = next((status for status in known if status == given), None)
-    if found is None:
-        raise InvalidValue(f"a {kind} is never {given!s}; it can be {', '.join(known)}")
-    return found
 
 
 def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:

@@ -242,6 +242,12 @@ class Records:
         """Put something on record; of what has ended, the oldest is forgotten when there is much."""
         table: dict[int, Any] = getattr(self, name)
         table[number] = record
+        if isinstance(record, RequiredAction) and record.end is None:
+            self.required.setdefault(record.action, record)
+        if isinstance(record, ReconfigurationPlan):
+            self.ended = ()
+            if record.end is None:
+                self.open_plans[number] = record
         if len(table) > self._full[name]:
             self._forget(name, table)
 
@@ -255,22 +261,11 @@ class Records:
         setattr(self, name, {number: one for number, one in table.items() if number not in gone})
         self._full[name] = len(table) - len(gone) + self._memory.records
 
-    def request(self, record: RequiredAction) -> None:
-        self.put("requests", record.number, record)
-        if record.end is None:
-            self.required[record.action] = record
-
     def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, **end: Any) -> None:  # noqa: ANN401  # what a field holds
         finish(record, **end)
         self.required.pop(record.action, None)
         self.ended = ended
         self.last_end = end["end"], event
-
-    def plan(self, record: ReconfigurationPlan) -> None:
-        self.put("plans", record.number, record)
-        self.ended = ()
-        if record.end is None:
-            self.open_plans[record.number] = record
 
     def end_plan(self, record: ReconfigurationPlan, result: str, end: float) -> None:
         for other in [record, *(self.open_plans.values() if result == "completed" else ())]:
@@ -288,17 +283,13 @@ class Records:
         if isinstance(fact, PlanFact):
             steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
             number = next(reversed(self.plans), 0) + 1
-            self.plan(ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number))
+            self.put("plans", number, ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number))
             return
         weights = fact.preference
         preference: str | Mapping[str, float] | None = MappingProxyType(dict(weights)) if weights else None
         if weights and list(weights.values()) == [1.0]:
             (preference,) = weights
-        record = RequiredAction(fact.action, preference, start, end, fact.result, number=number)
-        if end is None and fact.action in self.required:
-            self.requests[number] = record
-        else:
-            self.request(record)
+        self.put("requests", number, RequiredAction(fact.action, preference, start, end, fact.result, number=number))
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan that is on record, given by itself or its number."""
@@ -326,10 +317,11 @@ class Records:
     def from_json(self, written: Mapping[str, Any]) -> None:
         """Put on record what `to_json` returned."""
         for values in written["requests"]:
-            self.request(RequiredAction(**values))
+            self.put("requests", values["number"], RequiredAction(**values))
         for values in written["plans"]:
             tuples = {name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")}
-            self.plan(ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])}))
+            made = ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])})
+            self.put("plans", made.number, made)
         for values in written["processes"]:
             self.put("processes", values["number"], Process(**values))
         for values in written["attempts"]:

@@ -282,7 +282,7 @@ def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -
         return f"{one.attribute} is not measured (wanted {bound})"
     shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
     if one.is_stale:
-        return f"{shown} {_stale(one.time, node.parts[0], now)}"
+        return f"{shown} {staleness(one.time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
         return f"{shown} is not confirmed: {_votes(attribute)} have to agree"
     holds = OPERATORS[one.operator](one.value, one.threshold)
@@ -312,7 +312,7 @@ def _reading(state: State, attribute: Node, now: float) -> str:
         return f"{attribute.name} is not measured"
     shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
     if state.stale[attribute.index]:
-        return f"{attribute.name} {shown} {_stale(time, attribute, now)}"
+        return f"{attribute.name} {shown} {staleness(time, attribute, now)}"
     return f"{attribute.name} is {shown} ({_age(time, now)})"
 
 
@@ -339,7 +339,8 @@ def _age(time: float | None, now: float) -> str:
     return "supposed" if time is None else f"measured {max(0.0, now - time):.1f} s ago"
 
 
-def _stale(time: float | None, attribute: Node, now: float) -> str:
+def staleness(time: float | None, attribute: Node, now: float) -> str:
+    """Say that a measurement counts no longer, and why."""
     most = attribute.element.max_age
     is_over = time is not None and now - time > most  # else somebody has told so
     return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"

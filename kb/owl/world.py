@@ -316,15 +316,8 @@ class _Chronicle:
 
     def of_records(self) -> list[Individual]:
         """Return the records that are new, and the ends of those that have ended."""
-        records = self._known.records
-        tables: tuple[Mapping[int, Record], ...] = (
-            records.requests | {one.number: one for one in records.required.values()},
-            records.plans | records.open_plans,
-            records.processes,
-            records.attempts,
-            records.answers,
-        )
-        found: list[Individual] = []
+        records, found = self._known.records, list[Individual]()
+        tables: Any = records.requests, records.plans, records.processes, records.attempts, records.answers
         for word, table in zip(_RECORDS, tables, strict=True):
             for number, record in table.items():
                 if (word, number) not in self._records:

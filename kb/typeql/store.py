@@ -324,18 +324,11 @@ class Question:
 
     def _name(self, one: Statement) -> str | None:
         """Return the name that is written in a statement that says the type."""
-        kind = self._kind(one)
-        for clause in one.clauses if kind else ():
-            if (
-                isinstance(clause, Has)
-                and isinstance(clause.value, str)
-                and not isinstance(clause.value, Word)
-                and kind
-            ):
-                field = field_of(kind, str(clause.label))
-                if field and field.name == "name":
-                    return clause.value
-        return None
+        if (kind := self._kind(one)) is None:
+            return None
+        given = (clause for clause in one.clauses if isinstance(clause, Has) and type(clause.value) is str)
+        fields = ((field_of(kind, str(clause.label)), str(clause.value)) for clause in given)
+        return next((value for field, value in fields if field and field.name == "name"), None)
 
     def _nothing(self, one: Statement, place: Place) -> ModelFileError:
         name, kind, what = self._name(one), self._kind(one), "no thing known so far is like this"
