@@ -39,11 +39,8 @@ class Selection(NamedTuple):
 def obsolete(state: State) -> Obsolete:
     """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
     nodes = state.obsolete.nodes()
-    return Obsolete(
-        _names(node for node in nodes if node.kind == "component"),
-        _names(node for node in nodes if node.kind == "function design"),
-        _names(node for node in nodes if node.kind == "configuration"),
-    )
+    kinds = "component", "function design", "configuration"
+    return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
 
 
 def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Node]) -> Selection:

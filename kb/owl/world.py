@@ -250,9 +250,9 @@ class _Chronicle:
                     given, about = attempt.parameters, self._about(attempt.component)
                     yield from self._is_so("ParametersInForce", about, time, True, parameters=given)
             case "assert_status", (ref, status, reason, until):
-                about = self._about(ref)
-                (self._asserted_failed.add if status == "failure" else self._asserted_failed.discard)(about)
-                yield from self._is_so("AssertedStatus", about, time, True, reason, status=status, until=until)
+                yield from self._is_so(
+                    "AssertedStatus", self._about(ref), time, True, reason, status=status, until=until
+                )
             case ("retract_status", (ref,)) | ("lapse", (ref, _)):
                 yield from self._ended("AssertedStatus", self._about(ref), time)
             case "assert_required", (ref, is_so):
@@ -293,6 +293,8 @@ class _Chronicle:
 
     def _began(self, word: str, about: str, time: float | None, **said: object) -> Iterator[Individual]:
         self._open[word, about] = own = self._next()
+        if word == "AssertedStatus":
+            (self._asserted_failed.add if said["status"] == "failure" else self._asserted_failed.discard)(about)
         return described(word, own, {"about": Ref(about), "start": time, **said}, self._known.serials)
 
     def _ended(self, word: str, about: str, time: float) -> Iterator[Individual]:

@@ -11,7 +11,8 @@ from kept import Life, robot
 from models import Clock, Twins, stories
 from test_files import odd_models
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, UnknownName
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status, UnknownName
+from kb.facts import StatusFact
 from kb.owl.owlready import inconsistency
 from kb.owl.rdfxml import BASE, ROSA, metamodel
 
@@ -115,6 +116,16 @@ def test_history_goes_on_after_reopening(tmp_path):
         kb.component_recovered("camera")
         assert len(kb.query(query)) == number + 1
         kb.close()
+
+
+def test_stated_failure_has_ended_once_the_component_is_recovered(base):
+    model = robot()
+    model.add_fact(StatusFact(model.components["camera"], Status.FAILURE))
+    kb = base(model, Clock(5.0))
+    query = "SELECT ?status ?end { ?a a :AssertedStatus ; :status ?status . OPTIONAL { ?a :end ?end } }"
+    assert kb.query(query) == [("failure", None)]
+    kb.component_recovered("camera")
+    assert kb.query(query) == [("failure", 5.0)]
 
 
 def test_amended_model_is_the_one_that_is_asked(base):
