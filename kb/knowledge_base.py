@@ -31,6 +31,7 @@ from kb.owl.world import World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
+    RESULTS,
     Attempt,
     HistoryView,
     Memory,
@@ -460,7 +461,8 @@ class KnowledgeBase:
         Raises:
             InvalidValue: one of them is unfeasible now; nothing is selected.
         """
-        text("the reason of a choice", reason)
+        if reason != "":
+            text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
         chosen = _chosen(network.designs, "function design", network.functions, "function", designs)
@@ -484,7 +486,8 @@ class KnowledgeBase:
 
         One that completes abandons every other plan that is open.
         """
-        check_result(result)
+        if result not in RESULTS:
+            check_result(result)
         made = self._knowledge.records.plan_of(plan)
         if made.end is not None:
             return False
@@ -558,8 +561,10 @@ class KnowledgeBase:
         The attempt may be given by its serial number; a result is "completed", "failed" or "abandoned". The parameters
         of a command that has configured a component are in force then.
         """
-        check_result(result)
-        text("the reason why an attempt ends", reason)
+        if result not in RESULTS:
+            check_result(result)
+        if reason != "":
+            text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         if type(serial) is not int:
             raise InvalidValue(f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number")
