@@ -188,8 +188,7 @@ def _described(
         {"model"} if isinstance(one, elements.Estimation) else {"model", "kind"}
     )  # its own kind is the individual's
     said = {field.name: getattr(one, field.name) for field in fields(one) if field.name not in unsaid}
-    more = {"position": position, "prefers_nothing": said.get("preference") == {} or None}
-    return described(kind, own, {**more, **said}, serials, type(one))
+    return described(kind, own, {"position": position, **said}, serials, type(one))
 
 
 def _plain(field: str, value: object, serials: Serials) -> Iterator[Value]:
@@ -229,7 +228,7 @@ def _escaped(name: str) -> str:
 _BY_KIND: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
 _LISTS: Final = frozenset({"functions", "components", "constrained", "activate", "deactivate", "parameters"})
-_UNSAID: Final = frozenset({"position", "prefersNothing"})
+_UNSAID: Final = frozenset({"position", "prefersNothing"})  # the latter in files of before
 
 
 class Declarer:
@@ -267,8 +266,6 @@ class Declarer:
                 found[field.name] = {} if cls is elements.Configuration else ()
             elif field.default is MISSING and field.name != "model":
                 raise ModelError(f"it has no {name}")
-        if "prefersNothing" in one.values:
-            found["preference"] = {}
         return found
 
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
