@@ -322,6 +322,11 @@ def head_of(atom: str) -> str:
     return inside.split(" ", 1)[0].rstrip(")")
 
 
+def fluents_in(formulas: Iterable[UpThing]) -> set[UpThing]:
+    """Return the predicates and numbers that unified-planning expressions mention, as its fluents."""
+    return {atom.fluent() for one in formulas for atom in one.environment.free_vars_extractor.get(one)}
+
+
 def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
     """Yield the parts of unified-planning expressions that are neither conjunctions nor just true."""
     for formula in formulas:

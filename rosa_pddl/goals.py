@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exact, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Condition, conditions
 from rosa_pddl.outcomes import PlanningResult
@@ -161,13 +161,13 @@ class Relevance:
 
     def _look(self) -> None:
         domain = self._domain
-        needed = {atom.fluent() for goal in self._goals for atom in _atoms_in(goal.expression)}
+        needed = fluents_in(goal.expression for goal in self._goals)
         known, used, looked_at = domain.rosa_actions, set[str](), -1
         while looked_at != len(needed):
             looked_at = len(needed)
             for name, axiom in domain.axioms.items():
                 if domain.up_problem.fluent(domain.inside["predicate", name]) in needed:
-                    needed |= {atom.fluent() for atom in _atoms_in(axiom.condition)}
+                    needed |= fluents_in([axiom.condition])
             for schema in domain.schema_of.values():
                 effects = schema.start_effects + schema.end_effects
                 if any(effect.fluent.fluent() in needed for effect in effects):

@@ -354,13 +354,12 @@ class Grounded:
         effects = list[tuple[tuple[Fact, ...], int, int]]()
         changes = list[Change]()
         for condition, kind, text, amount in sorted(one.effects, key=lambda effect: effect[1] != "delete"):
+            given, compared = rules.taken(condition)
             if kind not in _TRUTHS:
-                given, compared = rules.taken(condition)
                 value = self._number(amount)
                 value = ("-", 0, value) if kind == "decrease" else value
                 changes.append(Change(tuple(given), tuple(compared), self._numbers[text], kind != "assign", value))
                 continue
-            given, compared = rules.taken(condition)
             if compared:
                 given, _ = rules.taken(("or", condition))
             variable, value = places[text]
@@ -504,15 +503,9 @@ class _Instance:
 
 
 def _names(pattern: ActionPattern) -> Iterator[str]:
-    waiting: list[object] = [pattern.needs]
-    for effect, _ in pattern.effects:
-        waiting += [("atom", True, effect.name)] if effect.kind in _TRUTHS else []
-        waiting.append(effect.condition)
-    for node in waiting:
-        if isinstance(node, tuple) and node[0] == "atom":
-            yield node[2]
-        elif isinstance(node, tuple) and node[0] in ("and", "or"):
-            waiting += node[1:]
+    nodes = (pattern.needs, *(effect.condition for effect, _ in pattern.effects))
+    yield from (name for node in nodes for name, _ in _literals(node))
+    yield from (effect.name for effect, _ in pattern.effects if effect.kind in _TRUTHS)
 
 
 def _literals(node: Node) -> Iterator[tuple[str, bool]]:
@@ -568,7 +561,6 @@ class Groundings:
     def __init__(self, limit_s: float) -> None:
         self._limit_s = limit_s
         self._made: dict[Domain, Grounded] = {}
-        self._named: dict[Domain, State] = {}
         self._making = Lock()
 
     def made(self, problem: Problem) -> Grounded | None:
@@ -585,15 +577,13 @@ class Groundings:
                 message = f"the task of {domain.name} was not grounded in time; allow more or ask for less"
                 raise Trouble(Outcome.OUT_OF_TIME, message)
         try:
-            named = self._named.get(domain, frozenset()).union(changing)
-            known = self._made.get(domain)
+            named, known = frozenset(changing), self._made.get(domain)
             if known is None or not known.covers(problem.state) or not named <= known.base:
                 known = grounded(problem, named, known, process, deadline - time.monotonic())
-            for kept in (self._made, self._named):
-                kept.pop(domain, None)
-                if len(kept) >= _MOST_DOMAINS:
-                    kept.pop(next(iter(kept)))
-            self._made[domain], self._named[domain] = known, named
+            self._made.pop(domain, None)
+            if len(self._made) >= _MOST_DOMAINS:
+                self._made.pop(next(iter(self._made)))
+            self._made[domain] = known
             return known
         finally:
             self._making.release()
@@ -601,4 +591,3 @@ class Groundings:
     def close(self) -> None:
         """Forget what was made."""
         self._made.clear()
-        self._named.clear()

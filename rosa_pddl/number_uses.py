@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from rosa_pddl.domain import Schema, UpThing
+from rosa_pddl.domain import Schema, UpThing, fluents_in
 
 
 class NumberUses:
@@ -65,8 +65,7 @@ class NumberUses:
 
 
 def _numbers_of(formulas: Iterable[UpThing]) -> set[UpThing]:
-    atoms = {atom for one in formulas for atom in one.environment.free_vars_extractor.get(one)}
-    return {atom.fluent() for atom in atoms if not atom.type.is_bool_type()}
+    return {one for one in fluents_in(formulas) if not one.type.is_bool_type()}
 
 
 def _is_rise(change: UpThing) -> bool:

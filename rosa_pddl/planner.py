@@ -14,7 +14,7 @@ from math import inf, isinf
 
 from rosa_pddl import search
 from rosa_pddl.certificate import Certificate
-from rosa_pddl.domain import Domain, Schema, Step, UpThing
+from rosa_pddl.domain import Domain, Step, fluents_in
 from rosa_pddl.engines import fast_downward
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 from rosa_pddl.engines.unified_planning import LABEL_SETTING, NUMERIC, TRANSLATED, asked, missing
@@ -509,19 +509,13 @@ class _Portfolio:
 def _may_have_to_overlap(domain: Domain) -> bool:
     """Whether a step provides something only while it lasts, and others need that."""
     return any(
-        start.fluent.fluent() in _needed(other)
+        start.fluent.fluent() in fluents_in((*other.start, *other.over_all, *other.end))
         for schema in domain.schema_of.values()
         for start, end in product(schema.start_effects, schema.end_effects)
         if start.fluent == end.fluent and start.value.is_true() and end.value.is_false()
         for other in domain.schema_of.values()
         if other is not schema
     )
-
-
-def _needed(schema: Schema) -> set[UpThing]:
-    """Return the predicates that the conditions of an action mention."""
-    formulas = (*schema.start, *schema.over_all, *schema.end)
-    return {atom.fluent() for one in formulas for atom in one.environment.free_vars_extractor.get(one)}
 
 
 def _left_s(deadline: float) -> float:
