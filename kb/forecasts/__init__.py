@@ -273,8 +273,7 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> dict[str, float]
     for name in [rate.while_ for rate in element.rates if rate.learns]:
         alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
         parts = (part for span in alone for part in reversed(past.between(*span).inside(element.low, element.high)))
-        learned = map(slope_of, parts)
-        slopes[name] = next((slope for slope in learned if slope is not None), slopes[name])
+        slopes[name] = next((slope for slope in map(slope_of, parts) if slope is not None), slopes[name])
     return slopes
 
 

@@ -285,6 +285,18 @@ def test_intervals_hold_nine_in_ten_of_what_goes_in_legs(clock):
     assert 0.85 <= sum(held) / len(held) <= 0.95
 
 
+@pytest.mark.parametrize("by", ["constant", "trend"])
+def test_what_never_changed_is_checked_only_for_a_ninth_of_the_time_it_was_seen(clock, by):
+    """That it never changed in nine spans, one after the other, leaves a chance of one in ten that it does in the next."""
+    model = rover()
+    model.attributes["light"].forecast(by)
+    kb = lives(model, clock, until=30, light=lambda _: 1.0)
+    assert kb.forecast("light", 8.0)[2:5] == (1.0, 1.0, 1.0)  # four times as far as a check of 2 s
+    assert kb.forecast("light", 16.0)[2:5] == (None, None, None)
+    kb = lives(model, Clock(), until=60, light=lambda _: 1.0)
+    assert kb.forecast("light", 16.0)[2:5] == (1.0, 1.0, 1.0)
+
+
 def test_rate_is_learned_while_its_action_alone_is_done(clock):
     model = rover()
     energy = model.attributes["energy"]
