@@ -168,7 +168,7 @@ class FollowPipeline(Component):
         self._target: tuple[float, float] | None = None
         self._last: tuple[float, float] | None = None
         self._waits = 0
-        self._published: tuple[float, float] | None = None
+        self._published = (-math.inf, math.nan)
 
     @property
     def remaining(self) -> tuple[tuple[float, float], ...]:
@@ -225,12 +225,10 @@ class FollowPipeline(Component):
         self._last = point
 
     def _publish_distance(self, time: float) -> None:
-        if self._published is not None:
-            since, distance = self._published
-            if distance == self.distance_m or time - since < 1:
-                return
-        self._published = (time, self.distance_m)
-        self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
+        since, distance = self._published
+        if distance != self.distance_m and time - since >= 1:
+            self._published = (time, self.distance_m)
+            self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
 
 
 class RecoverThrusters(Component):

@@ -280,13 +280,12 @@ class JointPlanner:
     def _leg(self, task: Task, move: Move[State, _Taken]) -> Leg:
         way, switching, crossing = move.what
         takes = Amounts(*map(add, switching, crossing))
-        mode = move.to[1]
         possible = self.modes.under(way.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}
         demands = f"light {way.conditions['light']:g} and {way.conditions['obstacles']:g} obstacles/m"
         choice = "the only design that is" if len(designs) == 1 else f"of {len(possible)} that are"
         why = f"{choice} feasible with {demands}"
-        return Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes, why)
+        return Leg(way.corridor.name, way.origin, way.to, move.to[1], way.conditions, takes, why)
 
     def _why(self, task: Task, legs: tuple[Leg, ...], takes: Amounts) -> str:
         if not legs:

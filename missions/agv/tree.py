@@ -65,8 +65,7 @@ class Route:
     @property
     def leg(self) -> Leg | None:
         """What to do now; None if there is no plan, or nothing left to do."""
-        legs = self.answer.legs
-        return legs[0] if legs else None
+        return next(iter(self.answer.legs), None)
 
     @property
     def task(self) -> Task:

@@ -170,8 +170,6 @@ class BuildingWorld(World):
             shown[", ".join([one.name, *(word for word, holds in words.items() if holds)])] = np.linspace(start, end, 9)
         return shown
 
-    # ---------------------------------------------------------------- one period
-
     def _step(self) -> None:
         self._ticks += 1
         before = self._vehicle.position
@@ -244,8 +242,6 @@ class BuildingWorld(World):
             self._inside = str(self._ordered["corridor"])
             self._say("EA measurement", "driven", repr(self._driven_m))
             self._say("mission status", f"in {self._inside}", "true")
-
-    # ---------------------------------------------------------------- what happens, and what is reported of it
 
     def _happen(self, one: Incident) -> None:
         if one.component:

@@ -1,9 +1,10 @@
 """What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
 
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import cached_property
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -46,6 +47,31 @@ class PlannedRun:
         return f"rosa run {self.mission} --manager {self.manager}{task} --seed {self.seed}{changed}"
 
 
+@dataclass(frozen=True)
+class PlannedRuns(Sequence[PlannedRun]):
+    """Runs that are made as they are asked for, as there may be a million: each of the first ones, with every seed."""
+
+    firsts: Sequence[PlannedRun]
+    seeds: range
+
+    def __len__(self) -> int:
+        return len(self.firsts) * len(self.seeds)
+
+    def __getitem__(self, place: int) -> PlannedRun:  # type: ignore[override]  # nobody asks for a slice
+        first, seed = divmod(range(len(self))[place], len(self.seeds))
+        return replace(self.firsts[first], seed=self.seeds[seed])
+
+    @cached_property
+    def _begins(self) -> Mapping[str, int]:
+        return {one.name.rpartition("/")[0]: at * len(self.seeds) for at, one in enumerate(self.firsts)}
+
+    def place(self, name: str) -> int | None:
+        """Return the place of the run of a name; None if it is not among them."""
+        which, _, seed = name.rpartition("/")
+        is_one = which in self._begins and seed.isdecimal() and int(seed) in self.seeds
+        return self._begins[which] + self.seeds.index(int(seed)) if is_one else None
+
+
 @dataclass(frozen=True, slots=True)
 class Campaign:
     """Every mission with every manager, task layer, set of settings and seed; the fields are the keys of its file.
@@ -82,16 +108,13 @@ class Campaign:
     @property
     def layers(self) -> tuple[tuple[str, str | None], ...]:
         """Every manager with each task layer that it can have."""
-        tasks = {OURS: self.tasks}
-        return tuple((manager, task) for manager in self.managers for task in tasks.get(manager, (None,)))
+        return tuple((one, task) for one in self.managers for task in (self.tasks if one == OURS else (None,)))
 
-    def planned(self) -> tuple[PlannedRun, ...]:
+    def planned(self) -> PlannedRuns:
         """Return every run, in the order in which results are listed."""
-        seeds = range(self.first_seed, self.first_seed + self.runs)
-        return tuple(
-            PlannedRun(mission, manager, task, seed, settings)
-            for mission, settings, (manager, task), seed in product(self.missions, self.variants, self.layers, seeds)
-        )
+        each = product(self.missions, self.variants, self.layers)
+        firsts = tuple(PlannedRun(mission, *layer, 0, settings) for mission, settings, layer in each)
+        return PlannedRuns(firsts, range(self.first_seed, self.first_seed + self.runs))
 
     @property
     def own_modules(self) -> tuple[str, ...]:

@@ -228,23 +228,17 @@ def count_tree(mission: Mission, name: str) -> TreeEffort:
 
 
 def as_data(found: Survey) -> dict[str, Any]:
-    models, trees = [], []
-    for model in found.models:
-        counted = model.counted
-        totals = {"entities": counted.entities, "relations": counted.relations, "total": counted.total}
-        kinds = {"of_entities": dict(counted.of_entities), "of_relations": dict(counted.of_relations)}
-        published = _parts_data(model.published, "entities", "relations")
-        models.append({"name": model.name, **totals, **kinds, "published": published})
-    for tree in found.trees:
-        counts: dict[str, int | None] = {
-            "nodes": tree.nodes,
-            "task_nodes": tree.task_nodes,
-            "modes": tree.modes,
-            "total": tree.total,
-        }
-        counts["published_task_nodes"] = tree.published_task
-        published = _parts_data(tree.published, "nodes", "modes")
-        trees.append({"name": tree.name, **counts, "published": published})
+    counts = "entities", "relations", "total", "of_entities", "of_relations"
+    models = [
+        {"name": one.name, **{name: getattr(one.counted, name) for name in counts}}
+        | {"published": _parts_data(one.published, "entities", "relations")}
+        for one in found.models
+    ]
+    trees = [
+        {name: getattr(one, name) for name in ("name", "nodes", "task_nodes", "modes", "total")}
+        | {"published_task_nodes": one.published_task, "published": _parts_data(one.published, "nodes", "modes")}
+        for one in found.trees
+    ]
     return {"rule": RULE, "models": models, "trees": trees, "generated": list(found.points)}
 
 

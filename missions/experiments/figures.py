@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from missions.experiments.comparison import Comparison, Group
-from missions.experiments.statistics import two_clusters
+from missions.experiments.statistics import Array, two_clusters
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,9 +34,9 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
     """
     from matplotlib import rc_context
 
-    samples = {group: list(group.values(figure).values()) for group in comparison.groups}
-    everything = [value for values in samples.values() for value in values] or [0.0]
-    bins = np.linspace(min(everything), max(everything) + (max(everything) == min(everything)), BINS + 1).tolist()
+    samples = {group: group.values(figure)[1] for group in comparison.groups}
+    ends = [end for values in samples.values() if values.size for end in (values.min(), values.max())] or [0.0]
+    bins = np.linspace(min(ends), max(ends) + (max(ends) == min(ends)), BINS + 1).tolist()
     with rc_context(STYLE):
         drawing, axes = _rows(len(samples), 1)
         for row, (group, values) in zip(axes[:, 0], samples.items(), strict=True):
@@ -45,7 +45,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
                 _stack(row, values, group.searches, bins)
             else:
                 row.hist(values, bins=bins, color=PLAIN)
-            _mark(row, group.published_of(figure))
+            _mark(row, group.published.figures.get(figure))
         axes[-1, 0].set_xlabel(label)
         _explain(drawing, comparison.groups, CLUSTERS if clusters else (), "published mean ± sd")
         return {suffix: written(drawing, suffix) for suffix in ("png", "svg")}
@@ -56,19 +56,19 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
     from matplotlib import rc_context
 
     names = comparison.uncertainties
-    groups = [group for group in comparison.groups if any(group.delays(name) for name in names)]
-    delays = [delay for group in groups for name in names for delay in group.delays(name)]
-    least = max(min(delays), 1e-3)
-    bins = np.geomspace(least * 0.9, max(*delays, least) * 1.1, LOG_BINS + 1).tolist()
+    groups = [group for group in comparison.groups if any(group.of("delay", name).size for name in names)]
+    found = [group.of("delay", name) for group in groups for name in names if group.of("delay", name).size]
+    least = max(min(float(delays.min()) for delays in found), 1e-3)
+    bins = np.geomspace(least * 0.9, max(least, *(delays.max() for delays in found)) * 1.1, LOG_BINS + 1).tolist()
     with rc_context(STYLE):
         drawing, axes = _rows(len(groups), len(names))
         for row, group in zip(axes, groups, strict=True):
             for cell, name in zip(row, names, strict=True):
-                found = group.delays(name)
+                delays = group.of("delay", name)
                 cell.set(xscale="log")
-                _name(cell, group.label if cell is row[0] else "", len(found))
-                cell.hist(np.maximum(found, least), bins=bins, color=PLAIN)
-                published = group.published_reaction(name)
+                _name(cell, group.label if cell is row[0] else "", len(delays))
+                cell.hist(np.maximum(delays, least), bins=bins, color=PLAIN)
+                published = group.published.reactions_s.get(name)
                 _mark(cell, None if published is None else (published, 0.0))
                 cell.xaxis.set_major_formatter("{x:g}")
                 cell.xaxis.set_minor_formatter("")
@@ -107,14 +107,14 @@ def _name(axes: "Axes", label: str, count: int) -> None:
     axes.text(1, 1, f"n = {count}", transform=axes.transAxes, ha="right", va="bottom", color=MUTED, fontsize=7.5)
 
 
-def _stack(axes: "Axes", values: Sequence[float], searches: Sequence[float], bins: Sequence[float]) -> None:
+def _stack(axes: "Axes", values: Array, searches: Array, bins: Sequence[float]) -> None:
     """Draw the two clusters of those searches that succeeded, and apart from them the others."""
     found = two_clusters(searches)
     if found is None:
         axes.hist(values, bins=bins, color=PLAIN)
         return
-    parts = [[one for one in searches if one < found.cut], [one for one in searches if one > found.cut]]
-    others = [max(values)] * (len(values) - len(searches))
+    parts = [searches[searches < found.cut], searches[searches > found.cut]]
+    others = np.full(len(values) - len(searches), values.max())
     axes.hist([*parts, others], bins=bins, color=[EARLY, LATE, PLAIN], stacked=True)
     axes.margins(y=0.35)
     for mean, share, color in ((found.low, found.share_low, EARLY), (found.high, 1 - found.share_low, LATE)):
@@ -133,7 +133,7 @@ def _explain(drawing: "Figure", groups: Sequence[Group], colors: Sequence[tuple[
     from matplotlib.lines import Line2D
 
     entries = [Line2D([], [], color=color, linewidth=5, label=name) for name, color in colors]
-    if any(group.published for group in groups):
+    if any(group.published.figures for group in groups):
         entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=mark))
     if any(group.inputs for group in groups):
         entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))

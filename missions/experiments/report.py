@@ -6,17 +6,18 @@ import re
 from collections.abc import Mapping, Sequence
 from itertools import combinations, product
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
+from typing import Any
 
 import numpy
 
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import files_tried
+from missions.experiments.campaign import PlannedRun, files_tried
 from missions.experiments.comparison import SEARCH, Comparison, comparisons
 from missions.experiments.figures import distribution, reaction_histograms
 from missions.experiments.results import Kept
-from missions.experiments.statistics import Interval, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+from missions.experiments.statistics import Array, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 from missions.views.output import OutputFile
 
 STYLE = """
@@ -87,22 +88,22 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
     Raises:
         MissionError: there is nothing to report, or no mission has such a figure.
     """
-    parts = list(comparisons(kept))
+    parts, crashed = comparisons(kept), kept.crashed
     if not parts:
-        ended = f"all of its {len(kept.crashed)} runs crashed" if kept.crashed else "none of its runs is done"
+        ended = f"all of its {len(crashed)} runs crashed" if crashed else "none of its runs is done"
         raise MissionError(f"there is nothing to report of {kept.campaign.name}: {ended}")
     known = dict.fromkeys(name for one in parts for name in one.figures)
     for name in figures:
         if name not in known:
             raise MissionError(f"no run has a figure {name!r}; there are {', '.join(known)}")
     document = Document(f"Campaign {kept.campaign.name}")
-    _introduce(document, kept)
+    _introduce(document, kept, len(crashed))
     for comparison in parts:
         document.heading(comparison.title)
         _add_comparison(document, comparison, _headlines(comparison, figures))
     if pages:
         _add_standouts(document, parts, figures)
-    _add_crashes(document, kept)
+    _add_crashes(document, crashed)
     _add_speed(document, parts)
     _add_method(document, searches=any(map(_is_search, parts)))
     texts = {"report.md": document.as_markdown().encode(), "report.html": document.as_html().encode()}
@@ -115,10 +116,10 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
     return [folder / name for name in contents]
 
 
-def _introduce(document: Document, kept: Kept) -> None:
+def _introduce(document: Document, kept: Kept, crashed: int) -> None:
     total = len(kept.campaign.planned())
     document.text(
-        f"{len(kept.records)} of {total} runs are done, {len(kept.crashed)} of them crashed. "
+        f"{len(kept.records)} of {total} runs are done, {crashed} of them crashed. "
         f"Made by {', '.join(f'{name} {version}' for name, version in kept.provenance.items())}."
     )
     if kept.missing:
@@ -155,10 +156,9 @@ def _add_headlines(document: Document, comparison: Comparison, headlines: Mappin
     found = _is_search(comparison)
     rows = []
     for group in comparison.groups:
-        row = [group.label, str(len(group.records)), NONE if found else str(group.successes)]
+        row = [group.label, str(group.runs), NONE if found else str(group.successes)]
         for name in headlines:
-            published = group.published_of(name)
-            values = list(group.values(name).values())
+            published, (_, values) = group.published.figures.get(name), group.values(name)
             row += [f"{published[0]:.2f} ± {published[1]:.2f}" if published else NONE, *_estimates(values)]
         rows.append([*row, str(group.not_found)] if found else row)
     document.table([*head, "never found"] if found else head, rows)
@@ -170,7 +170,7 @@ def _add_headlines(document: Document, comparison: Comparison, headlines: Mappin
 
 
 def _is_search(comparison: Comparison) -> bool:
-    return any(SEARCH in record for group in comparison.groups for record in group.records.values())
+    return SEARCH in comparison.figures or any(group.not_found for group in comparison.groups)
 
 
 def _add_clusters(document: Document, comparison: Comparison) -> None:
@@ -194,11 +194,12 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
     )
     rows = []
     for uncertainty, group in product(comparison.uncertainties, comparison.groups):
-        if delays := group.delays(uncertainty):
-            published, thought = group.published_reaction(uncertainty), group.thought(uncertainty)
+        if (delays := group.of("delay", uncertainty)).size:
+            thought = group.of("thought", uncertainty)
+            published = group.published.reactions_s.get(uncertainty)
             shown = NONE if published is None else f"{published:.2f}"
-            found = _interval(interval_of_mean(delays, _chance()), ".3f"), f"{median(delays):.3f}", f"{max(delays):.3f}"
-            computing = f"{1000 * fmean(thought):.2f}" if thought else NONE
+            found = _mean(delays, ".3f"), f"{numpy.median(delays):.3f}", f"{delays.max():.3f}"
+            computing = f"{1000 * fmean(thought):.2f}" if thought.size else NONE
             rows.append([f"{uncertainty}, {group.label}", str(len(delays)), shown, *found, computing])
     head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
     document.table([*head, "computing, mean [ms]"], rows)
@@ -211,27 +212,28 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
     rows, ps = [], []
     for name, label in headlines.items():
         for one, other in pairs:
-            first, second = one.values(name), other.values(name)
-            both = sorted(first.keys() & second.keys())
-            if not both:
+            (seeds, first), (others, second) = one.values(name), other.values(name)
+            both, ours, theirs = numpy.intersect1d(seeds, others, assume_unique=True, return_indices=True)
+            if not both.size:
                 continue
-            mean = interval_of_mean([first[seed] - second[seed] for seed in both], _chance())
-            found = contrast(list(first.values()), list(second.values()))
+            found = contrast(first, second)
             ps.append(found.p)
-            shown = _interval(mean, "+.2f"), f"{found.superiority:.2f}"
+            shown = _mean(first[ours] - second[theirs], "+.2f"), f"{found.superiority:.2f}"
             rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *shown])
     if not rows:
         return
     document.heading("Differences", 3)
     head = ["figure: one - other", "pairs", "mean difference [95 %]", "P(one > other)", "p, corrected"]
-    document.table(head, [[*row, _p(p)] for row, p in zip(rows, holm(ps), strict=True)])
+    document.table(
+        head, [[*row, "< 0.001" if p < 0.001 else f"{p:.3f}"] for row, p in zip(rows, holm(ps), strict=True)]
+    )
 
 
 def _add_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
     document.text("Mean ± standard deviation; with the number of runs, where not all of them have the figure.")
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
-    rows = [[key, *(_mean_sd([*g.values(key).values()], len(g.records)) for g in comparison.groups)] for key in figures]
+    rows = [[key, *(_mean_sd(group.values(key)[1], group.runs) for group in comparison.groups)] for key in figures]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
@@ -243,35 +245,32 @@ def _add_standouts(document: Document, parts: Sequence[Comparison], figures: Seq
     document.heading("Runs that stand out")
     links = []
     for comparison, group in [(one, group) for one in parts for group in one.groups]:
-        figure = next((name for name in _headlines(comparison, figures) if group.values(name)), None)
-        values = {} if figure is None else group.values(figure)
-        for word, choose in (("lowest", min), ("highest", max)):
-            if values:
-                seed = choose(values, key=lambda one: values[one])
-                run = group.records[seed]
-                name = re.sub(r"\W+", "_", run["run"]) + ".html"
-                settings = {key: str(value) for key, value in run["settings"].items()}
-                shown = record(run["mission"], run["manager"], run["task"] or "bt", seed, settings)
-                document.pictures[name] = report(shown).encode()
-                links.append(f"[{run['run']}]({name}): {figure} {values[seed]:.2f}, the {word} of {group.label}")
+        figure = next((name for name in _headlines(comparison, figures) if group.values(name)[1].size), "")
+        seeds, values = group.values(figure)
+        for word, choose in (("lowest", numpy.argmin), ("highest", numpy.argmax)) if values.size else ():
+            at, settings = choose(values), comparison.settings
+            run = PlannedRun(comparison.mission, group.manager, group.task, int(seeds[at]), (*settings.items(),)).name
+            name = re.sub(r"\W+", "_", run) + ".html"
+            shown = record(comparison.mission, group.manager, group.task or "bt", int(seeds[at]), settings)
+            document.pictures[name] = report(shown).encode()
+            links.append(f"[{run}]({name}): {figure} {values[at]:.2f}, the {word} of {group.label}")
     document.items(list(dict.fromkeys(links)))
 
 
-def _add_crashes(document: Document, kept: Kept) -> None:
-    if kept.crashed:
+def _add_crashes(document: Document, crashed: Sequence[Mapping[str, Any]]) -> None:
+    if crashed:
         document.heading("Runs that crashed")
-        document.items([f"{record['run']}: {record['error']}" for record in kept.crashed])
+        document.items([f"{record['run']}: {record['error']}" for record in crashed])
         document.text("Each can be run again alone; crashes.txt has their tracebacks:")
-        document.text("\n".join(["```sh", *(record["rerun"] for record in kept.crashed), "```"]))
+        document.text("\n".join(["```sh", *(record["rerun"] for record in crashed), "```"]))
 
 
 def _add_speed(document: Document, parts: Sequence[Comparison]) -> None:
     rows = []
-    for comparison, group in [(one, group) for one in parts for group in one.groups if group.timings]:
-        took = [timing["wall_s"] for timing in group.timings.values()]
-        speed = sum(group.records[seed]["duration_s"] for seed in group.timings) / sum(took)
-        name = f"{comparison.title}, {group.label}"
-        rows.append([name, f"{fmean(took):.2f}", f"{max(took):.2f}", f"{speed:.0f}"])
+    for comparison, group in [(one, group) for one in parts for group in one.groups if group.simulated_s]:
+        took = group.of("took", "run")
+        speed = f"{group.simulated_s / took.sum():.0f}"
+        rows.append([f"{comparison.title}, {group.label}", f"{fmean(took):.2f}", f"{max(took):.2f}", speed])
     if rows:
         document.heading("Speed")
         document.text("Time of one process of the machine that ran it, set-up included; depends on what else it did.")
@@ -294,26 +293,19 @@ def _add_method(document: Document, *, searches: bool) -> None:
     document.items([*said, *(of_searches if searches else [])])
 
 
-def _estimates(values: Sequence[float]) -> list[str]:
-    if not values:
-        return [NONE, NONE]
-    sd = _interval(interval_of_sd(values, _chance()), ".2f") if len(values) > 1 else NONE
-    return [_interval(interval_of_mean(values, _chance()), ".2f"), sd]
+def _estimates(values: Array) -> list[str]:
+    sd = interval_of_sd(values, _chance()).shown(".2f") if values.size > 1 else NONE
+    return [_mean(values, ".2f") if values.size else NONE, sd]
 
 
-def _interval(one: Interval, format_: str) -> str:
-    return f"{one.estimate:{format_}} [{one.low:{format_}}, {one.high:{format_}}]"
+def _mean(values: Array, format_: str) -> str:
+    return interval_of_mean(values, _chance()).shown(format_)
 
 
-def _mean_sd(values: Sequence[float], runs: int = 0) -> str:
-    if not values:
+def _mean_sd(values: Array, runs: int) -> str:
+    if not (n := values.size):
         return NONE
-    sample, n = numpy.asarray(values), len(values)
-    return f"{sample.mean():.2f}" + (f" ± {sample.std(ddof=1):.2f}" if n > 1 else "") + f" ({n})" * (n < runs)
-
-
-def _p(p: float) -> str:
-    return "< 0.001" if p < 0.001 else f"{p:.3f}"
+    return f"{values.mean():.2f}" + (f" ± {values.std(ddof=1):.2f}" if n > 1 else "") + f" ({n})" * (n < runs)
 
 
 def _chance() -> numpy.random.Generator:

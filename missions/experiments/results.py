@@ -7,18 +7,20 @@ import io
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from array import array
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from time import monotonic
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun, files_tried, from_data
+from missions.experiments.campaign import Campaign, PlannedRun, PlannedRuns, files_tried, from_data
 from missions.views.output import OutputFile
 
 FORMAT = 1
@@ -70,6 +72,53 @@ def _version(name: str) -> str:
         return "not installed"
 
 
+class Lines(Mapping[str, Mapping[str, Any]]):
+    """The complete lines of a file by the names of runs, in the order of the campaign; the last of a name counts.
+
+    A line is read when it is asked for; held is where it begins: 8 bytes a run.
+
+    Raises:
+        MissionError: a line is damaged, was made by other code than that given, or is of no run of the campaign.
+    """
+
+    def __init__(self, path: Path, planned: PlannedRuns, code: str | None = None) -> None:
+        self._path, self._planned, start = path, planned, 0
+        self._starts = array("q", [-1]) * len(planned)
+        with files_tried(f"read {path}"), path.open("rb") if path.exists() else io.BytesIO() as file:
+            for number, line in enumerate(file, start=1):
+                if line.endswith(b"\n"):
+                    self._starts[self._place(line, number, code)] = start
+                    start += len(line)
+
+    def _place(self, line: bytes, number: int, code: str | None) -> int:
+        try:
+            data = json.loads(line)
+            name, place = data["run"], self._planned.place(data["run"])
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            problem = f"{self._path}, line {number} is damaged"
+            raise MissionError(f"{problem}: take it away, then go on with --resume") from error
+        if code != (by := data.get("code")):
+            problem = f"{self._path}: {name} was run by code {by}, the campaign by {code}"
+            raise MissionError(f"{problem}; results of different versions cannot be mixed")
+        if place is None:
+            raise MissionError(f"{self._path} holds {name}, which is no run of the campaign")
+        return place
+
+    def __getitem__(self, name: str) -> Mapping[str, Any]:
+        place = self._planned.place(name)
+        if place is None or self._starts[place] < 0:
+            raise KeyError(name)
+        with files_tried(f"read {self._path}"), self._path.open("rb") as file:
+            file.seek(self._starts[place])
+            return dict(json.loads(file.readline()))
+
+    def __iter__(self) -> Iterator[str]:
+        return (run.name for run, start in zip(self._planned, self._starts, strict=True) if start >= 0)
+
+    def __len__(self) -> int:
+        return len(self._starts) - self._starts.count(-1)
+
+
 class Kept(NamedTuple):
     """What the folder of a campaign holds; records and timings by the names of runs, in the order of the campaign."""
 
@@ -114,9 +163,7 @@ class Store:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         with self._stack:
             self._sync()
 
@@ -157,7 +204,10 @@ class Store:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 raise MissionError(f"another program is running the campaign in {self._folder}") from error
-            os.ftruncate(file, path.read_bytes().rfind(b"\n") + 1)
+            if os.fstat(file).st_size:
+                with mmap(file, 0, access=ACCESS_READ) as content:
+                    complete = content.rfind(b"\n") + 1
+                os.ftruncate(file, complete)
         return file
 
     def _write(self, file: int, text: str) -> None:
@@ -168,36 +218,15 @@ class Store:
 
 
 def read_store(folder: Path) -> Kept:
-    """Read what the folder of a campaign holds; a last line that is half-written is passed over."""
+    """Say what the folder of a campaign holds; a last line that is half-written is passed over."""
     campaign, begun_with = _head(folder)
-    records, code = _lines(folder / RUNS), begun_with["code"]
-    planned = [run.name for run in campaign.planned()]
-    for name, record in records.items():
-        if record.get("code") != code:
-            problem = f"{folder / RUNS}: {name} was run by code {record.get('code')}, the campaign by {code}"
-            raise MissionError(f"{problem}; results of different versions cannot be mixed")
-    if strange := records.keys() - set(planned):
-        raise MissionError(f"{folder / RUNS} holds {min(strange)}, which is no run of the campaign")
-    ordered = {name: records[name] for name in planned if name in records}
-    return Kept(campaign, begun_with, ordered, _lines(folder / TIMING))
+    planned = campaign.planned()
+    records = Lines(folder / RUNS, planned, begun_with["code"])
+    return Kept(campaign, begun_with, records, Lines(folder / TIMING, planned))
 
 
 def _line(data: Mapping[str, Any]) -> str:
     return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _lines(path: Path) -> dict[str, Any]:
-    """Return the complete lines of a file by the name of the run; the last of a name counts."""
-    found = {}
-    with files_tried(f"read {path}"):
-        content = path.read_bytes() if path.exists() else b""
-    for number, line in enumerate(content.split(b"\n")[:-1], start=1):
-        try:
-            data = json.loads(line)
-            found[data["run"]] = data
-        except (ValueError, KeyError, TypeError) as error:
-            raise MissionError(f"{path}, line {number} is damaged: take it away, then go on with --resume") from error
-    return found
 
 
 def _head(folder: Path) -> tuple[Campaign, dict[str, str]]:
@@ -246,23 +275,23 @@ def _same(folder: Path, campaign: Campaign | None) -> Campaign:
     return kept
 
 
-def run_rows(kept: Kept) -> list[dict[str, Any]]:
-    """Return one row for each run, all with the same columns; settings come last and have the prefix "set_"."""
-    apart = ("code", "reactions", "settings")
-    figures = [{key: one[key] for key in one if key not in apart} for one in kept.records.values()]
-    changed = [{f"set_{name}": value for name, value in one["settings"].items()} for one in kept.records.values()]
-    columns = dict.fromkeys(name for row in (*figures, *changed) for name in row)
-    return [columns | row | settings for row, settings in zip(figures, changed, strict=True)]
+def run_rows(kept: Kept) -> Iterator[dict[str, Any]]:
+    """Yield a row for each run, all with the same columns; settings come last and have the prefix "set_"."""
+    figures, changed = dict[str, None](), dict[str, None]()
+    for record in kept.records.values():
+        figures |= dict.fromkeys(one for one in record if one not in ("code", "reactions", "settings"))
+        changed |= dict.fromkeys(record["settings"])
+    for record in kept.records.values():
+        settings = {f"set_{name}": record["settings"].get(name) for name in changed}
+        yield {name: record.get(name) for name in figures} | settings
 
 
-def reaction_rows(kept: Kept) -> list[dict[str, Any]]:
-    """Return one row for each reaction to an uncertainty."""
-    same, own = ("mission", "manager", "task", "seed"), ("uncertainty", "start_s", "delay_s")
-    return [
-        {"run": name, **{key: record[key] for key in same}, **dict(zip(own, reaction, strict=True))}
-        for name, record in kept.records.items()
-        for reaction in record.get("reactions", [])
-    ]
+def reaction_rows(kept: Kept) -> Iterator[dict[str, Any]]:
+    """Yield a row for each reaction to an uncertainty."""
+    same, own = ("run", "mission", "manager", "task", "seed"), ("uncertainty", "start_s", "delay_s")
+    for record in kept.records.values():
+        for reaction in record.get("reactions", []):
+            yield {key: record[key] for key in same} | dict(zip(own, reaction, strict=True))
 
 
 def write_tables(kept: Kept, folder: Path) -> list[Path]:
@@ -271,13 +300,9 @@ def write_tables(kept: Kept, folder: Path) -> list[Path]:
     for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
         written.append(folder / f"{name}.csv")
         with OutputFile(written[-1]) as file:
-            file.finish(_csv(rows))
+            first = next(rows, None)
+            writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(chain([first] if first else [], rows))
+            file.finish()
     return written
-
-
-def _csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else ["run"], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue().encode()

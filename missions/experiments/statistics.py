@@ -9,6 +9,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Values = Sequence[float] | Array
 
 DRAWS = 10_000
 MOST_DRAWN = 2_000_000  # values in memory at once
@@ -21,6 +22,10 @@ class Interval(NamedTuple):
     estimate: float
     low: float
     high: float
+
+    def shown(self, format_: str) -> str:
+        """Return it as text, with its numbers in a format such as ".2f"."""
+        return f"{self.estimate:{format_}} [{self.low:{format_}}, {self.high:{format_}}]"
 
 
 class Contrast(NamedTuple):
@@ -57,13 +62,13 @@ class Clusters(NamedTuple):
     separation: float
 
 
-def interval_of_mean(values: Sequence[float], rng: Generator) -> Interval:
+def interval_of_mean(values: Values, rng: Generator) -> Interval:
     """Return the mean of at least one value and its interval by the bootstrap (percentiles of 10,000 resamples)."""
     sample = _sample(values)
     return Interval(float(sample.mean()), *_percentiles(sample, rng, lambda drawn: drawn.mean(axis=1)))
 
 
-def interval_of_sd(values: Sequence[float], rng: Generator) -> Interval:
+def interval_of_sd(values: Values, rng: Generator) -> Interval:
     """Return the standard deviation (divisor n - 1) and its interval by the bootstrap; NaN for a single value."""
     sample = _sample(values)
     if sample.size < 2:
@@ -71,7 +76,7 @@ def interval_of_sd(values: Sequence[float], rng: Generator) -> Interval:
     return Interval(float(sample.std(ddof=1)), *_percentiles(sample, rng, lambda drawn: drawn.std(axis=1, ddof=1)))
 
 
-def contrast(first: Sequence[float], second: Sequence[float]) -> Contrast:
+def contrast(first: Values, second: Values) -> Contrast:
     """Compare two independent samples by their ranks; exact if one has 8 values at most and there are no ties."""
     from scipy.stats import mannwhitneyu
 
@@ -92,7 +97,7 @@ def holm(ps: Sequence[float]) -> list[float]:
     return corrected
 
 
-def two_clusters(values: Sequence[float]) -> Clusters | None:
+def two_clusters(values: Values) -> Clusters | None:
     """Cut a sample in two so that the variance within the parts is least; None if all values are the same."""
     sample = np.sort(np.asarray(values, dtype=float))
     if sample.size < 2 or sample[0] == sample[-1]:
@@ -111,7 +116,7 @@ def two_clusters(values: Sequence[float]) -> Clusters | None:
     )
 
 
-def _sample(values: Sequence[float]) -> Array:
+def _sample(values: Values) -> Array:
     sample = np.asarray(values, dtype=float)
     if not sample.size:
         raise ValueError("a sample needs one value or more")

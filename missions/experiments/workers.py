@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from missions.baselines import open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
-from missions.engine.runner import MissionRun
 from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
 from missions.extras import needs
@@ -31,7 +30,7 @@ _ALONE = threading.Lock()
 
 
 def do(run: PlannedRun) -> Outcome:
-    """Do a run and return what came of it; never raises what the run raises.
+    """Do a run and return what came of it, times in [s]; never raises what the run raises.
 
     A process does one run at a time, as the blackboard of py_trees belongs to the process.
     """
@@ -62,15 +61,10 @@ def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
     verdict = opened.run()
     data = json.loads(as_json(summary(opened, verdict, run.seed, settings)))
     figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
-    reactions, thought = _reactions(opened)
+    reactions = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in opened.reactions]
+    thought = [[one.uncertainty, took_s] for one, took_s in opened.reactions]
     record = {**figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
     return {**_head(run), **record}, {"compute_s": opened.compute_s, "reactions": thought}
-
-
-def _reactions(run: MissionRun) -> tuple[list[Any], list[Any]]:
-    """Return each reaction as uncertainty, start and delay [s], and with the time of this machine spent on it [s]."""
-    delays = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in run.reactions]
-    return delays, [[one.uncertainty, took_s] for one, took_s in run.reactions]
 
 
 class Workers(ABC):
@@ -268,9 +262,9 @@ def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progre
     """
     planned = store.campaign.planned()
     before = read_store(folder).records
-    done = {name for name, record in before.items() if not (retry and record["outcome"] == CRASHED)}
-    left = sorted((run for run in planned if run.name not in done), key=lambda run: run.seed)
-    progress.begin(len(done), len(planned))
+    left = [run for run in planned if run.name not in before or (retry and before[run.name]["outcome"] == CRASHED)]
+    left.sort(key=lambda run: run.seed)
+    progress.begin(len(planned) - len(left), len(planned))
     for outcome in outcomes(left, workers, progress.note):
         store.keep(outcome)
         progress.done(outcome.record)

@@ -13,6 +13,7 @@ from typing import ClassVar, Final
 from numpy.random import Generator
 
 from kb.elements import Parameters
+from missions.engine.components import NamedComponents
 from missions.engine.mission import MissionError
 from missions.uav.settings import Settings
 from missions.uav.vehicle import ON_GROUND_M, Quadrotor
@@ -73,9 +74,8 @@ class Field:
 
     def seen(self, place: tuple[float, float], radius: float) -> Iterator[Sample]:
         """Yield the samples around a place [m] that were not found before."""
-        for one in self.samples:
-            if not one.is_found and not one.is_reported and dist(one.place, place) <= radius:
-                yield one
+        unknown = (one for one in self.samples if not (one.is_found or one.is_reported))
+        return (one for one in unknown if dist(one.place, place) <= radius)
 
     def aim(self, place: tuple[float, float]) -> bool:
         """Choose the next target if there is none: reported ones first, then the nearest; whether that is new."""
@@ -145,7 +145,6 @@ class Node:
         self.robot = robot
         setting, share = self.power
         self.watts: float = getattr(robot.settings, setting) * share
-        self.is_active = False
         self._worked_s = 0.0
 
     def worked_s(self, works: bool) -> float:
@@ -334,51 +333,39 @@ class FoldingServo(Node):
                 self.robot.publish("mission status", "gripper_folded", "true")
 
 
-class Nodes(dict[str, Node]):
-    """All of them by name; a change is carried out at once, see `missions.engine.components`."""
+class Nodes(NamedComponents):
+    """All of them; a change is carried out at once, see `missions.engine.components`."""
 
     def __init__(self, robot: Robot) -> None:
+        super().__init__()
         kinds = (SearchPlanner, SampleCamera, PickUpPlanner, Gripper, Analyser, HoverPlanner, InfraredCamera)
-        nodes = [kind(robot) for kind in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)]
-        super().__init__((one.name, one) for one in nodes)
+        self._nodes = {one.name: one(robot) for one in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)}
         self._hold = robot.vehicle.hold
         self.acting: tuple[Node, ...] = ()
         self.watts = 0.0  # of those that act
 
-    def _switch(self, node: Node, is_active: bool) -> None:
-        node.is_active = is_active
-        self.acting = tuple(one for one in self.values() if one.is_active)
+    def _note(self) -> None:
+        self.acting = tuple(one for name, one in self._nodes.items() if name in self.active)
         self.watts = sum(one.watts for one in self.acting)
 
     def check(self, component: str, parameters: Parameters, /) -> None:
         """Raise MissionError unless there is that component; none has parameters."""
-        if component not in self:
-            near = get_close_matches(component, self, n=3) or list(self)
+        if component not in self._nodes:
+            near = get_close_matches(component, self._nodes, n=3) or list(self._nodes)
             raise MissionError(f"there is no component {component!r}; the nearest are {', '.join(near)}")
         if parameters:
             raise MissionError(f"{component} has no parameters; {', '.join(parameters)} cannot be set")
 
     def activate(self, component: str, /) -> None:
-        node = self[component]
-        if not node.is_active:
-            self._switch(node, True)
-            node.begin()
+        if component not in self.active:
+            super().activate(component)
+            self._note()
+            self._nodes[component].begin()
 
     def deactivate(self, component: str, /) -> None:
-        node = self[component]
-        if node.is_active:
-            self._switch(node, False)
-            node.end()
-            if node.moves and not any(other.moves for other in self.acting):
+        if component in self.active:
+            super().deactivate(component)
+            self._note()
+            self._nodes[component].end()
+            if self._nodes[component].moves and not any(other.moves for other in self.acting):
                 self._hold()
-
-    def set_parameters(self, component: str, parameters: Parameters, /) -> None:
-        self.check(component, parameters)
-
-    def is_active(self, component: str, /) -> bool:
-        self.check(component, {})
-        return self[component].is_active
-
-    def parameters(self, component: str, /) -> Parameters:
-        self.check(component, {})
-        return {}

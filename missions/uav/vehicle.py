@@ -40,7 +40,7 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
     z = POSITION_GAIN * (target[2] - position[2])
     far = math.hypot(x, y)
     scale = speed / far if far > speed else 1.0
-    return x * scale, y * scale, max(-climb, min(climb, z))
+    return x * scale, y * scale, -climb if z < -climb else climb if z > climb else z
 
 
 def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Vector:
@@ -56,7 +56,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
     z = VELOCITY_GAIN * error[2] + trim[2]
     push = math.hypot(x, y)
     scale = SIDEWAYS_M_S2 / push if push > SIDEWAYS_M_S2 else 1.0
-    lift = max(gravity / 2, gravity + min(VERTICAL_M_S2, z))
+    lift = max(gravity / 2, gravity + (z if z < VERTICAL_M_S2 else VERTICAL_M_S2))
     return mass * x * scale, mass * y * scale, mass * lift
 
 
@@ -78,11 +78,12 @@ def attitude_torques(axes: tuple[Vector, Vector, Vector], rates: Vector, force: 
         rates: angular velocity [rad/s], body frame.
         force: wanted force [N], world frame.
     """
-    size = math.sqrt(_dot(force, force))
-    forward, left, up = _dot(axes[0], force) / size, _dot(axes[1], force) / size, _dot(axes[2], force) / size
+    (a, b, c), (d, e, f), (g, h, i), (x, y, z) = *axes, force
+    size = math.sqrt(x * x + y * y + z * z)
+    forward, left, up = (a * x + b * y + c * z) / size, (d * x + e * y + f * z) / size, (g * x + h * y + i * z) / size
     # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
     turn_x, turn_y = (-left, forward) if up > 0 else _unit(-left, forward)
-    yaw = math.atan2(axes[0][1], axes[0][0])
+    yaw = math.atan2(b, a)
     return (
         INERTIA[0] * RATE_GAIN * (TILT_GAIN * turn_x - rates[0]),
         INERTIA[1] * RATE_GAIN * (TILT_GAIN * turn_y - rates[1]),
@@ -96,17 +97,14 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
     """
     x, y, z = torques[0] / (4 * ARM_M), torques[1] / (4 * ARM_M), torques[2] / (4 * REACTION_M)
-    z = max(-0.1 * limit, min(0.1 * limit, z))  # heading matters least
+    most = 0.1 * limit
+    z = -most if z < -most else most if z > most else z  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     low, high = min(turning), max(turning)
     even = max(-low, min(limit - high, thrust / 4))
     if even + low >= 0.0 and even + high <= limit:  # mostly
         return [even + turning[0], even + turning[1], even + turning[2], even + turning[3]]
     return [max(0.0, min(limit, even + one)) for one in turning]
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _unit(x: float, y: float) -> tuple[float, float]:
@@ -242,7 +240,8 @@ class Quadrotor:
         self._trim = trim = _trimmed(x, error[0], step_s), _trimmed(y, error[1], step_s), _trimmed(z, error[2], step_s)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
         torques = attitude_torques(axes := mast(self._turned), self._rates, force)
-        return mixed(_dot(axes[2], force), torques, settings.rotor_limit_n)
+        thrust = axes[2][0] * force[0] + axes[2][1] * force[1] + axes[2][2] * force[2]
+        return mixed(thrust, torques, settings.rotor_limit_n)
 
     def _aim(self) -> Vector:
         """Return where to go now: up first, then along, then down."""

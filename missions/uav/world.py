@@ -94,10 +94,8 @@ class UavWorld(World):
         robot, settings, before = self._robot, self._settings, self._robot.level
         watts = robot.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if robot.is_charging else 0.0
-        robot.level = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
-        after = robot.level
-        if after < self._least:
-            self._least = after
+        robot.level = after = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
+        self._least = after if after < self._least else self._least
         for level, what in LEVELS.items():
             if before >= level > after:
                 self._disturb(f"the battery fell below {level:g}, which {what}")

@@ -183,7 +183,7 @@ def tables(folder):
 def gone_on_with(folder, file, whole):
     """Go on with a campaign that something has stopped; returns what is untrue of it after that."""
     begun = (folder / "campaign.json").exists()
-    before = read_store(folder).records if begun else {}
+    before = dict(read_store(folder).records) if begun else {}
     running = campaign(folder, file, "--workers", 1, *(["--resume"] if begun else []))
     said, _ = running.communicate(timeout=300)
     if running.returncode:

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
@@ -122,6 +123,10 @@ CAMPAIGNS = st.builds(
 def test_every_run_has_a_name_of_its_own_and_managers_meet_the_same_seeds(campaign):
     planned = campaign.planned()
     assert len({run.name for run in planned}) == len(planned)
+    assert [planned.place(run.name) for run in planned] == list(range(len(planned)))
+    last = planned[-1]
+    strangers = (replace(last, seed=last.seed + 1), replace(last, manager="random"))
+    assert [planned.place(name) for name in (*(run.name for run in strangers), "", "x")] == [None] * 4
     layers = len(campaign.managers) + ("ours" in campaign.managers) * (len(campaign.tasks) - 1)
     assert len(planned) == len(campaign.missions) * len(campaign.variants) * layers * campaign.runs
     by_manager = {}

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+import tracemalloc
 import xml.etree.ElementTree
 
 import numpy
@@ -11,8 +12,9 @@ import pytest
 from missions import cli
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign
+from missions.experiments.comparison import comparisons
 from missions.experiments.report import Document, write_report
-from missions.experiments.results import Outcome, Store, provenance, read_store
+from missions.experiments.results import Outcome, Store, provenance, read_store, write_tables
 from missions.experiments.workers import crash
 
 TABLE = Campaign("table", ("suave",), ("none", "bt", "rosa", "ours"), runs=20)
@@ -163,6 +165,29 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
     assert "| manager | runs | goal reached | done_s: mean [95 %] | sd [95 %] |" in (tmp_path / "report.md").read_text()
     with pytest.raises(MissionError, match="no run has a figure 'done'; there are duration_s, explored_m, done_s"):
         write_report(store, tmp_path, figures=["done"])
+
+
+def test_a_run_takes_few_bytes_while_tables_and_report_are_made_of_a_million(tmp_path):
+    campaign = Campaign("many", ("suave",), ("bt", "ours"), runs=600)
+    store = kept(tmp_path, campaign=campaign)
+    tracemalloc.start()
+    try:
+        again = read_store(tmp_path)
+        places, _ = tracemalloc.get_traced_memory()
+        parts = comparisons(again)
+        whole, _ = tracemalloc.get_traced_memory()
+        tracemalloc.reset_peak()
+        write_tables(again, tmp_path)
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    runs = len(again.records)
+    assert runs == 1200
+    assert [group.runs for part in parts for group in part.groups] == [600, 600]
+    assert places / runs < 40
+    assert whole / runs < 200
+    assert (most - whole) / runs < 300  # of it 150 kB for the files that are open
+    assert dict(store.records) == dict(again.records)
 
 
 def test_single_run_has_no_spread(tmp_path):
