@@ -287,7 +287,7 @@ def test_intervals_hold_nine_in_ten_of_what_goes_in_legs(clock):
 
 @pytest.mark.parametrize("by", ["constant", "trend"])
 def test_what_never_changed_is_checked_only_for_a_ninth_of_the_time_it_was_seen(clock, by):
-    """That it never changed in nine spans, one after the other, leaves a chance of one in ten that it does in the next."""
+    """Nine spans without a change, one after the other, leave a chance of one in ten that the next one has it."""
     model = rover()
     model.attributes["light"].forecast(by)
     kb = lives(model, clock, until=30, light=lambda _: 1.0)
