@@ -409,13 +409,13 @@ def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
     if not found:
         raise UnknownName("element", element, [name for table in tables for name in table])
     if len(found) > 1:
-        kinds = " and ".join(_KINDS[type(view)] for view in found)
+        kinds = " and ".join(_KINDS[view.__class__] for view in found)
         raise AmbiguousName(f"{element!r} names {kinds}; pass the view that is meant, e.g. kb.actions[{element!r}]")
     return found[0]
 
 
 def _check_status(element: StatusView, status: str) -> None:
-    kind = _KINDS[type(element)]
+    kind = _KINDS[element.__class__]
     possible = STATUSES[kind.partition(" ")[2]]
     if status not in possible:
         known = ", ".join(repr(str(one)) for one in possible)

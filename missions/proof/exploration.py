@@ -5,10 +5,12 @@ turns again. What facts and the manager make of what is known does not depend on
 state of the knowledge base; a tick is run in each state of both, for all answers.
 """
 
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
+from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
@@ -23,6 +25,7 @@ from missions.proof.leaves import Answer, Choices, Leaf, take_over
 from missions.proof.memory import Memory
 from missions.proof.planned import nodes, stage_of
 from missions.proof.surroundings import Change, Surroundings
+from missions.proof.tape import Tape
 from rosa_bt import ForAction, RosaAction, TreeRunner
 from rosa_bt.behaviours import kept
 
@@ -102,10 +105,11 @@ class Rig(VisitorBase):
         self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
         self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
         self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
-        self.root = setup.build(self.kb)
-        self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         self.choices = Choices() if choices is None else choices
-        self.letters = take_over(self.root, self.kb, setup.leaves, self.surroundings.values, self.choices)
+        self.tape = Tape(self.kb, self.choices, is_on=setup.planner is None)  # a tree may know another planner
+        self.root = setup.build(self.tape.kb)
+        self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
+        self.letters = take_over(self.root, self.tape.kb, setup.leaves, self.surroundings.values, self.choices)
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
         self.runner.tree.add_visitor(self)
         self.doing = [one for one in nodes(self.root) if isinstance(one, RosaAction | ForAction)]
@@ -138,13 +142,13 @@ class Rig(VisitorBase):
         """The actions that are requested although they are unfeasible."""
         return tuple(one for one in self.required if not self.kb.is_feasible(one))
 
-    def settle(self) -> tuple[str, ...]:
+    def settle(self, is_settled: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
         """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
         self._robot.faults.clear()
         try:
             for _ in range(_MOST_TURNS):
                 revision = self.kb.revision
-                if self._manager.update() is None and self.kb.revision == revision:
+                if (self._manager.update() is None and self.kb.revision == revision) or is_settled():
                     break
             else:
                 self._robot.faults.append("the manager does not come to rest")
@@ -225,13 +229,14 @@ class Exploration:
         is_finished: whether nothing is left to be found.
         transitions: how many changes and ticks were found.
         seconds: how long it took [s].
+        megabytes: the most memory that the process has held when it ended [MB].
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
         self.rig = rig = Rig(setup)
         self._slow, self.faults = setup.slow, {fault: list[Step]() for fault in rig.begin()}
         self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
-        self._tree = Memory([rig.root, *kept(rig.kb)], apart=[rig.kb, rig.planner, rig.choices])
+        self._tree = Memory([rig.root, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices])
         self.known: dict[int, Known] = {}
         self.doing: dict[int, Doing] = {}
         self.situations: list[Situation] = []
@@ -242,7 +247,7 @@ class Exploration:
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
         self._settled: dict[int, int] = {}
         self._changed: dict[int, list[tuple[int, tuple[Change, ...], bool]]] = {}
-        self.is_finished, self.transitions, self.seconds = False, 0, 0.0
+        self.is_finished, self.transitions, self.seconds, self.megabytes = False, 0, 0.0, 0.0
         self._waiting: list[int] = []
         self._reach(Situation(self._tree.read(), self._known.read()), -1, Step())
 
@@ -254,6 +259,7 @@ class Exploration:
             self._round(batch, most, begun + seconds)
         self.is_finished = not self._waiting
         self.seconds += time.perf_counter() - begun
+        self.megabytes = getrusage(RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
         return self
 
     @property
@@ -311,12 +317,17 @@ class Exploration:
         rig, (tree, known) = self.rig, moment
         scripts: list[tuple[Answer, ...]] = [()]
         while scripts:
-            self._known.write(known)
-            self._tree.write(tree)
-            rig.choices.begin(scripts.pop())
-            rig.runner.tick()
+            rig.choices.begin(script := scripts.pop())
+            after = rig.tape.follow(tree, known, self._known)
+            if after is None:
+                self._known.write(known)
+                self._tree.write(tree)
+                rig.choices.begin(script)
+                rig.runner.tick()
+                after = self._tree.read(), self._known.read()
+                rig.tape.keep(tree, after[0])
             scripts += rig.choices.others()
-            yield self._tree.read(), self._known.read(), tuple(rig.choices.taken)
+            yield *after, tuple(rig.choices.taken)
 
     def _reach(self, situation: Situation, before: int, step: Step) -> int:
         number = self._numbers.setdefault(situation, len(self.situations))
@@ -336,7 +347,7 @@ class Exploration:
         found = self._settled.get(known)
         if found is None:
             self._known.write(known)
-            faults = self.rig.settle()
+            faults = self.rig.settle(lambda: self._settled.get(number := self._known.read()) == number)
             found = self._settled[known] = self._known.read()
             self._settled.setdefault(found, found)
             for fault in faults:

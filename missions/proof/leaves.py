@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from math import nan
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import py_trees
 from py_trees.behaviour import Behaviour
@@ -49,32 +49,47 @@ class Leaf:
             raise ValueError(f"a leaf answers with letters of R, S and F, not with {wrong[0]!r}")
 
 
+class Choice(NamedTuple):
+    """A leaf that is asked: its name, and the letters of what it may return."""
+
+    name: str
+    letters: str
+
+
 class Choices:
     """Says what leaves answer in a tick: as scripted first, then the first letter; the same when asked again.
 
     Attributes:
         taken: the answers since `begin`.
+        said: what was asked, of leaves and of others who note it here, with the answers.
     """
 
     def __init__(self) -> None:
         self.taken: list[Answer] = []
+        self.said: list[tuple[Any, object]] = []
         self._script: tuple[Answer, ...] = ()
         self._open: list[tuple[Answer, ...]] = []
         self._said: dict[Behaviour, str] = {}
 
     def begin(self, script: tuple[Answer, ...]) -> None:
-        self.taken, self._script, self._open, self._said = [], script, [], {}
+        self.taken, self.said, self._script, self._open, self._said = [], [], script, [], {}
 
     def choose(self, leaf: Behaviour, letters: str) -> str:
-        if leaf in self._said:
-            return self._said[leaf]
-        name, place = leaf.name, len(self.taken)
+        if leaf not in self._said:
+            asked = Choice(leaf.name, letters)
+            self._said[leaf] = letter = self.take(asked)
+            self.said.append((asked, letter))
+        return self._said[leaf]
+
+    def take(self, asked: Choice) -> str:
+        """Return what is answered next."""
+        name, letters = asked
+        place = len(self.taken)
         letter = self._script[place][1] if place < len(self._script) else letters[0]
         if place >= len(self._script):
             before = tuple(self.taken)
             self._open += [(*before, (name, other)) for other in letters[1:]]
         self.taken.append((name, letter))
-        self._said[leaf] = letter
         return letter
 
     def others(self) -> list[tuple[Answer, ...]]:

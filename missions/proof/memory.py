@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Sequence as Items
 from enum import Enum
-from operator import is_
 from typing import Any, Final, NamedTuple
 from uuid import UUID
 
@@ -30,6 +29,7 @@ from kb.records import HistoryView, RequiredAction
 from kb.state import FACTS
 from kb.views import Views
 from missions.engine.mission import MissionError
+from missions.proof.tape import Asked, settled
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_pddl import Domain, Planner
@@ -49,7 +49,7 @@ _LEFT: Final = (
     *(*_FIXED, Log, Publisher, HistoryView, Views, logging.Logger, types.ModuleType),
     *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
     *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, PlanningTask, Relevance, ResourceUsage),
-    FeasibilityEvents,
+    *(FeasibilityEvents, Asked),
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
 _FOREIGN: Final[Mapping[type, str]] = {Behaviour: "iterator feedback_message logger id"}
@@ -148,15 +148,9 @@ class Memory:
         encoded = {name: self.of(value) for name, value in base.items() if name not in idle}
         own = vars(what) if _attributes(what) is getattr(what, "__dict__", None) else None
         of_no_use = _of_no_use(what) if isinstance(what, Behaviour) else None
-        last: tuple[Any, ...] = (_ABSENT,)
-        known: Content = ()
 
         def read() -> Content:
-            nonlocal last, known
             now = own if own is not None else _attributes(what)
-            held = tuple(now.values())
-            if len(held) == len(last) and all(map(is_, held, last)):
-                return known
             found = [(name, ("gone",)) for name in base if name not in now] if len(now) < len(base) else []
             for name, value in now.items():
                 if value is not base.get(name, _ABSENT) and name not in idle:
@@ -166,10 +160,7 @@ class Memory:
             left = of_no_use(dict(found)) if of_no_use is not None else ()
             for name in left:  # what decides nothing is as at first: nothing of one state is left in another
                 setattr(what, name, base[name])
-            held = tuple(now.values()) if left else held
-            known = tuple(sorted((one for one in found if one[0] not in left), key=lambda one: one[0]))
-            last = held if _is_shallow(value for _, value in found) else (_ABSENT,)
-            return known
+            return tuple(sorted((one for one in found if one[0] not in left), key=lambda one: one[0]))
 
         def write(content: Content) -> None:
             wanted = {**base, **{name: self.decoded(value) for name, value in content}}
@@ -196,7 +187,10 @@ class Memory:
 
     def of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
         """Return a value as something that can be compared and hashed."""
+        value = settled(value) if type(value) is Asked else value
         kind = type(value)
+        if kind is Asked:
+            return ("value", value)
         if _is_atomic(kind):  # type: ignore[arg-type]  # a type can be hashed
             return value
         number = self._numbers.get(id(value))
@@ -274,11 +268,6 @@ def _is_value(value: object) -> bool:
         return type(value).__hash__ is not object.__hash__ and hash(value) is not None
     except TypeError:
         return False
-
-
-def _is_shallow(contents: Iterable[Any]) -> bool:
-    """Tell whether all of it is the same as long as the same objects are held: none of these can change."""
-    return all(type(one) is not tuple or one[0] in ("known", "value", "gone") for one in contents)
 
 
 @functools.cache

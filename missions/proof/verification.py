@@ -78,6 +78,7 @@ class Proof:
     def __str__(self) -> str:
         found = self.found
         count = f"{len(found.situations)} situations, {found.transitions} transitions, {found.seconds:.1f} s"
+        count += f", {found.megabytes:.0f} MB"
         lines = [count if found.is_finished else f"up to {count}, not finished"]
         for one in self.findings:
             verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
@@ -93,6 +94,7 @@ class Proof:
             "situations": len(self.found.situations),
             "transitions": self.found.transitions,
             "seconds": round(self.found.seconds, 3),
+            "megabytes": round(self.found.megabytes),
             "findings": [
                 {
                     "name": one.name,

@@ -4,13 +4,13 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 """
 
 import json
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import permutations
 
 import pytest
 from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
-from proof_twin import agree
+from proof_twin import agree, random_setup
 from py_trees.behaviours import Running
 from py_trees.common import OneShotPolicy, Status
 from py_trees.composites import Sequence
@@ -33,6 +33,7 @@ from missions.suave import MISSION as SUAVE
 from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended import MISSION
 from missions.suave_extended.tree import Recharge
+from missions.uav import MISSION as UAV
 from rosa_bt import do_until_unfeasible
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import PlanExecutor
@@ -78,6 +79,73 @@ def test_correct_mission_has_nothing_wrong(name):
 @pytest.mark.parametrize("seed", [5, 8])
 def test_exploring_anew_from_the_beginning_finds_the_same(seed):
     assert agree(seed, rounds=2) > 20
+
+
+def edges(setup, *, is_on=None):
+    """Return all that was explored, as it is there to see, and whether ticks could be followed."""
+    found = Exploration(setup)
+    found.rig.tape.is_on = found.rig.tape.is_on if is_on is None else is_on
+    found.explore(seconds=600.0)
+    assert found.is_finished
+    seen = [(found.known[one.known], found.doing[one.tree]) for one in found.situations]
+    rounds = {
+        (seen[before], move.changes, move.is_late, tick.answers, tick.is_late, seen[tick.situation])
+        for before, moves in enumerate(found.moves)
+        for move in moves
+        for tick in found.ticks[move.moment]
+    }
+    return (rounds, set(found.faults), found.transitions), found.rig.tape.is_on
+
+
+@pytest.mark.parametrize(
+    "setup", [setup_of(SUAVE), setup_of(SUAVE, "pddl"), setup_of(UAV, failing=()), *map(random_setup, (1, 2, 3, 10))]
+)
+def test_tick_that_is_followed_is_as_if_it_were_run(setup):
+    followed, is_on = edges(setup)
+    assert is_on
+    assert followed == edges(setup, is_on=False)[0]
+
+
+class Peculiar(Act):
+    """Takes from the knowledge base what is no value and is not asked anew, each in its own way."""
+
+    def __init__(self, kb, way):
+        super().__init__("explore", kb, "explore")
+        self.way, self.view = way, kb.actions["explore"]
+
+    def update(self):
+        if self.way == "asks a situation":
+            return (
+                Status.SUCCESS if self.kb.situation(measure={"energy": 0.0}).is_feasible("charge") else Status.RUNNING
+            )
+        if self.way == "reads the state":
+            with self.kb.reading() as state:
+                return Status.SUCCESS if any(state.failed) else Status.RUNNING
+        if self.way == "prefers by weight":
+            self.kb.request_action("charge", {"energy": 1.0})
+        elif self.way == "asks for what is not there":
+            with suppress(UnknownName):
+                self.kb.is_feasible("fly")
+        return (
+            Status.SUCCESS if self.view.status != "solved" or self.view in self.kb.actions.values() else Status.FAILURE
+        )
+
+
+@pytest.mark.parametrize(
+    ("way", "is_followed"),
+    [
+        ("asks a situation", False),
+        ("reads the state", False),
+        ("prefers by weight", False),
+        ("asks for what is not there", False),
+        ("asks views", True),
+    ],
+)
+def test_tree_that_takes_more_than_values_is_run_each_time(way, is_followed):
+    setup = Setup(rover_model(), lambda kb: until(Peculiar(kb, way)), leaves={"explore": Leaf("")}, start=FULL["start"])
+    found, is_on = edges(setup)
+    assert is_on is is_followed
+    assert found == edges(setup, is_on=False)[0]
 
 
 def test_stories_are_the_shortest():
