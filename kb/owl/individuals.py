@@ -11,7 +11,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
-from enum import StrEnum
+from functools import cache
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
@@ -81,6 +81,7 @@ _NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hyster
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
+@cache
 def property_of(cls: type, field: str) -> str:
     first, *others = field.split("_")
     known = _PROPERTIES.get((cls, field)) or _PROPERTIES.get((None, field))
@@ -168,13 +169,13 @@ def described(
     values: Values = {}
     for field, value in said.items():
         given = {value: 1.0} if field == "preference" and isinstance(value, str) else value
-        if isinstance(given, Mapping):
+        if field in ("preference", "parameters") and isinstance(given, Mapping):
             sort = PREFERENCE if field == "preference" else PARAMETER
             inner = list(nested(sort, own, given))
             yield from inner
             plain, name = tuple[Value, ...](Ref(each.id) for each in inner), f"has{sort}"
         else:
-            plain, name = tuple(_plain(field, given, serials)), property_of(cls, field)
+            plain, name = _plain(field, given, serials), property_of(cls, field)
         if plain:
             values[name] = plain
     yield Individual(kind, own, values)
@@ -191,27 +192,20 @@ def _described(
     return described(kind, own, {"position": position, **said}, serials, type(one))
 
 
-def _plain(field: str, value: object, serials: Serials) -> Iterator[Value]:
+def _plain(field: str, value: object, serials: Serials) -> tuple[Value, ...]:
     if value is None or value == "" or value in (math.inf, -math.inf):
-        return
+        return ()
+    if isinstance(value, str):
+        return (Ref(named_id(elements.REFERENCES[field], value)) if field in elements.REFERENCES else str(value),)
     if isinstance(value, Ref):
-        yield value
-    elif isinstance(value, elements.Constraint):
-        yield Ref(element_id(value, serials))
-    elif isinstance(value, elements.Element):
-        yield Ref(named_id(type(value), value.name))
-    elif field in ("agreement", "rates"):
-        if value:
-            yield json.dumps(value)
-    elif isinstance(value, tuple):
-        for one in value:
-            yield from _plain(field, one, serials)
-    elif isinstance(value, str) and field in elements.REFERENCES:
-        yield Ref(named_id(elements.REFERENCES[field], value))
-    elif isinstance(value, StrEnum):
-        yield str(value)
-    elif isinstance(value, str | bool | int | float):
-        yield float(value) if field in _NUMBERS else value
+        return (value,)
+    if isinstance(value, elements.Constraint | elements.Element):
+        return (Ref(element_id(value, serials)),)
+    if field in ("agreement", "rates"):
+        return (json.dumps(value),) if value else ()
+    if isinstance(value, tuple):
+        return tuple(plain for one in value for plain in _plain(field, one, serials))
+    return (float(value) if field in _NUMBERS else value,) if isinstance(value, int | float) else ()
 
 
 def named_id(cls: type, name: str) -> str:
