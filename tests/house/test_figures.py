@@ -14,7 +14,7 @@ from missions.suave_extended.model import suave_extended_model
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
-REBUILT = 36_058
+REBUILT = 36_052
 TRUST, PAGE, CONNECTIONS = 700, 1_500, 1_800  # lines of Python that each may add
 CONNECTIONS += 1_300 + 810  # DDS and rclpy, recordings, rosbridge both ways and ROSA's table of services; to be folded
 TRUST += 350  # amendments in or out, clocks and subscribers that hold nothing up, bounded history; to be folded
@@ -29,7 +29,7 @@ PROOF += 246  # ticks that are followed instead of run, 2 to 4 times as quick
 ADOPTION = 406  # rosa new, missions of one's own under other managers, mistakes told in a sentence: 300 asked
 MOST_LINES = {
     "product": sum((REBUILT, TRUST, PAGE, CONNECTIONS, TREES, PLANNING, FORECASTS, WORTH, LEARNING, PROOF, ADOPTION)),
-    "kb": 11_841 + TRUST + FORECASTS,
+    "kb": 11_835 + TRUST + FORECASTS,
 }
 MOST_FILES = {"product": 250, "kb": 61}
 MOST_IN_A_FOLDER = 25
