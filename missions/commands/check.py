@@ -106,7 +106,7 @@ def model_of(files: Sequence[Path], mission: Mission | None) -> Model:
     if files:
         return Model.load(files)
     if mission is None:
-        raise MissionError("nothing to check; name the files of a model, or a mission with --mission NAME")
+        raise MissionError("no model is named; name its files, or a mission with --mission NAME")
     return mission.model()
 
 

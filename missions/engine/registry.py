@@ -39,7 +39,7 @@ class Registry(Mapping[str, T]):
         """
         if name in self.homes:
             return self[name]
-        if ":" not in name:
+        if ":" not in name[1:]:
             raise MissionError(f"unknown {self.kind} {name!r}; there are {known}")
         return self._imported(name, name)
 

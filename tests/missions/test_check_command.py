@@ -249,7 +249,8 @@ def test_tree_may_be_given_as_something_that_needs_nothing():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "nothing to check; name the files of a model, or a mission with --mission NAME"),
+        ([], "no model is named; name its files, or a mission with --mission NAME"),
+        (["--mission", ":MISSION"], "unknown mission ':MISSION'; there are suave"),
         (["nowhere.tql"], "nowhere.tql"),
         (["broken.tql"], "broken.tql:2:"),
         (["explorer.txt"], "explorer.txt"),
