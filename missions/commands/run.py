@@ -12,11 +12,11 @@ from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.controller import RosaController
 from missions.engine.mission import MissionError, Verdict
-from missions.engine.recording import header
+from missions.engine.recording import LineRecorder
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.extras import needs
-from missions.views.console import Narrator, Recorder, print_result
+from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView
 from missions.views.output import as_json, open_files, summary, timing_of
 from missions.views.report import report as page_of
@@ -74,9 +74,7 @@ def run(
         if groot2 is not None:
             _publish(opened, groot2, stack)
         if "record" in files:
-            recorder = Recorder(files["record"])
-            recorder.message(header(opened, seed))
-            opened.listen(recorder)
+            LineRecorder(opened, seed, files["record"].write)
         if "report" in files:
             page = RunRecorder(opened, seed, changed)
         elif live is not None or mcap or tui:

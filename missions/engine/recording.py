@@ -7,13 +7,13 @@ A short stream for a test is written by hand, in Python:
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from missions.engine.mission import Message, MissionError
-from missions.engine.runner import MissionRun
+from missions.engine.runner import Listener, MissionRun
 
 
 def line_of(message: Message) -> str:
@@ -33,6 +33,18 @@ def header(run: MissionRun, seed: int) -> Message:
             "switching_s": dict(getattr(run.world.managed, "takes", {})),
         },
     }
+
+
+class LineRecorder(Listener):
+    """Writes all that is heard in a run that is open, a line for each message, behind how it is run."""
+
+    def __init__(self, run: MissionRun, seed: int, write: Callable[[str], object]) -> None:
+        self._write = write
+        self.message(header(run, seed))
+        run.listen(self)
+
+    def message(self, message: Message) -> None:
+        self._write(line_of(message))
 
 
 def measured(time: float, **values: float) -> Message:

@@ -10,10 +10,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
-from missions.engine.mission import Message, Verdict
-from missions.engine.recording import line_of
+from missions.engine.mission import Verdict
 from missions.engine.runner import Listener, MissionRun
-from missions.views.output import OutputFile, figure_in_words
+from missions.views.output import figure_in_words
 
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
@@ -69,16 +68,6 @@ class Narrator(_WithBar, Listener):
         measured = run.controller.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
         self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
-
-
-class Recorder(Listener):
-    """Writes every message to a file, one per line."""
-
-    def __init__(self, output: OutputFile) -> None:
-        self._output = output
-
-    def message(self, message: Message) -> None:
-        self._output.write(line_of(message))
 
 
 class CampaignProgress(_WithBar):
