@@ -15,6 +15,7 @@ from typing import Any, Protocol, runtime_checkable
 from kb import KnowledgeBase
 from kb.events import Log
 from kb.explanation.reasons import Explanation
+from kb.forecasts import FeasibleUntil
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
 from rosa_pddl.problem import feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
@@ -227,44 +228,33 @@ def _names_in(fact: str) -> list[str]:
 
 
 class LastingFeasibility:
-    """A knowledge base in which an action counts as feasible only if it stays so for as long as its steps take.
+    """A knowledge base with whose forecasts is planned: no step may end later than its action stays feasible.
 
-    That is as far as is known, see `KnowledgeBase.feasible_until`. To begin, the worse ends of what is forecast count,
-    and once it was too short it has to last a tenth longer. While it is required, what is expected counts, for what is
-    left of its time. So a forecast that wavers changes no plan. All else is asked of the knowledge base itself.
+    That is as far as is known, see `KnowledgeBase.feasible_until`. To plan, the worse ends of what is forecast count,
+    and a tenth more time is needed; a plan is kept while what is expected allows it. So a forecast that wavers changes
+    no plan. All else is asked of the knowledge base itself.
+
+    Args:
+        kb: the knowledge base.
+        domain: what `load_domain` returned.
+        horizon_s: so far is looked ahead [s].
     """
 
-    def __init__(self, kb: KnowledgeBase, domain: Domain) -> None:
-        schemas = domain.schema_of.values()
-        steps = {
-            one: [domain.duration_s(each.name) for each in schemas if domain.may_do(each, one)] for one in kb.actions
-        }
-        self._kb, self._takes_s = kb, {action: max(durations, default=0.0) for action, durations in steps.items()}
-        self._known: dict[str, tuple[object, str]] = {}
+    def __init__(self, kb: KnowledgeBase, domain: Domain, horizon_s: float = 300.0) -> None:
+        actions = domain.rosa_actions if domain.tracks_feasibility else ()
+        self._kb, self._atoms, self._horizon_s = kb, {one: domain.feasible_atom(one) for one in actions}, horizon_s
+        self._known: tuple[object, dict[str, FeasibleUntil]] = (None, {})
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # whatever a knowledge base offers
         return getattr(self._kb, name)
 
-    def is_feasible(self, action: str) -> bool:
-        """Tell whether an action can be done now, and finished."""
-        return self._kb.is_feasible(action) and not self._why_too_short(action)
-
-    def why(self, action: str) -> str:
-        """Say in a sentence why an action is as it is."""
-        return (self._kb.is_feasible(action) and self._why_too_short(action)) or self._kb.why(action)
-
-    def _why_too_short(self, action: str) -> str:
+    def forecasts(self) -> Mapping[str, FeasibleUntil]:
+        """Return until when each action stays feasible that is so now, by the fact that says so."""
         now = self._kb.now, self._kb.log.last
-        at, before = self._known.get(action, (None, ""))
-        if at != now:
-            began = [one.start for one in self._kb.required_actions if one.action == action]
-            left = self._takes_s.get(action, 0.0) - sum(now[0] - start for start in began)
-            left *= 1.1 if before and not began else 1.0
-            until = self._kb.feasible_until(action, max(left, 0.0))
-            is_short = (until.at if began else until.earliest) is not None
-            before = f"{action} takes {left:.3g} s and is {until}" if is_short else ""
-            self._known[action] = now, before
-        return before
+        if self._known[0] != now:
+            feasible = [(atom, one) for one, atom in self._atoms.items() if self._kb.is_feasible(one)]
+            self._known = now, {atom: self._kb.feasible_until(one, self._horizon_s) for atom, one in feasible}
+        return self._known[1]
 
 
 class FeasibilityEvents:

@@ -6,7 +6,7 @@ from dataclasses import replace
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Sense, UnmetEffect
+from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, LastingFeasibility, Sense, UnmetEffect
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.formulas import conditions
@@ -217,7 +217,8 @@ class PlanExecutor(Behaviour):
         self._belief = Belief(domain, kb, sense)
         self._effects = ExpectedEffects(domain, kb)
         self._feasibility = FeasibilityEvents(domain, kb)
-        self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers)
+        forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
+        self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers, forecasts)
         task = PlanningTask(self._effects, lambda: self._belief.numbers)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
@@ -410,13 +411,14 @@ class PlanExecutor(Behaviour):
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
         now = (state, self._belief.numbers)
-        if self._found_valid is not None and self._found_valid[0] is plan and self._found_valid[1] == now:
-            return None
-        if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
-            return "the state changed"
-        flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(plan)
-        self._found_valid = (plan, now) if flaw is None else None
-        return flaw
+        if self._found_valid is None or self._found_valid[0] is not plan or self._found_valid[1] != now:
+            if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
+                return "the state changed"
+            flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(plan)
+            self._found_valid = (plan, now) if flaw is None else None
+            if flaw is not None:
+                return flaw
+        return self._monitor.too_late(plan, state, self._shares_left())
 
     def _want(self, decision: Decision | None) -> None:
         """Note that a plan is to be made; one that is needed makes an end of the present one."""
@@ -443,7 +445,7 @@ class PlanExecutor(Behaviour):
                 return Status.FAILURE
             changed = Decision("the state changed", is_needed=True, cause=self._cause)
             self._want(changed if self._replanning.had_no_plan else Decision("start", is_needed=True))
-        asked = self._replanning.ask_if_allowed(planned_from)
+        asked = self._replanning.ask_if_allowed(planned_from, self._shares_left())
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked

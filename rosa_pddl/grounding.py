@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache, partial
 from itertools import product
+from operator import mul
 from threading import Lock
 from typing import Any, TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, head_of, numbers_in
+from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, exact, head_of, numbers_in
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.instances import (
@@ -34,6 +35,7 @@ from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
+from rosa_pddl.validate import needed_feasible
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
@@ -45,6 +47,7 @@ _MOST_INSTANCES = 1_000_000
 _RULES_FOR_A_MOVE = 20
 _MOST_DOMAINS, _MOST_STATES = 8, 8
 _TRUTHS = ("add", "delete")
+_FOR_EVER: Any = math.inf  # no exact number, but it is compared with them
 _LOOKS_S = 0.05
 
 
@@ -214,6 +217,11 @@ class Grounded:
         """How many times the work of other tasks a move takes, as atoms are derived in each state."""
         return 1 + len(self._axioms) // _RULES_FOR_A_MOVE
 
+    @cached_property
+    def _needed(self) -> list[tuple[str, ...]]:
+        """The facts that say that what each operator needs is feasible."""
+        return [tuple(needed_feasible(self.domain, one.step)) for one in self._operators]
+
     def step(self, number: int) -> Step:
         return self._operators[number].step
 
@@ -232,8 +240,37 @@ class Grounded:
         graph, task, scales = self._graph(replace(fitted, state=()), mentioned, frozenset(problem.weights.items()))
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        rest = (task.rules, task.numbers, task.tests)
-        return graph, Task(task.sizes, fitted.state, task.goal, task.operations, limits, *rest), scales
+        task = Task(task.sizes, fitted.state, task.goal, task.operations, limits, *task[5:])
+        if problem.until:
+            task = self._timed(task, problem, numbers)
+            graph = TaskGraph(task)
+        return graph, task, scales
+
+    def _timed(self, task: Task, problem: Problem, numbers: Numbers) -> Task:
+        """Return a task with how much longer facts hold, as numbers that fall with each step that takes time.
+
+        Another is 1 until the first step: what is done of a step that runs counts for a plan that begins with it.
+        """
+        steps, first = [self.step(one.number) for one in task.operations], -1 - task.numbers
+        takes = [self._usage.takes_s(step, numbers) for step in steps]
+        shares = [1 - exact(problem.shares[step]) if step in problem.shares else 0 for step in steps]
+        saved = map(mul, takes, shares)
+        times, _ = whole([*takes, *saved, *map(exact, problem.until.values())])
+        pairs, left = zip(times, times[len(steps) :], strict=False), [1, *times[2 * len(steps) :]]
+        places = {atom: first - number for number, atom in enumerate(problem.until, 1)}
+        made_by = {self._variables.places.get(atom): place for atom, place in places.items()}
+        operations = list[Operation]()
+        for one, (whole_s, done_s) in zip(task.operations, pairs, strict=False):
+            takes_s: Number = ("-", whole_s, ("*", done_s, ("n", first))) if done_s else whole_s
+            tests = [("<=", takes_s, ("n", places[atom])) for atom in self._needed[one.number] if atom in places]
+            changes = [Change((), (), place, True, ("-", 0, takes_s)) for place in places.values()]
+            made = [(given, made_by.get((variable, value))) for given, variable, value in one.effects]
+            changes += [Change(given, (), place, False, _FOR_EVER) for given, place in made if place is not None]
+            changes.append(Change((), (), first, False, 0))
+            operations.append(Operation(*one[:5], (*one.tests, *tests), (*one.changes, *changes), one.more))
+        behind = len(task.start) - task.numbers
+        start = (*task.start[:behind], *reversed(left), *task.start[behind:])
+        return Task(task.sizes, start, task.goal, tuple(operations), *task[4:6], task.numbers + len(left), task.tests)
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Mapping[int, Exact]] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.

@@ -5,13 +5,16 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
+from math import inf
 from typing import NamedTuple
 
+from kb.forecasts import FeasibleUntil
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goal, Goals
 from rosa_pddl.outcomes import PlanningResult
+from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import (
     StepEvent,
@@ -26,9 +29,12 @@ from rosa_pddl.validate import (
 
 # Costs are sums of decimal numbers: less than this is no difference.
 _SAME_COST = 1e-9
+# So many times as long as a plan needs it, an action has to stay feasible for the plan to be made.
+_LONGER = 1.1
 
 _Touched = tuple[frozenset[str], frozenset[str]]
 _Numbers = Mapping[str, float]
+_Forecasts = Callable[[], Mapping[str, FeasibleUntil]]
 Clash = Callable[[Step, Step], bool]
 """Whether two steps may not be done at once, whatever their conditions and effects say."""
 
@@ -123,10 +129,26 @@ class PlanExecution:
         """Return the number of an equal step that may start now, None if there is none."""
         return next((number for number in self.startable if self.steps[number] == step), None)
 
-    def prediction(self, domain: Domain, state: State) -> Prediction:
-        """Suppose that the rest happens as planned, from the atoms that are true now."""
+    def ends_s(self, takes_s: Callable[[Step], float], shares: Mapping[Step, float]) -> tuple[float, ...]:
+        """Return in what time each step ends at the earliest, given what share is left of those that run [s]."""
+        at = dict[StepEvent, float]()
+        for event in self.events:
+            number, before = event.number, StepEvent(event.number, False)
+            if event in self.happened:
+                at[event] = 0.0
+            elif event.is_end:
+                share = shares.get(self.steps[number], 1.0) if before in self.happened else 1.0
+                at[event] = at[before] + takes_s(self.steps[number]) * share
+            else:
+                at[event] = max((at.get(one, 0.0) for one in self.after[number]), default=0.0)
+        return tuple(at[StepEvent(number, True)] for number in range(len(self.steps)))
+
+    def prediction(
+        self, domain: Domain, state: State, until: Mapping[str, float] | None = None, ends_s: Sequence[float] = ()
+    ) -> Prediction:
+        """Suppose that the rest happens as planned, from the atoms that are true now; the times are as in `replay`."""
         left = [event for event in self.events if event not in self.happened]
-        flaw, facts = replay(domain, self.steps, ([event] for event in left), state, self.running)
+        flaw, facts = replay(domain, self.steps, ([event] for event in left), state, self.running, until, ends_s)
         missed = (goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression]))
         unreached = None if flaw else next(missed, None)
         return Prediction(flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts)
@@ -239,12 +261,34 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
 class PlanMonitor:
     """Whether the plan that is executed will still do."""
 
-    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers]) -> None:
-        self._effects, self._numbers = effects, numbers
+    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers], forecasts: _Forecasts) -> None:
+        self._effects, self._numbers, self._forecasts = effects, numbers, forecasts
 
-    def is_no_easier(self, then: _Numbers) -> bool:
-        """Whether what could not be reached with some numbers cannot be reached now, by its limits."""
-        return usage_of(self._effects.domain).leave_no_more(self._numbers(), then)
+    def until(self) -> dict[str, float]:
+        """Return how much longer facts hold to plan with [s]: to the worse end of what is forecast, less some."""
+        ends = {atom: (one.earliest, one.now) for atom, one in self._forecasts().items()}
+        return {atom: (end - now) / _LONGER for atom, (end, now) in ends.items() if end is not None}
+
+    def is_no_easier(self, then: Problem) -> bool:
+        """Whether what could not be reached cannot be reached now, by its limits and by what is forecast."""
+        now = self.until() if then.until else {}
+        lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
+        return not lasts_longer and usage_of(self._effects.domain).leave_no_more(self._numbers(), then.costs)
+
+    def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
+        """Return which step of a plan that works would end too late by what is expected, in words; None if none."""
+        forecasts = self._forecasts()
+        found = {atom: one.at - one.now for atom, one in forecasts.items() if one.at is not None}
+        if not found or not plan.goals:  # what is safe is done also where nothing can be planned
+            return None
+        domain, usage = self._effects.domain, usage_of(self._effects.domain)
+        numbers = usage.numbers(self._numbers(), state)
+        ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
+        for atom, left_s in found.items():
+            flaw = plan.prediction(domain, state, {atom: left_s}, ends_s).flaw
+            if flaw is not None:
+                return f"{flaw}, as {forecasts[atom].action} is {forecasts[atom]}"
+        return None
 
     def overspent(self, plan: PlanExecution) -> str | None:
         """Return which limit the steps break that have not started, in words; None if they keep them all.

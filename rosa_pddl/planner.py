@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
-from itertools import product
+from itertools import accumulate, product
 from math import inf, isinf
 
 from rosa_pddl import search
@@ -312,8 +312,8 @@ class _Portfolio:
     @cached_property
     def _key(self) -> Hashable:
         problem = self._problem
-        numbers, weights = frozenset(problem.costs.items()), frozenset(problem.weights.items())
-        return problem.domain, problem.state, problem.wanted, numbers, weights
+        given = (problem.costs, problem.weights, problem.until, problem.shares)
+        return problem.domain, problem.state, problem.wanted, *(frozenset(one.items()) for one in given)
 
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
@@ -400,7 +400,7 @@ class _Portfolio:
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
         # putting numbers into operators is work, too, which may take longer than it takes to start another program
         is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
-        return engine in _EXACT and is_small and self._planner.moves > 0
+        return (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
 
     def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
         graph, task, scales = grounded.search_task(self._problem, self._numbers)
@@ -411,7 +411,7 @@ class _Portfolio:
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which may be killed."""
-        graph, task, scales = grounded.search_task(self._problem, self._numbers)
+        graph, task, scales = grounded.search_task(replace(self._problem, until={}), self._numbers)
         if task.numbers or task.tests:
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
         command = [sys.executable, "-I", "-S", search.__file__]
@@ -467,16 +467,23 @@ class _Portfolio:
         """Replay a plan; raise Trouble if it does not work."""
         if not answer.outcome.is_solved:
             return answer
-        problem, domain = self._problem, self._problem.domain
-        if answer.schedule:
-            wrong = schedule_flaw(domain, answer.schedule, problem.state, problem.wanted)
-        else:
-            wrong = flaw(domain, answer.steps, problem.state, problem.wanted)
-        wrong = wrong or usage_of(domain).overspent(problem.costs, answer.steps)
+        wrong = self._flaw(answer, {}) or usage_of(self._problem.domain).overspent(self._problem.costs, answer.steps)
         if wrong is not None:
             message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
             raise Trouble(Outcome.ENGINE_CRASHED, message)
+        late = self._flaw(answer, self._problem.until) if self._problem.until else None
+        if late is not None:
+            message = f"what is forecast was not planned with, and {late}; allow more moves, or make the task smaller"
+            raise Trouble(Outcome.UNSUPPORTED, message)
         return answer
+
+    def _flaw(self, answer: PlanningResult, until: Mapping[str, float]) -> str | None:
+        problem, steps = self._problem, answer.steps
+        if answer.schedule:
+            return schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted, until)
+        takes = [float(usage_of(problem.domain).takes_s(step, self._numbers)) for step in steps if until]
+        takes[:1] = [takes_s * problem.shares.get(step, 1.0) for takes_s, step in zip(takes[:1], steps, strict=False)]
+        return flaw(problem.domain, steps, problem.state, problem.wanted, until, tuple(accumulate(takes)))
 
     def _report(self, answer: PlanningResult, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome

@@ -37,6 +37,9 @@ class Problem:
             `{"(travel_cost a b)": 3.5}`, and of resources what was used up before, such as `{"(energy_used)": 120.0}`;
             the others are those of the problem file.
         weights: how many times its cost a step counts, such as one that has failed; 0 leaves it out.
+        until: how much longer facts `(action_feasible ?a)` hold, as far as is forecast [s]; no step that needs one may
+            end later than that. What a step of the plan makes so holds from then on.
+        shares: what share of its duration is left of a step that runs, if a plan begins with it.
 
     Raises:
         UnknownNameError: the costs name what the domain does not know, or what is no numeric fact.
@@ -47,6 +50,8 @@ class Problem:
     goals: tuple[UpThing, ...] | None = None
     costs: Mapping[str, float] = field(default_factory=dict, hash=False)
     weights: Mapping[Step, int] = field(default_factory=dict, hash=False)
+    until: Mapping[str, float] = field(default_factory=dict, hash=False)
+    shares: Mapping[Step, float] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
         numeric, costs = self.domain.numeric if self.costs else frozenset(), dict[str, float]()
@@ -65,6 +70,7 @@ class Problem:
 
     def build(self, *, overlapping: bool = False) -> UpThing:
         """Make the same for unified-planning: if steps may not overlap, every action is an instant."""
+        from unified_planning.model import GlobalStartTiming
         from unified_planning.model import Problem as UpProblem
         from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
 
@@ -86,6 +92,8 @@ class Problem:
             expression = domain.expression(text)
             if problem.has_fluent(expression.fluent().name):
                 problem.set_initial_value(expression, exact(number))
+        for atom, left_s in self.until.items() if overlapping else ():
+            problem.add_timed_effect(GlobalStartTiming(exact(left_s)), domain.expression(atom), manager.FALSE())
         for goal in (*self.wanted, *domain.limits):
             problem.add_goal(_without_quantifiers(goal, problem) if overlapping else goal)
         actions = dict[UpThing, UpThing]()

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from functools import partial
 from html import escape
 from math import inf
 from typing import Literal, Protocol, TypeAlias
@@ -290,11 +289,16 @@ def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thoroug
             found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if {needed or 'they'} were feasible")
         elif not outcome.is_trouble:
             found.append("there would be no plan even if every action were feasible")
+    others = dict[str, Problem]()
     if limited := ", ".join(domain.limited):
-        outcome = (yield replace(problem, domain=replace(domain, limits=()))).outcome
+        others[f"the limits of {limited}"] = replace(problem, domain=replace(domain, limits=()))
+    if lasting := ", ".join(f"{atom} for {left_s:.3g} s" for atom, left_s in problem.until.items()):
+        others[f"what is forecast to hold no longer: {lasting}"] = replace(problem, until={})
+    for what, other in others.items():
+        outcome = (yield other).outcome
         if not outcome.is_trouble:
             would = "would" if outcome.is_solved else "would not"
-            found.append(f"there {would} be a plan without the limits of {limited}")
+            found.append(f"there {would} be a plan without {what}")
     return found
 
 
@@ -361,7 +365,7 @@ class _DeadEnd:
 
     state: State
     domain: Domain
-    numbers: Mapping[str, float]
+    problem: Problem
     why: str
     until_s: float
 
@@ -427,7 +431,7 @@ class Replanning:
         dead_end = self._dead_end
         if dead_end is None or dead_end.domain is not self._effects.domain or self._clock() >= dead_end.until_s:
             return None
-        is_known = self._is_same(dead_end.state, state) and self._monitor.is_no_easier(dead_end.numbers)
+        is_known = self._is_same(dead_end.state, state) and self._monitor.is_no_easier(dead_end.problem)
         return dead_end.why if is_known else None
 
     @property
@@ -455,13 +459,17 @@ class Replanning:
             self._diagnosis = None
             self.want(Decision("the goals changed", is_needed))
 
-    def ask_if_allowed(self, state: State) -> str | None:
-        """Ask for the plan that is wanted, unless the policy says that it is too soon; return what to say of it."""
+    def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
+        """Ask for the plan that is wanted, given what shares are left of running steps, or say why it is too soon."""
         if self._wanted is None:
             return None
         now_s = self._clock()
         left_s = max(wait_s(self._policy, now_s, self._last_asked_s), self.setbacks.wait_s(None))
-        problem = partial(self._task.problem, state, self._goals, self.setbacks.weights)
+
+        def problem() -> Problem:
+            made, until = self._task.problem(state, self._goals, self.setbacks.weights), self._monitor.until()
+            return replace(made, until=until, shares=shares) if until else made
+
         if left_s > 0.0 and not self._client.is_prepared(problem):
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
@@ -502,7 +510,7 @@ class Replanning:
                 return _Found(plan, decision)
             # the same question would get the same answer, again and again
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
-            self._give_up(state, question.problem.costs, why)
+            self._give_up(state, question.problem, why)
             return None
         return self._without_plan(question, result, state, is_fresh=is_fresh) if decision.is_needed else None
 
@@ -519,16 +527,17 @@ class Replanning:
             left_s = self.setbacks.wait_s(None)
             if is_over:
                 why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
-                self._give_up(state, question.problem.costs, why, self._clock() + left_s)
+                self._give_up(state, question.problem, why, self._clock() + left_s)
             else:
                 self.want(Decision(f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True))
         elif not is_fresh:
             self.want(Decision("the state changed during planning", is_needed=True))
         elif outcome.is_trouble:
-            self._conclude(state, question.problem.costs, [why])
+            self._conclude(state, question.problem, [why])
         else:
             goals = tuple(goal.expression for goal in self._goals.hard)
-            unsolved = Problem(domain, state, goals, question.problem.costs)
+            asked = question.problem
+            unsolved = Problem(domain, state, goals, asked.costs, until=asked.until, shares=asked.shares)
             self._diagnosis = unsolved, why, diagnosis(unsolved, self._goals.hard)
             self._diagnose(None, state)
         safe = result.safe_step
@@ -543,8 +552,8 @@ class Replanning:
         """Whether two states differ in nothing that a plan or a goal may depend on."""
         return not any(map(self.matters, one ^ other))
 
-    def _give_up(self, state: State, numbers: Mapping[str, float], why: str, until_s: float = inf) -> None:
-        """Note that there is no plan with the numbers that were asked with, which may be others by now.
+    def _give_up(self, state: State, problem: Problem, why: str, until_s: float = inf) -> None:
+        """Note that there is no plan with the numbers and forecasts that were asked with, which may be others by now.
 
         Steps that are left out for having failed are tried again when their time has come.
         """
@@ -553,7 +562,7 @@ class Replanning:
             left_s = self.setbacks.wait_s(step)
             why += f"; {step} has failed {self.setbacks.count(step)} times and is left out for {left_s:.3g} s"
             until_s = min(until_s, self._clock() + left_s)
-        self._dead_end = _DeadEnd(state, self._effects.domain, numbers, why, until_s)
+        self._dead_end = _DeadEnd(state, self._effects.domain, problem, why, until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
@@ -568,7 +577,7 @@ class Replanning:
             self._client.ask(next(asking) if answer is None else asking.send(answer), None)
         except StopIteration as concluded:
             self._diagnosis = None
-            self._conclude(state, problem.costs, [why, *concluded.value])
+            self._conclude(state, problem, [why, *concluded.value])
 
-    def _conclude(self, state: State, numbers: Mapping[str, float], why: Sequence[str]) -> None:
-        self._give_up(state, numbers, "; ".join(map(str, (*why, *self._effects.unmet))))
+    def _conclude(self, state: State, problem: Problem, why: Sequence[str]) -> None:
+        self._give_up(state, problem, "; ".join(map(str, (*why, *self._effects.unmet))))

@@ -1,6 +1,7 @@
 """What steps cost and use up, exactly, from numbers and numeric facts whose values may differ each time."""
 
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, floor, lcm
@@ -68,10 +69,13 @@ class ResourceUsage:
         numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
         self._in_file = {text_of(domain, one, {}): exact(value) for one, value in numeric}
         self._costs: dict[str, Number] = dict.fromkeys(domain.schema_of, 0 if domain.metric == "cost" else 1)
+        self._durations: dict[str, Number] = dict.fromkeys(domain.schema_of, 0)
         self._uses: list[dict[str, Number]] = [{} for _ in domain.limited]
         for one in domain.schema_of.values():
             if one.cost is not None:
                 self._costs[one.name] = _compiled(domain, one.cost, one.parameters)
+            if one.duration is not None:
+                self._durations[one.name] = _compiled(domain, one.duration.lower, one.parameters)
             for name, uses in zip(domain.limited, self._uses, strict=True):
                 if name in one.uses:
                     uses[one.name] = _compiled(domain, one.uses[name], one.parameters)
@@ -90,6 +94,12 @@ class ResourceUsage:
     def uses_of(self, step: Step) -> tuple[Number, ...]:
         """Return what a step uses up of each limited resource."""
         return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses])
+
+    def takes_s(self, step: Step, numbers: Mapping[str, Exact]) -> Exact:
+        """Return how long a step takes at least [s]; 0 where that is not known."""
+        with suppress(KeyError):
+            return value_of(bound_number(self._durations[step.schema], step.arguments), numbers) or 0
+        return 0
 
     def numbers(self, given: Mapping[str, float], state: State = frozenset()) -> Numbers:
         """Return the values of numeric facts: what is given or part of a state, or else those of the problem file."""

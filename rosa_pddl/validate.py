@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from fractions import Fraction
 from functools import lru_cache, reduce
-from itertools import groupby, permutations, product
+from itertools import accumulate, groupby, permutations, product
 from math import inf
 from operator import add, mul, sub
 from typing import NamedTuple
@@ -72,20 +72,25 @@ def replay(
     moments: Iterable[Sequence[StepEvent]],
     state: State,
     running: Iterable[int] = (),
+    until: Mapping[str, float] | None = None,
+    ends_s: Sequence[float] = (),
 ) -> tuple[str | None, State]:
     """Do a plan event by event, as PDDL 2.1 means it: the judge of every plan.
 
     Conditions at the start or at the end hold just before; what holds over all does so from just after the start until
     just before the end; of two things that happen at once, none may change what the other needs or changes.
     Of steps that are running already, the conditions at the end are passed over: the world may bring them about.
+    Given until when some facts that say what is feasible hold [s], no step that needs one may end later, unless another
+    has made it so before; given is then also when each step ends [s].
 
     Returns:
         Why it cannot be done, in words, None if it can; and the true atoms in the end, or where it broke off.
     """
-    facts, under_way, begun = set(state), list(running), frozenset(running)
+    facts, under_way, begun, left = set(state), list(running), frozenset(running), dict(until or {})
     for moment in moments:
-        wrong = _happen(domain, steps, moment, facts, begun)
+        wrong = _happen(domain, steps, moment, facts, begun, left)
         for number, is_end in moment:
+            wrong = wrong or (_too_late(domain, steps[number], ends_s[number], left) if left else None)
             if is_end:
                 under_way.remove(number)
             else:
@@ -101,10 +106,20 @@ def replay(
     return None, frozenset(facts)
 
 
+def _too_late(domain: Domain, step: Step, end_s: float, left: Mapping[str, float]) -> str | None:
+    over_s = max((end_s - left[atom] for atom in needed_feasible(domain, step) if atom in left), default=0.0)
+    return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s" if over_s > SAME_TIME_S else None
+
+
 def _happen(
-    domain: Domain, steps: Sequence[Step], moment: Sequence[StepEvent], facts: set[str], begun: AbstractSet[int]
+    domain: Domain,
+    steps: Sequence[Step],
+    moment: Sequence[StepEvent],
+    facts: set[str],
+    begun: AbstractSet[int],
+    left: dict[str, float],
 ) -> str | None:
-    """Change the facts by what happens at once, or return why it cannot."""
+    """Change the facts by what happens at once, and forget until when they hold, or return why it cannot."""
     gone, come = set[str](), set[str]()
     touched: list[tuple[int, AbstractSet[str], AbstractSet[str]]] = []
     for number, is_end in moment:
@@ -127,6 +142,8 @@ def _happen(
             return f"{steps[one]} and {steps[other]} get in each other's way over {atom}"
     facts -= gone
     facts |= come
+    for atom in come & left.keys():
+        del left[atom]
     return None
 
 
@@ -134,7 +151,14 @@ def one_after_the_other(count: int) -> tuple[StepEvent, ...]:
     return tuple(StepEvent(number, is_end) for number in range(count) for is_end in (False, True))
 
 
-def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[UpThing] | None = None) -> str | None:
+def flaw(
+    domain: Domain,
+    steps: Iterable[Step],
+    state: State,
+    goals: Iterable[UpThing] | None = None,
+    until: Mapping[str, float] | None = None,
+    ends_s: Sequence[float] = (),
+) -> str | None:
     """Why a plan does not lead from a state to the goal, in words; None if it does.
 
     Args:
@@ -142,21 +166,30 @@ def flaw(domain: Domain, steps: Iterable[Step], state: State, goals: Iterable[Up
         steps: the plan, whose steps follow one another.
         state: the true atoms.
         goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
+        until: how much longer facts that say what is feasible hold, see `Problem` [s].
+        ends_s: when each step ends [s]; by default as it is declared.
     """
     listed = tuple(steps)
-    wrong, facts = replay(domain, listed, ([event] for event in one_after_the_other(len(listed))), state)
+    ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
+    events = ([event] for event in one_after_the_other(len(listed)))
+    wrong, facts = replay(domain, listed, events, state, until=until, ends_s=ends_s)
     return wrong or (None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal")
 
 
 def schedule_flaw(
-    domain: Domain, schedule: Sequence[TimedStep], state: State, goals: Iterable[UpThing] | None = None
+    domain: Domain,
+    schedule: Sequence[TimedStep],
+    state: State,
+    goals: Iterable[UpThing] | None = None,
+    until: Mapping[str, float] | None = None,
 ) -> str | None:
     """Why a schedule, whose steps may overlap, does not lead from a state to the goal; as `flaw`."""
     for timed in schedule:
         if not _lasts_as_declared(domain, timed):
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
     steps = [timed.step for timed in schedule]
-    wrong, facts = replay(domain, steps, moments(schedule), state)
+    ends_s = [timed.end_s for timed in schedule]
+    wrong, facts = replay(domain, steps, moments(schedule), state, until=until, ends_s=ends_s)
     return wrong or (None if goal_holds(domain, facts, goals) else "the plan does not reach the goal")
 
 
@@ -192,6 +225,14 @@ def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
     if step.action is not None and missing == domain.feasible_atom(step.action):
         return f"{step.action} {verb} unfeasible"
     return f"{step} needs {missing}, which does not hold"
+
+
+def needed_feasible(domain: Domain, step: Step) -> Iterator[str]:
+    """Yield the facts that say that what a step needs is feasible, as atoms."""
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    for formula in (*schema.start, *schema.over_all, *schema.end):
+        if _is_feasibility(domain, formula):
+            yield text_of(domain, formula, binding)
 
 
 def _is_feasibility(domain: Domain, formula: UpThing) -> bool:

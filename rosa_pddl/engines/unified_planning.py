@@ -4,6 +4,7 @@ import json
 import os
 import pickle
 import sys
+from dataclasses import replace
 from pathlib import Path
 from shutil import which
 
@@ -85,8 +86,10 @@ def asked(
     If steps may overlap, their durations are kept, else each is an instant.
     """
     with lock_of(problem.domain):
-        up_problem = problem.build(overlapping=overlapping)
-        supported = up_problem.environment.factory.engine(engine).supported_kind()
+        supported = problem.domain.up_problem.environment.factory.engine(engine).supported_kind()
+        # of what an engine does not know, its plan is judged
+        known = problem if "TIMED_EFFECTS" in supported.features else replace(problem, until={})
+        up_problem = known.build(overlapping=overlapping)
         unsupported = up_problem.kind.features - supported.features
         if unsupported:
             message = f"{engine} does not support {', '.join(sorted(unsupported)).lower()} ({problem.domain.file})"
