@@ -326,7 +326,7 @@ class Exploration:
                 rig.runner.tick()
                 after = self._tree.read(), self._known.read()
                 rig.tape.keep(tree, after[0])
-            scripts += rig.choices.others()
+            scripts += rig.choices.others
             yield *after, tuple(rig.choices.taken)
 
     def _reach(self, situation: Situation, before: int, step: Step) -> int:

@@ -61,6 +61,7 @@ class Choices:
 
     Attributes:
         taken: the answers since `begin`.
+        others: the beginnings of what could have been answered instead, each once.
         said: what was asked, of leaves and of others who note it here, with the answers.
     """
 
@@ -68,11 +69,11 @@ class Choices:
         self.taken: list[Answer] = []
         self.said: list[tuple[Any, object]] = []
         self._script: tuple[Answer, ...] = ()
-        self._open: list[tuple[Answer, ...]] = []
+        self.others: list[tuple[Answer, ...]] = []
         self._said: dict[Behaviour, str] = {}
 
     def begin(self, script: tuple[Answer, ...]) -> None:
-        self.taken, self.said, self._script, self._open, self._said = [], [], script, [], {}
+        self.taken, self.said, self._script, self.others, self._said = [], [], script, [], {}
 
     def choose(self, leaf: Behaviour, letters: str) -> str:
         if leaf not in self._said:
@@ -88,13 +89,9 @@ class Choices:
         letter = self._script[place][1] if place < len(self._script) else letters[0]
         if place >= len(self._script):
             before = tuple(self.taken)
-            self._open += [(*before, (name, other)) for other in letters[1:]]
+            self.others += [(*before, (name, other)) for other in letters[1:]]
         self.taken.append((name, letter))
         return letter
-
-    def others(self) -> list[tuple[Answer, ...]]:
-        """Return the beginnings of what could have been answered instead, each once."""
-        return self._open
 
 
 class Played(Choices):

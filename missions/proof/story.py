@@ -1,6 +1,6 @@
 """A story of what happened, round by round: played with everything as it is, in words, as a trace, a page or a test."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from pprint import pformat
@@ -39,8 +39,8 @@ class Story:
         return "\n".join(self.lines)
 
 
-def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, problems: Sequence[str] = ()) -> Story:
-    """Run the rounds of a story, and write a page of it if that is asked for, with what is to stand at its top."""
+def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, rows: Iterable[Any] = ()) -> Story:
+    """Run the rounds of a story, and write a page of it if that is asked for, with rows of its own beside."""
     steps = [Step(tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in trail]
     rig = Rig(setup)
     recorder = None
@@ -48,8 +48,8 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
         from missions.views.recorder import Recorder
 
         recorder = Recorder(rig.kb, rig.runner)
-        for number, problem in enumerate(problems):
-            recorder.put("problem", number, problem)
+        for row in rows:
+            recorder.put(*row)
     lines: list[str] = []
     rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _TOLD or event.plan else None)
     with TraceVisitor(rig.kb) as visitor:

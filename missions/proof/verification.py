@@ -33,9 +33,10 @@ class Consequence:
     reaches: str
     actions: tuple[str, ...] = ()
 
-    def __str__(self) -> str:
-        meanwhile = f"; does {', '.join(self.actions)}" if self.actions else ""
-        return f"{' and '.join(self.facts)}: reaches {self.reaches}{meanwhile}"
+    @property
+    def then(self) -> str:
+        """What is reached, and what is done meanwhile."""
+        return f"{self.reaches}; does {', '.join(self.actions)}" if self.actions else self.reaches
 
 
 @dataclass(frozen=True)
@@ -70,16 +71,25 @@ class Proof:
 
     def report(self, path: str | Path) -> None:
         """Write a page of the first story of what does not hold, or of how the goal is reached; with all findings."""
-        told = [f"{one.name}: {one.what}" for one in self.broken]
         goals = Graph(self.found).goals if self.shown is None else set()
         way = self.found.path(min(goals)) if goals else ()
-        play(self.setup, (self.shown and self.shown.trail) or way, path, [*told, *map(str, self.consequences)])
+        outcome = "something is broken" if self.broken else "all holds" if self.found.is_finished else "not finished"
+        figures = [[" and ".join(one.facts), "", one.then] for one in self.consequences]
+        figures[:0] = [["if for good", "", "it reaches"]]
+        result = {"outcome": outcome, "success": outcome == "all holds", "reason": self.count, "figures": figures}
+        rows = [("problem", number, f"{one.name}: {one.what}") for number, one in enumerate(self.broken)]
+        play(self.setup, (self.shown and self.shown.trail) or way, path, [("result", 0, result), *rows])
 
-    def __str__(self) -> str:
+    @property
+    def count(self) -> str:
+        """How much was explored, and what that took."""
         found = self.found
         count = f"{len(found.situations)} situations, {found.transitions} transitions, {found.seconds:.1f} s"
         count += f", {found.megabytes:.0f} MB"
-        lines = [count if found.is_finished else f"up to {count}, not finished"]
+        return count if found.is_finished else f"up to {count}, not finished"
+
+    def __str__(self) -> str:
+        lines = [self.count]
         for one in self.findings:
             verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
             lines.append(f"{verdict} {one.name}{f': {one.what}' if one.what else ''}")

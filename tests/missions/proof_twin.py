@@ -133,7 +133,7 @@ class Twin:
                 scripts = [()]
                 while scripts:
                     rig = self._run((*story, (changes, None, late)), scripts.pop())
-                    scripts += rig.choices.others()
+                    scripts += rig.choices.others
                     self.situations.add(seen(rig))
                     reached = key(rig)
                     yield (*story, (changes, tuple(rig.choices.taken), late)), reached not in keys

@@ -11,6 +11,7 @@ from browsing import CHROMIUM, QUIET, WAIT_MS, needs_browser
 
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
+from missions.proof.verification import prove, setup_of
 from missions.views.report import page_of, report
 from missions.views.run_recorder import RunRecorder
 
@@ -219,6 +220,19 @@ def test_two_runs_stand_side_by_side_and_say_what_differs(visits):
         assert page.evaluate(CUT) == []
     page.get_by_role("button", name="B: ").click()
     assert page.get_by_role("button", name="B: ").get_attribute("aria-pressed") == "true"
+
+
+def test_proof_says_what_failures_leave(visits, tmp_path):
+    proof = prove(setup_of(find_mission("suave")), 1000, 60.0)
+    proof.report(tmp_path / "proof.html")
+    page = visits.show((tmp_path / "proof.html").as_uri())
+    page.locator(".results summary").click()
+    said = page.locator(".results").inner_text()
+    assert "all holds" in said
+    assert proof.count in said
+    rows = page.locator(".results tr").all_inner_texts()
+    assert "follow_pipeline fails\tnothing; does search_pipeline" in rows
+    assert len(rows) == 1 + len(proof.consequences)
 
 
 CUT = """() => [...document.querySelectorAll("html, body *:not(.unseen, svg *, [role=tree] *, .lane li)")]
