@@ -3,7 +3,6 @@
 import logging
 import math
 import time
-from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from functools import partial
@@ -14,10 +13,10 @@ import typer
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
 
-from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model
+from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
 from missions.commands import ROBOT, assignments, open_console
-from missions.engine.mission import Mission, MissionError, Percepts, built
-from missions.engine.registry import MISSIONS
+from missions.engine.mission import MissionError, Percepts, built
+from missions.engine.registry import find_robot
 from missions.views.names import tree_builder
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import Node
@@ -44,7 +43,10 @@ def bridge(
     seconds: Annotated[float | None, typer.Option(help="Stop after this time; without it, when interrupted.")] = None,
 ) -> None:
     """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree, answer its ROSA services."""
-    settings, (model, make_tree, _) = _settings(config, url, attribute or []), robot_of(robot, tree, answer=answer)
+    settings, (model, mission) = _settings(config, url, attribute or []), find_robot(robot)
+    make_tree = tree_builder(tree) if tree else None if mission is None else mission.tree
+    if make_tree is None and not answer:
+        raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
     console, percepts = open_console(), Percepts()
     logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
 
@@ -59,7 +61,7 @@ def bridge(
             node.watch(lambda _, text: console.print(text, markup=False))
             manager = ConfigurationManager(kb, connected.managed)
             root: Behaviour = Running("others decide")
-            if make_tree is not None:
+            if make_tree is not None and not answer:
                 root = built(f"the tree of {tree or robot}", Behaviour, partial(make_tree, kb, percepts))  # type: ignore[type-abstract]  # only asked about
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)
             end = math.inf if seconds is None else time.monotonic() + seconds
@@ -73,25 +75,6 @@ def bridge(
                 console.print("stopped by hand")
             finally:
                 runner.shutdown()
-
-
-def robot_of(
-    name: str, tree: str | None, *, answer: bool
-) -> tuple[Model, Callable[..., object] | None, Mission | None]:
-    """Return the model of a robot, what makes its tree (None if others decide), and the mission if it is one."""
-    if Path(name).suffix in (".tql", ".owl"):
-        found: object = Model.load(name)
-    else:
-        found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; a robot of your own is a file or module:NAME")
-    mission = found if isinstance(found, Mission) else None
-    make = found.model if isinstance(found, Mission) else found
-    if not (isinstance(make, Model) or callable(make)):
-        raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
-    model = make if isinstance(make, Model) else built(name, Model, make)
-    make_tree = tree_builder(tree) if tree else None if mission is None else mission.tree
-    if not answer and make_tree is None:
-        raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
-    return model, None if answer else make_tree, mission
 
 
 def _settings(config: Path | None, url: str | None, attributes: list[str]) -> BridgeSettings:

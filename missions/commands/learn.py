@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 
-from kb import Model
-from missions.commands import open_console
+from missions.commands import ROBOT, open_console
 from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.registry import find_robot
 from missions.experiments.learning import learn as suggestions_of
 from missions.experiments.learning import read_runs
 
@@ -17,7 +16,7 @@ KINDS = ("rate", "estimation", "threshold")
 
 def learn(
     runs: Annotated[list[Path], typer.Argument(help="Recordings, and folders of campaigns.")],
-    model: Annotated[str, typer.Option(help="What is learned about: a file (.tql, .owl), or a mission.")],
+    model: Annotated[str, typer.Option(help=ROBOT)],
     apply: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the changed model here.")] = None,
     take: Annotated[
         list[str] | None,
@@ -31,9 +30,7 @@ def learn(
             raise MissionError(f"--take is {kind!r}; what can be changed is {', '.join(KINDS)}")
     if apply is not None and apply.exists():
         raise MissionError(f"{apply} is there already; name a file that is not")
-    is_file = Path(model).suffix in (".tql", ".owl")
-    mission = None if is_file else find_mission(model)
-    known = Model.load(model) if mission is None else mission.model()
+    known, mission = find_robot(model)
     console = open_console()
     changed = 0
     for one in suggestions_of(read_runs(runs), known, mission):

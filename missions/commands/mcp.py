@@ -10,7 +10,7 @@ import typer
 
 from kb import ConfigurationManager, KnowledgeBase
 from missions.commands import ROBOT
-from missions.commands.bridge import robot_of
+from missions.engine.registry import find_robot
 from missions.wires.assistant import Assistant, mcp_server, serve_http
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.rosbridge import Rosbridge
@@ -27,7 +27,7 @@ def mcp(
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")] = "",
 ) -> None:
     """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""
-    model, _, mission = robot_of(robot, None, answer=True)
+    model, mission = find_robot(robot)
     with ExitStack() as stack:
         kb = KnowledgeBase(model, store=store, clock=time.time)
         stack.callback(kb.close)

@@ -6,7 +6,8 @@ from pathlib import Path
 from traceback import extract_tb
 from typing import Any, TypeVar
 
-from missions.engine.mission import Mission, MissionError
+from kb import Model
+from missions.engine.mission import Mission, MissionError, built
 from missions.engine.settings import near
 
 T = TypeVar("T")
@@ -76,3 +77,19 @@ def find_mission(name: str) -> Mission:
     if not isinstance(found, Mission):
         raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission")
     return found
+
+
+def find_robot(name: str) -> tuple[Model, Mission | None]:
+    """Return the model of a robot, and its mission if it has one: of a mission, a file, or module:NAME of either.
+
+    Raises:
+        MissionError, KnowledgeBaseError: there is no such thing, or it cannot be read or made.
+    """
+    if Path(name).suffix in (".tql", ".owl"):
+        return Model.load(name), None
+    found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; one of your own is a file (.tql, .owl) or module:NAME")
+    if isinstance(found, Mission):
+        return found.model(), found
+    if not (isinstance(found, Model) or callable(found)):
+        raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
+    return found if isinstance(found, Model) else built(name, Model, found), None

@@ -353,6 +353,10 @@ def test_parameters_are_told_by_their_types_those_of_numpy_too():
             ["small_rover:ENERGY_DROP"],
             "'small_rover:ENERGY_DROP' is no mission, no model and no function that makes one",
         ),
+        (
+            ["small_rover"],
+            "unknown mission 'small_rover'; there are suave, suave_extended, agv, uav; one of your own is a",
+        ),
         (["small_rover:rover_tree", "--answer"], "cannot build small_rover:rover_tree"),
         (["suave", "--tree", "small_rover:ENERGY_DROP"], "is a list, not a function that builds a tree"),
         (["suave", "--tree", "small_rover:rover_model"], "cannot build the tree of small_rover:rover_model: TypeError"),

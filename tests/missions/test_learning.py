@@ -156,7 +156,10 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
     learned = ("learn", "run.mcap", "two", "--model", "suave_extended", "--apply", "better.tql")
     code, out, _ = called(capsys, monkeypatch, *learned)
     assert code == 0
-    assert "rate: battery_level, always [1/s]: -0.005 (-0.005 to -0.005, 2 observations)" in out
+    said = "rate: battery_level, always [1/s]: -0.005 (-0.005 to -0.005, 2 observations)"
+    assert said in out
+    home = "missions.suave_extended.model:suave_extended_model"
+    assert said in called(capsys, monkeypatch, "learn", "run.mcap", "two", "--model", home)[1]
     assert [rate.per_s for rate in Model.load("better.tql").attributes["battery_level"].rates] == pytest.approx(
         [-0.005]
     )
