@@ -356,8 +356,9 @@ def test_command_tells_what_holds_and_writes_it(tmp_path):
     assert "yes  every adaptation of the model can occur" in done.output
     table = [line.split() for line in done.output.splitlines()]
     assert ["follow_pipeline", "fails", "nothing", "search_pipeline"] in table
-    assert "follow_pipeline fails: reaches nothing" in page.read_text()
+    assert '["follow_pipeline fails","","nothing; does search_pipeline"]' in page.read_text()
     written = json.loads(path.read_text())
+    assert f"{written['megabytes']} MB" in done.output
     assert written["finished"]
     assert all(one["holds"] for one in written["findings"])
 
