@@ -27,8 +27,7 @@ OURS: Final = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 
 TASK_KINDS: Final = ("bt", "pddl")
-_FAR: Final = 50
-"""How many times a threshold a measurement is that may be in another unit; of degrees in a radian there are 57."""
+_FAR: Final = 50  # times a threshold is what may be in another unit: a radian has 57 degrees
 
 
 class RosaController(Controller):
@@ -239,12 +238,13 @@ class RosaController(Controller):
 
 
 def _off_scale(kb: KnowledgeBase) -> Iterator[str]:
-    """Yield the thresholds that all that was measured is far from, as it is if they are in another unit."""
-    for one in kb.model.constraints:
-        sizes = [abs(value) for _, value in kb.attributes[one.attribute].history if value]
-        if sizes and (min(sizes) > _FAR * abs(one.value) > 0 or _FAR * max(sizes) < abs(one.value)):
-            said = f"{one.attribute} was measured {min(sizes):g} to {max(sizes):g}, far from its threshold"
-            yield f"{said} {one.operator} {one.value:g}; are both in the same unit?"
+    """Yield the attributes of which all that was measured is far from all thresholds, as if they had another unit."""
+    for name, view in kb.attributes.items():
+        limits = {abs(one.value): str(one) for one in kb.model.constraints if one.attribute == name and one.value}
+        sizes = [abs(value) for _, value in view.history if value] if limits else []
+        if sizes and (min(sizes) > _FAR * max(limits) or _FAR * max(sizes) < min(limits)):
+            said = f"{name} was measured {min(sizes):g} to {max(sizes):g}, far from {', '.join(limits.values())}"
+            yield f"{said}; are both in the same unit?"
 
 
 def _is_timeless(kb: KnowledgeBase) -> bool:
