@@ -9,7 +9,7 @@ from math import pi, tan
 
 from py_trees.behaviour import Behaviour
 
-from kb import ConfigurationManager, Model
+from kb import ConfigurationManager
 from missions.baselines.manager import Robot
 from missions.baselines.rosa import OwnTree
 from missions.engine.mission import Message
@@ -20,8 +20,6 @@ FOLLOWING_M_S = 0.27
 """Metres inspected in a second: half a metre at each tick of the follower, and more where points are closer."""
 TRANSIT_SHARE = 0.85
 """Mean speed of a drive to the station, as a share of the speed limit."""
-DRAIN_1_S = -1 / 200
-"""How fast the battery is said to drain, until enough is known of how it does."""
 CLIMBING_S = 1.5
 """By how much a step of the spiral takes longer when its altitude changes by a metre."""
 SEEN_POINTS = 6
@@ -36,13 +34,6 @@ class AheadManager(OwnTree):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self._manager = ConfigurationManager(self.kb, robot, planner=WorthPlanner(self._lookahead))
-
-    def model(self) -> Model:
-        model = super().model()
-        model.attributes["water_visibility"].forecast("periodic")
-        if "battery_level" in model.attributes:
-            model.attributes["battery_level"].changes(DRAIN_1_S, learns=True)
-        return model
 
     def tree(self) -> Behaviour:
         mission, kb, settings = super().tree(), self.kb, self.robot.settings

@@ -2,7 +2,9 @@
 
 from dataclasses import replace
 
+import pytest
 from py_trees.decorators import FailureIsRunning
+from running import run_mission
 
 from missions.baselines import open_run
 from missions.engine.declared import mission_domain
@@ -32,11 +34,6 @@ def test_the_plan_executor_plans_for_what_is_worth_doing():
     errand = Errand("recharge", {"battery_level": 1.0}, lambda away: 30 + away, lambda away: 30 + away)
     inspecting = Worth(300.0, [Gain("inspect_pipeline", 0.3, away=0.3)], [errand])
 
-    def model():
-        model = EXTENDED.model()
-        model.attributes["battery_level"].changes(-1 / 200)
-        return model
-
     def tree(kb, percepts):
         executor = PlanExecutor(
             "plan",
@@ -49,8 +46,16 @@ def test_the_plan_executor_plans_for_what_is_worth_doing():
         lookahead = Lookahead(kb, lambda: inspecting if percepts.holds("pipeline_found") else Worth(300.0), period=5.0)
         return FailureIsRunning("go on", WhatNext("what next", lookahead, [executor]))
 
-    run = open_run(replace(EXTENDED, model=model, tree=tree), seed=7, settings={"duration": "160"})
+    run = open_run(replace(EXTENDED, tree=tree), seed=7, settings={"duration": "160"})
     run.run()
     done = [(one.action, one.start) for one in run.actions]
     assert [action for action, _ in done][:3] == ["search_pipeline", "inspect_pipeline", "recharge"]
     assert done[2][1] < 130, "before the battery is low, which is at 150 s"
+
+
+def test_any_manager_of_the_extended_mission_can_be_asked_how_long_inspecting_stays_feasible():
+    kb = run_mission("suave_extended", duration_s=120)[0].kb
+    until = kb.feasible_until("inspect_pipeline")
+    assert until.at == pytest.approx(150.5, abs=1.0)
+    assert "battery_level falls by 0.005/s" in until.reason
+    assert kb.forecast("water_visibility", 10.0).value is not None
