@@ -14,6 +14,7 @@ from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final, NamedTuple
 
 from py_trees.behaviour import Behaviour
+from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.visitors import VisitorBase
 
@@ -86,6 +87,11 @@ class Setup:
     surroundings: Mapping[str, Any] = field(default_factory=dict)
     slow: bool = False
 
+    def tree(self, kb: KnowledgeBase) -> Behaviour:
+        """Make the tree, with nothing on the blackboard that another has left there."""
+        Blackboard.storage.clear()
+        return self.build(kb)
+
 
 class Rig(VisitorBase):
     """The parts of a mission in one situation; this is what a predicate of a user is asked about.
@@ -107,7 +113,7 @@ class Rig(VisitorBase):
         self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
         self.choices = Choices() if choices is None else choices
         self.tape = Tape(self.kb, self.choices, is_on=setup.planner is None)  # a tree may know another planner
-        self.root = setup.build(self.tape.kb)
+        self.root = setup.tree(self.tape.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
         self.letters = take_over(self.root, self.tape.kb, setup.leaves, self.surroundings.values, self.choices)
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
@@ -236,7 +242,9 @@ class Exploration:
         self.rig = rig = Rig(setup)
         self._slow, self.faults = setup.slow, {fault: list[Step]() for fault in rig.begin()}
         self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
-        self._tree = Memory([rig.root, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices])
+        self._tree = Memory(
+            [rig.root, Blackboard.storage, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices]
+        )
         self.known: dict[int, Known] = {}
         self.doing: dict[int, Doing] = {}
         self.situations: list[Situation] = []

@@ -87,7 +87,7 @@ def replayed(setup: Setup, story: Story, trail: Sequence[Step]) -> Trace:
     scripts = {float(number): step.answers for number, step in enumerate(trail, start=1)}
 
     def build(kb: KnowledgeBase) -> Behaviour:
-        root = setup.build(kb)
+        root = setup.tree(kb)
         values = Surroundings(kb, root, **setup.surroundings).values
         take_over(root, kb, setup.leaves, values, Played(scripts, lambda: kb.now))
         return root

@@ -26,7 +26,7 @@ PLANNING = 420 + 773  # certificates; a grounder in this process, numbers, world
 FORECASTS, WORTH, LEARNING = 570, 730, 450  # 1,200 asked together; to be folded
 PLANNING += 151  # the times at which actions are forecast to become unfeasible, in the search, the judge, the executor
 PROOF = 1_878  # 800 asked; to be folded
-PROOF += 252  # ticks that are followed instead of run, 2 to 4 times as quick
+PROOF += 260  # ticks that are followed instead of run, 2 to 4 times as quick
 ADOPTION = 403  # rosa new, missions of one's own under other managers, mistakes told in a sentence: 300 asked
 MOST_LINES = {
     "product": sum((REBUILT, TRUST, PAGE, CONNECTIONS, TREES, PLANNING, FORECASTS, WORTH, LEARNING, PROOF, ADOPTION)),

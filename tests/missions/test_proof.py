@@ -4,6 +4,7 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 """
 
 import json
+import operator
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import permutations
@@ -11,9 +12,10 @@ from itertools import permutations
 import pytest
 from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
 from proof_twin import agree, random_setup
-from py_trees.behaviours import Running
-from py_trees.common import OneShotPolicy, Status
-from py_trees.composites import Sequence
+from py_trees.behaviours import CheckBlackboardVariableValue, Running, SetBlackboardVariable
+from py_trees.blackboard import Blackboard
+from py_trees.common import ComparisonExpression, OneShotPolicy, Status
+from py_trees.composites import Selector, Sequence
 from py_trees.decorators import OneShot
 from typer.testing import CliRunner
 
@@ -104,6 +106,32 @@ def test_tick_that_is_followed_is_as_if_it_were_run(setup):
     followed, is_on = edges(setup)
     assert is_on
     assert followed == edges(setup, is_on=False)[0]
+
+
+def test_what_is_on_the_blackboard_belongs_to_a_situation():
+    def once(kb):
+        done = CheckBlackboardVariableValue("done?", ComparisonExpression("explored", True, operator.eq))
+        note = SetBlackboardVariable("note", "explored", True, overwrite=True)
+        return until(
+            Selector(
+                "mission",
+                memory=False,
+                children=[
+                    Sequence("after", memory=False, children=[done, Act("charge", kb, "charge")]),
+                    Sequence("first", memory=False, children=[Act("explore", kb, "explore"), note]),
+                ],
+            )
+        )
+
+    Blackboard.set("explored", True)
+    try:
+        for _ in range(2):
+            proof = verify(once, rover_model(), **FULL)
+            never_ticked = next(one for one in proof.findings if one.name == "every node of the tree can be reached")
+            assert never_ticked.holds is False
+            assert never_ticked.what == "never ticked: charge", "the mission ends as soon as it is noted"
+    finally:
+        Blackboard.clear()
 
 
 class Peculiar(Act):
