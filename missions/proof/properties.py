@@ -244,8 +244,8 @@ def _unreached(found: Exploration) -> Wrong | None:
 
 def _missing(found: Exploration) -> Wrong | None:
     kb, occurring = found.rig.kb, {pair for one in found.known.values() for pair in one.occurring}
-    tables: dict[str, Iterable[str]] = {"action": kb.actions, "function design": kb.designs}
-    tables["configuration"] = kb.configurations
+    tables: dict[str, Iterable[str]] = {"action": kb.actions}
+    if found.rig.surroundings.failures:  # or what is there for failures would be missing
+        tables |= {"function design": kb.designs, "configuration": kb.configurations}
     names = [f"{kind} {name}" for kind, table in tables.items() for name in table if (kind, name) not in occurring]
-    given = "" if found.rig.surroundings.failures else " with failures=0"
-    return (f"never{given}: {', '.join(names)}", None) if names else None
+    return (f"never: {', '.join(names)}", None) if names else None
