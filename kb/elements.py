@@ -199,8 +199,8 @@ def _parameter(configuration: str, key: str, value: object) -> object:
     if _is_scalar(value):
         return value
     if isinstance(value, list | tuple) and all(_is_scalar(item) for item in value):
-        kinds = {type(item) for item in value}
-        if kinds == {int, float}:
+        kinds = {parameter_type(item) for item in value}
+        if kinds == {"long", "double"}:
             return [float(item) for item in value]
         if len(kinds) <= 1:
             return list(value)

@@ -17,8 +17,9 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import AmbiguousName, Event, InvalidValue, KnowledgeBase, KnowledgeBaseError, Reply, UnknownName
+from kb import Event, InvalidValue, KnowledgeBase, KnowledgeBaseError, Reply, UnknownName
 from kb import Status as ElementStatus
+from kb.elements import meant_by
 from kb.status import OPERATORS, STATUSES
 from kb.views import ActionView, ComponentView, ConfigurationView, DesignView, FunctionView
 from rosa_bt.exceptions import in_words
@@ -403,15 +404,9 @@ def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
     """Return the view of the one element of that name, whatever its kind; a view is returned as it is."""
     if not isinstance(element, str):
         return element
-    tables: tuple[Mapping[str, StatusView], ...]
-    tables = kb.actions, kb.functions, kb.components, kb.designs, kb.configurations
-    found = [table[element] for table in tables if element in table]
-    if not found:
-        raise UnknownName("element", element, [name for table in tables for name in table])
-    if len(found) > 1:
-        kinds = " and ".join(_KINDS[view.__class__] for view in found)
-        raise AmbiguousName(f"{element!r} names {kinds}; pass the view that is meant, e.g. kb.actions[{element!r}]")
-    return found[0]
+    tables: dict[str, Mapping[str, StatusView]] = {"action": kb.actions, "function": kb.functions}
+    tables |= {"component": kb.components, "function design": kb.designs, "configuration": kb.configurations}
+    return meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
 
 
 def _check_status(element: StatusView, status: str) -> None:

@@ -364,4 +364,8 @@ def test_elements_are_changed_and_removed_by_a_name_that_only_one_has():
         model.remove("explore")
     with pytest.raises(UnknownName, match="did you mean 'camera'"):
         model.change("camra", always_improve=True)
+    with pytest.raises(UnknownName, match=r"did you mean 'explore'\?$"):
+        model.remove("explor")
+    with pytest.raises(UnknownName, match=r"known: 'explore', 'camera'$"):
+        model.remove("zzz")
     assert list(model.actions) == list(model.functions) == ["explore"]

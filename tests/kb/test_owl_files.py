@@ -58,7 +58,7 @@ class Mode(StrEnum):
 
 def test_parameters_that_are_special_numbers_and_texts_are_written_as_what_they_are_of(tmp_path):
     model = Model("rover")
-    given = {"angle": np.float64(0.5), "angles": [np.float64(1.0)], "mode": Mode.QUIET, "lamp": True}
+    given = {"angle": np.float64(0.5), "angles": [np.float64(1.0), 2.0, 3], "mode": Mode.QUIET, "lamp": True}
     model.component("camera").configuration("night", given)
     model.save(tmp_path / "saved.owl")
     model.save(tmp_path / "saved.tql")

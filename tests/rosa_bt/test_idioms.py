@@ -145,10 +145,11 @@ def test_what_a_status_condition_cannot_mean_is_found_at_construction(kb, elemen
 
 def test_name_that_elements_of_two_kinds_share_needs_a_view():
     model = Model("twins")
-    model.component("charge")
-    model.action("charge")
+    model.component("charge").configuration("charge")
     kb = KnowledgeBase(model, clock=lambda: 0.0)
-    with pytest.raises(AmbiguousName, match="names an action and a component"):
+    with pytest.raises(
+        AmbiguousName, match=r"a component, a configuration; pass the view meant, e.g. kb.components\['"
+    ):
         HasStatus("x", kb, "charge", "unfeasible")
     condition = HasStatus("x", kb, kb.components["charge"], "feasible")
     condition.tick_once()
