@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from math import inf
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnknownObjectError, nearest
@@ -225,9 +226,10 @@ class Domain:
         return frozenset(self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type())
 
     def duration_s(self, schema: str) -> float:
-        """Return how long an action is declared to take at least [s]; 0 if it is no number, or it is an instant."""
+        """Return how long an action is declared to take at least [s]: an instant 0; infinite if it is no number."""
         duration = self.schema_of[schema].duration
-        return float(duration.lower.constant_value()) if duration and duration.lower.is_constant() else 0.0
+        is_known = duration is None or duration.lower.is_constant()
+        return inf if not is_known else float(duration.lower.constant_value()) if duration else 0.0
 
     def is_feasibility(self, atom: str) -> bool:
         """Whether an atom says that a ROSA action is feasible."""

@@ -5,7 +5,7 @@ plan either collects each one that holds, for nothing, or forgoes it at the cost
 the one with the best net benefit, so that any planner that heeds costs will do.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 
@@ -175,7 +175,7 @@ class Relevance:
                     atoms = [
                         atom
                         for formula in (*schema.start, *schema.over_all, *schema.end, *looks)
-                        for atom in _atoms_in(formula)
+                        for atom in formula.environment.free_vars_extractor.get(formula)
                     ]
                     needed |= {atom.fluent() for atom in atoms}
                     of_others = any(
@@ -188,11 +188,6 @@ class Relevance:
         in_goals = any(domain.is_feasibility(goal.text) or FEASIBLE in goal.text.lower() for goal in self._goals)
         if domain.tracks_feasibility:
             self._feasible = frozenset(map(domain.feasible_atom, known if in_goals else used))
-
-
-def _atoms_in(formula: UpThing) -> Iterable[UpThing]:
-    found: Iterable[UpThing] = formula.environment.free_vars_extractor.get(formula)
-    return found
 
 
 class SoftGoals:

@@ -35,7 +35,6 @@ from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
-from rosa_pddl.validate import needed_feasible
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
@@ -68,6 +67,7 @@ class _Ready:
 
     number: int
     step: Step
+    needed: frozenset[str]
     lasting: frozenset[str]
     missing: frozenset[str]
     operation: Operation
@@ -217,11 +217,6 @@ class Grounded:
         """How many times the work of other tasks a move takes, as atoms are derived in each state."""
         return 1 + len(self._axioms) // _RULES_FOR_A_MOVE
 
-    @cached_property
-    def _needed(self) -> list[tuple[str, ...]]:
-        """The facts that say that what each operator needs is feasible."""
-        return [tuple(needed_feasible(self.domain, one.step)) for one in self._operators]
-
     def step(self, number: int) -> Step:
         return self._operators[number].step
 
@@ -252,6 +247,8 @@ class Grounded:
         Another is 1 until the first step: what is done of a step that runs counts for a plan that begins with it.
         """
         steps, first = [self.step(one.number) for one in task.operations], -1 - task.numbers
+        if any(not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one))) for one in steps):
+            raise NotRepresentableError("how long steps take changes, which is not planned with what is forecast")
         takes = [self._usage.takes_s(step, numbers) for step in steps]
         shares = [1 - exact(problem.shares[step]) if step in problem.shares else 0 for step in steps]
         saved = map(mul, takes, shares)
@@ -262,7 +259,9 @@ class Grounded:
         operations = list[Operation]()
         for one, (whole_s, done_s) in zip(task.operations, pairs, strict=False):
             takes_s: Number = ("-", whole_s, ("*", done_s, ("n", first))) if done_s else whole_s
-            tests = [("<=", takes_s, ("n", places[atom])) for atom in self._needed[one.number] if atom in places]
+            tests = [
+                ("<=", takes_s, ("n", places[atom])) for atom in places if atom in self._operators[one.number].needed
+            ]
             changes = [Change((), (), place, True, ("-", 0, takes_s)) for place in places.values()]
             made = [(given, made_by.get((variable, value))) for given, variable, value in one.effects]
             changes += [Change(given, (), place, False, _FOR_EVER) for given, place in made if place is not None]
@@ -332,7 +331,8 @@ class Grounded:
         kept = [
             one
             for one in effects
-            if not (one[1] == "delete" and one[2] in made) and not (one[1] == "add" and one[2] in needs - deleted)
+            if not (one[1] == "delete" and one[2] in made)
+            and (one[1] != "add" or one[2] not in needs - deleted or self.domain.is_feasibility(one[2]))
         ]
         others = joined(True, [one for one in parts if one[0] != "atom"])
         step = Step(pattern.name, tuple(row)) if pattern.layer else self.domain.step(pattern.name, row)
@@ -375,8 +375,7 @@ class Grounded:
         grouped = [atom for text, atom in atoms.items() if not looked_at.get(text)]
         for group in groups([one.swap(atoms) for one in instances], states, grouped):
             variables.add([texts[atom] for atom in group])
-        asked = [text for text in looked_at if any(text not in one.denies for one in instances)]
-        for text in (*changed, *asked):
+        for text in (*changed, *looked_at):
             if text not in variables.places:
                 variables.add([text])
         variables.layers = {variables.places[one.effects[0][2]][0]: one.layer for one in instances if one.layer}
@@ -409,7 +408,7 @@ class Grounded:
         operation = Operation(number, tuple(sorted(set(facts))), tuple(effects), 0, (), tuple(tests), tuple(changes))
         lasting, missing = one.needs - places.keys(), one.denies - places.keys()
         amounts = () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
-        return _Ready(number, one.step, lasting, missing, operation, one.layer, *amounts)
+        return _Ready(number, one.step, one.needs, lasting, missing, operation, one.layer, *amounts)
 
     def _number(self, number: object, known: Mapping[str, Exact] | None = None) -> Number:
         """Return a number as the search reads it; one that nothing changes is what it is."""

@@ -284,11 +284,11 @@ class PlanMonitor:
         domain, usage = self._effects.domain, usage_of(self._effects.domain)
         numbers = usage.numbers(self._numbers(), state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
-        for atom, left_s in found.items():
-            flaw = plan.prediction(domain, state, {atom: left_s}, ends_s).flaw
-            if flaw is not None:
-                return f"{flaw}, as {forecasts[atom].action} is {forecasts[atom]}"
-        return None
+        flaw = plan.prediction(domain, state, found, ends_s).flaw
+        if flaw is None:
+            return None
+        alone = [one for one in found if plan.prediction(domain, state, {one: found[one]}, ends_s).flaw == flaw]
+        return f"{flaw}, as " + " and ".join(f"{forecasts[one].action} is {forecasts[one]}" for one in alone or found)
 
     def overspent(self, plan: PlanExecution) -> str | None:
         """Return which limit the steps break that have not started, in words; None if they keep them all.
@@ -337,12 +337,14 @@ class PlanMonitor:
         self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
     ) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
-        domain = self._effects.domain
+        domain, usage = self._effects.domain, usage_of(self._effects.domain)
         held = self._holding(goals.soft, plan.prediction(domain, state).facts)
-        forgone = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
+        price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         steps, begun = plan.unfinished_steps, len(plan.running)
-        costs = zip(steps, usage_of(domain).costs(self._numbers(), state, steps, begun), strict=True)
-        return forgone + sum(float(cost) * shares.get(step, 1.0) * weights.get(step, 1) for step, cost in costs)
+        for step, numbers in usage.in_turn(self._numbers(), state, steps, begun):
+            cost = float(usage.value(usage.cost_of(step), numbers))
+            price += cost * shares.get(step, 1.0) * weights.get(step, 1)
+        return price
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
         return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))

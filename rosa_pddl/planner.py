@@ -467,21 +467,23 @@ class _Portfolio:
         """Replay a plan; raise Trouble if it does not work."""
         if not answer.outcome.is_solved:
             return answer
-        wrong = self._flaw(answer, {}) or usage_of(self._problem.domain).overspent(self._problem.costs, answer.steps)
+        problem, usage = self._problem, usage_of(self._problem.domain)
+        wrong = self._flaw(answer, {}) or usage.overspent(problem.costs, answer.steps, problem.state)
         if wrong is not None:
             message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
             raise Trouble(Outcome.ENGINE_CRASHED, message)
-        late = self._flaw(answer, self._problem.until) if self._problem.until else None
+        late = self._flaw(answer, problem.until) if problem.until else None
         if late is not None:
             message = f"what is forecast was not planned with, and {late}; allow more moves, or make the task smaller"
             raise Trouble(Outcome.UNSUPPORTED, message)
         return answer
 
     def _flaw(self, answer: PlanningResult, until: Mapping[str, float]) -> str | None:
-        problem, steps = self._problem, answer.steps
+        problem, steps, usage = self._problem, answer.steps, usage_of(self._problem.domain)
         if answer.schedule:
             return schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted, until)
-        takes = [float(usage_of(problem.domain).takes_s(step, self._numbers)) for step in steps if until]
+        in_turn = usage.in_turn(problem.costs, problem.state, steps) if until else ()
+        takes = [float(usage.takes_s(step, numbers)) for step, numbers in in_turn]
         takes[:1] = [takes_s * problem.shares.get(step, 1.0) for takes_s, step in zip(takes[:1], steps, strict=False)]
         return flaw(problem.domain, steps, problem.state, problem.wanted, until, tuple(accumulate(takes)))
 
@@ -502,9 +504,10 @@ class _Portfolio:
         return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
-        problem = self._problem
+        problem, usage = self._problem, usage_of(self._problem.domain)
         try:
-            return float(sum(usage_of(problem.domain).costs(problem.costs, problem.state, steps)))
+            in_turn = usage.in_turn(problem.costs, problem.state, steps)
+            return float(sum(usage.value(usage.cost_of(step), numbers) for step, numbers in in_turn))
         except UnsupportedPddlError:
             return None
 

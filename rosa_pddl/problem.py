@@ -42,7 +42,7 @@ class Problem:
         shares: what share of its duration is left of a step that runs, if a plan begins with it.
 
     Raises:
-        UnknownNameError: the costs name what the domain does not know, or what is no numeric fact.
+        UnknownNameError: the costs name what the domain does not know, or no numeric fact; or so do the times.
     """
 
     domain: Domain
@@ -62,6 +62,9 @@ class Problem:
                 raise UnknownNameError(f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}")
         if costs.keys() != self.costs.keys():
             object.__setattr__(self, "costs", costs)  # in the spelling of the files
+        feasible = set(map(self.domain.feasible_atom, self.domain.rosa_actions)) if self.until else set()
+        for text in self.until.keys() - feasible:
+            raise UnknownNameError(f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}")
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:

@@ -95,10 +95,13 @@ class ResourceUsage:
         """Return what a step uses up of each limited resource."""
         return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses])
 
+    def duration_of(self, step: Step) -> Number:
+        return bound_number(self._durations[step.schema], step.arguments)
+
     def takes_s(self, step: Step, numbers: Mapping[str, Exact]) -> Exact:
         """Return how long a step takes at least [s]; 0 where that is not known."""
         with suppress(KeyError):
-            return value_of(bound_number(self._durations[step.schema], step.arguments), numbers) or 0
+            return value_of(self.duration_of(step), numbers) or 0
         return 0
 
     def numbers(self, given: Mapping[str, float], state: State = frozenset()) -> Numbers:
@@ -119,11 +122,13 @@ class ResourceUsage:
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
-    def costs(self, given: Mapping[str, float], state: State, steps: Iterable[Step], begun: int = 0) -> Iterator[Exact]:
-        """Yield what steps, of which so many have begun, cost in turn, as the numbers of the state are then."""
+    def in_turn(
+        self, given: Mapping[str, float], state: State, steps: Iterable[Step], begun: int = 0
+    ) -> Iterator[tuple[Step, Numbers]]:
+        """Yield steps, of which so many have begun, with the numbers as they are when it is their turn."""
         domain = self._domain
         for number, step in enumerate(steps):
-            yield self.value(self.cost_of(step), self.numbers(given, state))
+            yield step, self.numbers(given, state)
             if domain.computed:
                 state = ended(domain, step, state if number < begun else started(domain, step, state))
 
@@ -136,11 +141,11 @@ class ResourceUsage:
             found.append(min(left, key=lambda one: (one.amount, not one.is_strict)))
         return tuple(found)
 
-    def overspent(self, given: Mapping[str, float], steps: Iterable[Step]) -> str | None:
+    def overspent(self, given: Mapping[str, float], steps: Iterable[Step], state: State = frozenset()) -> str | None:
         """Return which limit steps break with some numbers, in words; None if they keep them all."""
         if not self._limits:
             return None
-        numbers, used = self.numbers(given), list[Exact]([0] * len(self._limits))
+        numbers, used = self.numbers(given, state), list[Exact]([0] * len(self._limits))
         for step in steps:
             for number, one in enumerate(self.uses_of(step)):
                 used[number] += self.value(one, numbers)

@@ -88,9 +88,10 @@ def replay(
     """
     facts, under_way, begun, left = set(state), list(running), frozenset(running), dict(until or {})
     for moment in moments:
-        wrong = _happen(domain, steps, moment, facts, begun, left)
+        late = (_too_late(domain, steps[number], ends_s[number], left, facts) for number, _ in moment if left)
+        too_late = next(filter(None, late), None)
+        wrong = _happen(domain, steps, moment, facts, begun, left) or too_late
         for number, is_end in moment:
-            wrong = wrong or (_too_late(domain, steps[number], ends_s[number], left) if left else None)
             if is_end:
                 under_way.remove(number)
             else:
@@ -106,9 +107,14 @@ def replay(
     return None, frozenset(facts)
 
 
-def _too_late(domain: Domain, step: Step, end_s: float, left: Mapping[str, float]) -> str | None:
-    over_s = max((end_s - left[atom] for atom in needed_feasible(domain, step) if atom in left), default=0.0)
-    return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s" if over_s > SAME_TIME_S else None
+def _too_late(domain: Domain, step: Step, end_s: float, left: Mapping[str, float], facts: Facts) -> str | None:
+    gone = {atom for atom, left_s in left.items() if atom in facts and end_s - left_s > SAME_TIME_S}
+    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
+    for formula in (*schema.start, *schema.over_all, *schema.end) if gone else ():
+        if holds(domain, formula, binding, facts) and not holds(domain, formula, binding, facts - gone):
+            over_s = end_s - min(left[atom] for atom in gone.intersection(_atoms(domain, formula, binding)))
+            return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s"
+    return None
 
 
 def _happen(
@@ -167,7 +173,7 @@ def flaw(
         state: the true atoms.
         goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
         until: how much longer facts that say what is feasible hold, see `Problem` [s].
-        ends_s: when each step ends [s]; by default as it is declared.
+        ends_s: when each step ends [s]; by default as declared, see `Domain.duration_s`.
     """
     listed = tuple(steps)
     ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
@@ -225,14 +231,6 @@ def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
     if step.action is not None and missing == domain.feasible_atom(step.action):
         return f"{step.action} {verb} unfeasible"
     return f"{step} needs {missing}, which does not hold"
-
-
-def needed_feasible(domain: Domain, step: Step) -> Iterator[str]:
-    """Yield the facts that say that what a step needs is feasible, as atoms."""
-    schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    for formula in (*schema.start, *schema.over_all, *schema.end):
-        if _is_feasibility(domain, formula):
-            yield text_of(domain, formula, binding)
 
 
 def _is_feasibility(domain: Domain, formula: UpThing) -> bool:

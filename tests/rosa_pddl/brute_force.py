@@ -52,5 +52,5 @@ def least_cost(domain, state, costs=None):
         done.add(state)
         for step, after in following(domain, steps, state):
             pushed += 1
-            heappush(queue, (cost + sum(usage.costs(costs or {}, state, [step])), pushed, after))
+            heappush(queue, (cost + usage.value(usage.cost_of(step), usage.numbers(costs or {}, state)), pushed, after))
     return None

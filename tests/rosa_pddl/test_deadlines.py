@@ -12,6 +12,7 @@ from rosa_pddl import (
     Planner,
     Problem,
     TimedStep,
+    UnknownNameError,
     flaw,
     initial_state,
     parse_domain,
@@ -152,6 +153,60 @@ def test_the_judge_says_which_step_is_too_late():
     timed = [TimedStep(step, 3.5 * number, 3.0) for number, step in enumerate(walk)]
     assert schedule_flaw(ISLANDS, timed, state, until={WALK: 6.5}) is None
     assert "would end in 6.5 s" in schedule_flaw(ISLANDS, timed, state, until={WALK: 6.0})
+
+
+CREW = """(define (domain crew) (:requirements :durative-actions :numeric-fluents :disjunctive-preconditions)
+  (:types action) (:predicates (action_feasible ?a - action) (is_go ?a - action) (is_fix ?a - action) (fixed) (done))
+  (:functions (pace))
+  (:durative-action fix :parameters (?a - action) :duration (= ?duration 2)
+    :condition (and (at start (is_fix ?a)) (over all (action_feasible ?a)))
+    :effect (and (at end (action_feasible ?a)) (at end (fixed))))
+  (:durative-action slow :parameters () :duration (= ?duration 1) :condition (and (at start (not (fixed))))
+    :effect (and (at end (assign (pace) 50)) (at end (fixed))))
+  (:durative-action go :parameters (?a - action) :duration (= ?duration {takes})
+    :condition (and (at start (is_go ?a)) (at start (fixed)) (over all {needs}))
+    :effect (at end (done))))"""
+CREW_PROBLEM = """(define (problem p) (:domain crew) (:objects go fix - action)
+  (:init (is_go go) (is_fix fix) (= (pace) 5)) (:goal (done)))"""
+
+
+def crew(until, *, needs="(action_feasible fix)", takes="5"):
+    """Return the crew's domain, a state in which all is feasible, and what is planned in such a time."""
+    domain = parse_domain(CREW.format(takes=takes, needs=needs), CREW_PROBLEM)
+    state = initial_state(domain) | {"(action_feasible go)", "(action_feasible fix)"}
+    return domain, state, EXACT.plan(Problem(domain, state, until=until))
+
+
+def test_a_step_makes_feasible_anew_what_it_needs_itself():
+    domain, state, found = crew(until := {"(action_feasible fix)": 4.0})
+    assert steps(found) == ["fix", "go"]
+    assert flaw(domain, found.steps, state, until=until) is None
+    assert crew({"(action_feasible fix)": 1.9})[2].outcome is Outcome.UNSOLVABLE_PROVEN
+
+
+@pytest.mark.parametrize("kind", ["exists", "forall"])
+def test_what_is_needed_of_several_actions_is_judged_by_what_is_feasible_in_the_end(kind):
+    until = {"(action_feasible fix)": 1.0, "(action_feasible go)": 4.0}
+    domain, state, found = crew(until, needs=f"({kind} (?b - action) (action_feasible ?b))")
+    assert not found.outcome.is_solved
+    plan = [domain.step("slow", ()), domain.step("go", ("go",))]
+    assert "would end in 6 s, too late by " in flaw(domain, plan, state, until=until)
+    one_lasts = flaw(domain, plan, state, until={"(action_feasible go)": 4.0})
+    assert (one_lasts is None) is (kind == "exists")
+
+
+def test_how_long_steps_take_is_not_guessed_where_it_is_computed_or_changes():
+    domain, state, found = crew({"(action_feasible fix)": 10.0}, takes="(pace)")
+    assert not found.outcome.is_solved or steps(found) == ["fix", "go"]
+    go = [domain.step("fix", ("fix",)), domain.step("go", ("go",))]
+    assert flaw(domain, go[1:], state | {"(fixed)"}, until={"(action_feasible fix)": 9.0}) is not None
+    assert flaw(domain, go, state, until={"(action_feasible fix)": 9.0}) is None
+
+
+def test_a_time_of_what_is_no_feasibility_is_refused():
+    for text in ("(action_feasible row)", "(at quay)", "action_feasible sail"):
+        with pytest.raises(UnknownNameError, match=r"nearest|known"):
+            problem({text: 1.0})
 
 
 RIG = """(define (domain rig) (:requirements :durative-actions)

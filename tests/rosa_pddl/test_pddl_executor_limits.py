@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
-from rosa_pddl import Planner, ReplanningPolicy
+from rosa_pddl import Outcome, Planner, Problem, ReplanningPolicy, initial_state, parse_domain
 from rosa_pddl.resource_usage import ResourceUsage
 
 # Each leg can be driven, quickly and with much energy, or crept.
@@ -146,3 +146,26 @@ def test_numbers_that_leave_no_more_break_a_limit_whenever_the_others_did(legs, 
         for steps in product(("drive", "creep"), repeat=2):
             plan = [domain.step(one, words) for one, words in zip(steps, (("a", "b"), ("b", "c")), strict=True)]
             assert usage.overspent(then, plan) is None or usage.overspent(now, plan) is not None
+
+
+def test_a_plan_within_a_limit_that_a_state_gives_is_believed():
+    domain = parse_domain(
+        """(define (domain d) (:predicates (done)) (:functions (used) (room))
+          (:action work :parameters () :precondition (> (room) 1) :effect (and (done) (increase (used) 5))))""",
+        "(define (problem p) (:domain d) (:init (= (used) 0) (= (room) 4)) (:goal (and (done) (<= (used) (room)))))",
+    )
+    roomy = initial_state(domain) - {"(= (room) 4)"} | {"(= (room) 50)"}
+    planner = Planner("label-setting", cached=0)
+    assert planner.plan(Problem(domain, roomy)).outcome is Outcome.SOLVED_OPTIMALLY
+    assert planner.plan(Problem(domain, initial_state(domain))).outcome is Outcome.UNSOLVABLE_PROVEN
+
+
+def test_what_every_action_denies_may_be_looked_at_by_an_effect():
+    domain = parse_domain(
+        """(define (domain d) (:requirements :conditional-effects) (:predicates (done) (wet) (odd))
+          (:action work :parameters () :precondition (not (wet)) :effect (and (done) (when (wet) (odd)))))""",
+        "(define (problem p) (:domain d) (:init) (:goal (done)))",
+    )
+    wet = frozenset({"(wet)"})
+    for state, outcome in ((frozenset(), Outcome.SOLVED_OPTIMALLY), (wet, Outcome.UNSOLVABLE_PROVEN)):
+        assert Planner("label-setting", cached=0).plan(Problem(domain, state)).outcome is outcome
