@@ -156,6 +156,7 @@ class Domain:
     derived: dict[str, Derived] = field(default_factory=dict, repr=False)
     axioms: dict[str, Derived] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
+    worked_out: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
         """Assure that the knowledge base knows every ROSA action of the files.

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache
 from math import ceil, floor, lcm
 
 from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, exact, head_of, numbers_in
@@ -11,8 +10,6 @@ from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
 from rosa_pddl.search import Number, note_signs, value_of
 from rosa_pddl.validate import ended, started, text_of
-
-_MOST_DOMAINS = 8
 
 
 class Numbers(Mapping[str, Exact]):
@@ -170,9 +167,11 @@ class ResourceUsage:
         return all(new == old or (only_grow and old is not None and new > old) for new, old in pairs)
 
 
-@lru_cache(_MOST_DOMAINS)
 def usage_of(domain: Domain) -> ResourceUsage:
-    return ResourceUsage(domain)
+    if "usage" not in domain.worked_out:
+        domain.worked_out["usage"] = ResourceUsage(domain)
+    usage: ResourceUsage = domain.worked_out["usage"]
+    return usage
 
 
 def _compiled(domain: Domain, amount: UpThing, parameters: Iterable[tuple[str, str]] = ()) -> Number:

@@ -9,7 +9,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Outcome, Planner, Problem, ReplanningPolicy, initial_state, parse_domain
-from rosa_pddl.resource_usage import ResourceUsage
+from rosa_pddl.resource_usage import ResourceUsage, usage_of
 
 # Each leg can be driven, quickly and with much energy, or crept.
 DOMAIN = """(define (domain legs) (:requirements :typing :action-costs :numeric-fluents)
@@ -169,3 +169,9 @@ def test_what_every_action_denies_may_be_looked_at_by_an_effect():
     wet = frozenset({"(wet)"})
     for state, outcome in ((frozenset(), Outcome.SOLVED_OPTIMALLY), (wet, Outcome.UNSOLVABLE_PROVEN)):
         assert Planner("label-setting", cached=0).plan(Problem(domain, state)).outcome is outcome
+
+
+def test_what_steps_use_is_worked_out_once_for_each_of_many_robots():
+    domains = [parse_domain(DOMAIN, PROBLEM.format(left=number)) for number in range(20)]
+    usages = [usage_of(domain) for domain in domains]
+    assert all(usage_of(domain) is usage for domain, usage in zip(domains, usages, strict=True))
