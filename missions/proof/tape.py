@@ -19,7 +19,7 @@ Path = tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...]
 """Attributes, items and calls, one after another, beginning at the knowledge base."""
 
 _OF_NO_USE: Final = ("log", "revision")
-"""How much was told so far decides nothing."""
+"""What was told so far decides nothing: what is so does."""
 _LIVE: Final = (KnowledgeBase, Views, ElementView, MethodType)
 """What says how it is now, however long it is held; the rest is of one moment."""
 
