@@ -284,7 +284,7 @@ class PlanMonitor:
         domain, usage = self._effects.domain, usage_of(self._effects.domain)
         numbers = usage.numbers(self._numbers(), state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
-        flaw = plan.prediction(domain, state, found, ends_s).flaw
+        flaw = plan.prediction(domain, state, found, ends_s).flaw if max((0.0, *ends_s)) > min(found.values()) else None
         if flaw is None:
             return None
         alone = [one for one in found if plan.prediction(domain, state, {one: found[one]}, ends_s).flaw == flaw]
