@@ -248,10 +248,11 @@ def _later(events: deque[Event], number: int) -> list[Event]:
 
 @dataclass(slots=True, eq=False)
 class _Subscriber:
-    """Who is called, and the number of the last event that it was called with."""
+    """Who is called, the number of the last event that it was called with, and whether it failed on one."""
 
     call: Callable[[Event], None]
     heard: int
+    has_failed: bool = False
 
 
 class Publisher:
@@ -338,6 +339,7 @@ def _call(subscriber: _Subscriber, event: Event) -> None:
     try:
         subscriber.call(event)
     except Exception:
-        _log.exception("the subscriber %r failed on %r", subscriber.call, event.text)
+        _log.error("the subscriber %r failed on %r", subscriber.call, event.text, exc_info=not subscriber.has_failed)
+        subscriber.has_failed = True  # where is told once: it may fail on all that comes
     finally:
         subscriber.heard = event.number

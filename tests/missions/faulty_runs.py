@@ -137,7 +137,7 @@ class Hostile(Listener):
             while not self.is_over:
                 kb.selectable_actions()
                 kb.component_configured(component, {"asked": True})
-                time.sleep(0.002)
+                time.sleep(0.01)
 
         self.other.subscribe(answer)
         for one in (fail, tell_back, dawdle, ask_another, lambda event: self.heard.append(event.number)):
