@@ -123,7 +123,8 @@ def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
     assert world.executor.plans[1].reason == f"{outcome} after start: retry 1 of 3"
 
 
-def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(ways):
+def eager(ways):
+    """Return a world under way, its planner, and what changes the one and brings the other trouble."""
     planner = Troubled(0)
     world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
     world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
@@ -132,6 +133,11 @@ def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_an
     def change():
         planner.left, world.facts = 10**6, {"(damp)": False, "(near)": 1.0 + next(number) / 1000}
 
+    return world, planner, change
+
+
+def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(ways):
+    world, planner, change = eager(ways)
     ticks(world, 60.0, change)
     asked = len(world.executor.plans)
     assert 5 < asked < 15
@@ -143,14 +149,7 @@ def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_an
 
 
 def test_once_nothing_is_waited_for_any_more_what_is_not_needed_is_asked_at_once_too(ways):
-    planner = Troubled(0)
-    world = World(ways, planner, delay_s=None, policy=ReplanningPolicy(eager=True))
-    world.facts, world.ticks, number = {"(damp)": False}, {"near": 10_000}, count()
-    assert world.tick() is Status.RUNNING
-
-    def change():
-        planner.left, world.facts = 10**6, {"(damp)": False, "(near)": 1.0 + next(number) / 1000}
-
+    world, _, change = eager(ways)
     ticks(world, 30.0, change)  # the next pause ends at 51 s
     asked = len(world.executor.plans)
     world.executor.wait_no_more()
