@@ -1,13 +1,11 @@
 """A plan as people see it: its steps with what they need, and a picture of their causal order.
 
-The picture goes from the top to the goal; side by side is what could come in any order.
+The picture goes from the top to the goal: below a step and further in is what waits for it.
 """
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
 from html import escape
-from itertools import pairwise
 from textwrap import wrap
 from typing import Final, NamedTuple
 
@@ -19,7 +17,7 @@ from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
 _LETTERS: Final = 38
 """After how many characters a line in a box is broken."""
-_GAP, _ROW_GAP, _LANE = 24.0, 46.0, 16.0
+_GAP, _ROW_GAP, _INDENT = 24.0, 14.0, 40.0
 """Sizes in pixels."""
 _MARKER: Final = (
     '<defs><marker id="{}" markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto">'
@@ -145,16 +143,19 @@ def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: in
 
 def svg_of(order: CausalOrder, title: str) -> str:
     """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait."""
-    boxes = _boxes(order)
-    arrows = [(link.source, link.target, False) for link in order.links]
-    arrows += [(earlier, later, True) for earlier, later in order.orders]
-    rows: list[list[_Box]] = [[] for _ in range(max(box.row for box in boxes) + 1)]
-    for box in boxes:
-        rows[box.row].append(box)
-    paths = [(_path(boxes[source], boxes[target], rows), later) for source, target, later in arrows]
-    width, height = _place(rows)
-    height += LINE if order.orders else 0.0
+    goal, boxes, depths, height = len(order.steps), list[_Box](), list[int](), 2 * _GAP
+    for number in range(goal + 1):
+        links = [link for link in order.links if link.target == number]
+        before = [link.source for link in links] + [earlier for earlier, later in order.orders if later == number]
+        depths.append(max((depths[one] + 1 for one in (range(goal) if number == goal else before)), default=0))
+        box = _Box(_GAP + depths[number] * _INDENT, height, _lines(order, number, links))
+        boxes.append(box)
+        height += box.size[1] + _ROW_GAP
+    width = max(box.x + box.size[0] for box in boxes) + _GAP
     width = max(width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
+    height += LINE if order.orders else 0.0
+    arrows = [_arrow(boxes, link.source, link.target, is_order=False) for link in order.links]
+    arrows += [_arrow(boxes, earlier, later, is_order=True) for earlier, later in order.orders]
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {FONT}>',
@@ -162,8 +163,8 @@ def svg_of(order: CausalOrder, title: str) -> str:
             *(_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
-            *(_arrow(path, later) for path, later in paths),
-            *(line for box in boxes for line in svg_box(box.x, box.y, box.lines, _GOAL if box.is_goal else _STEP)),
+            *arrows,
+            *(line for box in boxes for line in svg_box(*box, _GOAL if box is boxes[-1] else _STEP)),
             *([f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>'] if order.orders else []),
             "</svg>",
             "",
@@ -171,86 +172,31 @@ def svg_of(order: CausalOrder, title: str) -> str:
     )
 
 
-@dataclass
-class _Box:
-    """A step, the goal, or, without lines, a place where an arrow passes a row, as tall as that."""
+class _Box(NamedTuple):
+    """A step or the goal: where its upper left corner is [px], and what it says."""
 
-    row: int
-    lines: tuple[str, ...] = ()
-    is_goal: bool = False
-    above: list["_Box"] = field(default_factory=list)
-    x: float = 0.0
-    y: float = 0.0
-    passed: float = 0.0
+    x: float
+    y: float
+    lines: list[str]
 
     @property
-    def width(self) -> float:
-        return svg_size(self.lines)[0] if self.lines else _LANE
-
-    @property
-    def height(self) -> float:
-        return svg_size(self.lines)[1] if self.lines else self.passed
-
-    @property
-    def middle(self) -> float:
-        return self.x + self.width / 2
+    def size(self) -> tuple[float, float]:
+        return svg_size(self.lines)
 
 
-def _boxes(order: CausalOrder) -> list[_Box]:
-    goal = len(order.steps)
-    boxes: list[_Box] = []
-    for number in range(goal + 1):
-        links = [link for link in order.links if link.target == number]
-        waits = [link.source for link in links] + [earlier for earlier, later in order.orders if later == number]
-        below = boxes if number == goal else [boxes[one] for one in waits]
-        lines = ["goal"] if number == goal else [f"{number + 1}  {order.steps[number].schema}"]
-        if number < goal and order.steps[number].arguments:
-            lines += wrap(", ".join(order.steps[number].arguments), _LETTERS)
-        for link in links:
-            lines += [line for need in link.needs for line in wrap(f"{link.source + 1} → {need}", _LETTERS)]
-        row = max((box.row + 1 for box in below), default=0)
-        boxes.append(_Box(row, tuple(lines), number == goal))
-    return boxes
+def _lines(order: CausalOrder, number: int, links: Iterable[Link]) -> list[str]:
+    lines = ["goal"]
+    if number < len(order.steps):
+        step = order.steps[number]
+        lines = [f"{number + 1}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
+    return lines + [
+        line for link in links for need in link.needs for line in wrap(f"{link.source + 1} → {need}", _LETTERS)
+    ]
 
 
-def _path(source: _Box, target: _Box, rows: list[list[_Box]]) -> list[_Box]:
-    """Return the boxes that an arrow joins, with a place of its own in each row that it passes."""
-    path = [source]
-    for row in range(source.row + 1, target.row):
-        lane = _Box(row, above=[path[-1]])
-        rows[row].append(lane)
-        path.append(lane)
-    target.above.append(path[-1])
-    return [*path, target]
-
-
-def _place(rows: list[list[_Box]]) -> tuple[float, float]:
-    y = 2 * _GAP
-    for row in rows:
-        row.sort(key=_wish)
-        right = _GAP
-        for box in row:
-            box.x, box.y = max(right, _wish(box) - box.width / 2), y
-            right = box.x + box.width + _GAP
-        tallest = max(box.height for box in row)
-        for box in row:
-            box.passed = tallest
-        y += tallest + _ROW_GAP
-    right = max(box.x + box.width for row in rows for box in row) + _GAP
-    return right, y - _ROW_GAP + _GAP
-
-
-def _wish(box: _Box) -> float:
-    return sum(one.middle for one in box.above) / len(box.above) if box.above else 0.0
-
-
-def _arrow(path: list[_Box], later: bool) -> str:
-    colour, marker = (_LATER, "wait") if later else (_EDGE, "so")
-    parts = [f"M{path[0].middle:g} {path[0].y + path[0].height:g}"]
-    for before, box in pairwise(path):
-        top, bottom = before.y + before.height, box.y
-        half = (top + bottom) / 2
-        parts.append(f"C{before.middle:g} {half:g} {box.middle:g} {half:g} {box.middle:g} {bottom:g}")
-        parts += [] if box.lines else [f"L{box.middle:g} {bottom + box.height:g}"]
-    style = ' stroke-dasharray="5 4"' if later else ""
-    return f'<path d="{"".join(parts)}" fill="none" stroke="{colour}"{style} marker-end="url(#{marker})"/>'
+def _arrow(boxes: Sequence[_Box], earlier: int, later: int, *, is_order: bool) -> str:
+    source, target = boxes[earlier], boxes[later]
+    x, y = source.x + 8 + 6 * (earlier % 5) + 3 * is_order, target.y + LINE * (1.1 if is_order else 0.6)
+    style = f'stroke="{_LATER}" stroke-dasharray="5 4"' if is_order else f'stroke="{_EDGE}"'
+    way = f"M{x:g} {source.y + source.size[1]:g}V{y:g}H{target.x:g}"
+    return f'<path d="{way}" fill="none" {style} marker-end="url(#{"wait" if is_order else "so"})"/>'

@@ -6,13 +6,12 @@
 
 Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its blackboards. The
 protocol knows no token, so it is served on this machine only; from elsewhere `ssh -L 1667:127.0.0.1:1667 -L
-1668:127.0.0.1:1668 ROBOT` leads to it. What would change how the tree runs (breakpoints, replaced nodes) is refused.
+1668:127.0.0.1:1668 ROBOT` leads to it. What would change how the tree runs (breakpoints, replaced nodes) is refused,
+and so are recordings of transitions, which `rosa run --record` and `--report` make.
 """
 
 import struct
 import threading
-import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 from uuid import uuid4
@@ -32,15 +31,14 @@ _HEAD: Final = struct.Struct("<BBI")
 """Of a request: the protocol, a letter for its kind, and its number."""
 _PROTOCOL: Final = 2
 _STATUS: Final = struct.Struct("<HB")
-_MOST_TRANSITIONS: Final = 1000
-"""In one answer; ten times as many are kept until they are asked for."""
 _LARGEST_REQUEST: Final = 2**16
 _IDLE, _SKIPPED, _WAS = 0, 4, 10
 """What is idle is 10 + the status that it had before, or 0 if it never had one."""
 _CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
+_NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report FILE.html` do it"
 _NO_HOOKS: Final = "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
-_NOT_SERVED: Final = dict.fromkeys("IRUAX", _NO_HOOKS)
+_NOT_SERVED: Final = {**dict.fromkeys("IRUAX", _NO_HOOKS), **dict.fromkeys("rt", _NO_RECORD)}
 
 
 class _Present(NamedTuple):
@@ -74,8 +72,6 @@ class Groot2Publisher(VisitorBase):
             import zmq
         self._tree = tree
         self._visited: set[Behaviour] = set()
-        self._transitions: deque[tuple[int, int, int]] | None = None
-        self._began_us = 0
         self._present = self._seen(None)
         self._packed = msgpack.packb
         self._context = zmq.Context()
@@ -108,12 +104,7 @@ class Groot2Publisher(VisitorBase):
 
     def finalise(self) -> None:
         """Write down, after a tick, what each node's status is."""
-        before, recorded = self._present, self._transitions
-        self._present = self._seen(before)
-        if recorded is not None and before.identity == self._present.identity:
-            now_us = time.time_ns() // 1000
-            numbers, codes = self._present.tree.numbers, self._present.codes
-            recorded += [(now_us, numbers[n], code) for n, code in codes.items() if code != before.codes[n]]
+        self._present = self._seen(self._present)
 
     def _seen(self, before: _Present | None) -> _Present:
         if before is None or not before.tree.shows(self._tree.root):
@@ -152,35 +143,15 @@ class Groot2Publisher(VisitorBase):
             "T": present.tree.xml.encode,
             "S": present.statuses,
             "B": lambda: self._packed(self._boards(present.tree, argument.decode(errors="replace").split(";"))),
-            "r": lambda: self._record(argument),
-            "t": self._recorded,
             "D": lambda: b"[]",
         }
         if kind not in served:
             return _refusal(_NOT_SERVED.get(kind, f"unknown request {kind!r}; served are {' '.join(served)}"))
-        try:
-            return [head + present.identity, served[kind]()]
-        except ValueError as error:
-            return _refusal(str(error))
+        return [head + present.identity, served[kind]()]
 
     def _boards(self, tree: NumberedTree, names: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
         chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)
         return {name: _values(None if (one := tree.subtrees[name]) is None else one.blackboard) for name in chosen}
-
-    def _record(self, wish: bytes) -> bytes:
-        if wish not in (b"start", b"stop"):
-            raise ValueError(f"a recording is told 'start' or 'stop', not {wish[:20]!r}")
-        self._transitions = deque(maxlen=10 * _MOST_TRANSITIONS) if wish == b"start" else None
-        self._began_us = time.time_ns() // 1000
-        return str(self._began_us).encode() if wish == b"start" else b""
-
-    def _recorded(self) -> bytes:
-        recorded = self._transitions or deque()
-        taken = [recorded.popleft() for _ in range(min(len(recorded), _MOST_TRANSITIONS))]
-        return b"".join(
-            max(0, now_us - self._began_us).to_bytes(6, "little") + _STATUS.pack(number, code if code < _WAS else _IDLE)
-            for now_us, number, code in taken
-        )
 
 
 def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
