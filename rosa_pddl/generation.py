@@ -7,18 +7,18 @@ What is made follows ROSA's convention: a type `action` with one object for each
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from decimal import Decimal
+from itertools import chain
 from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
-from rosa_pddl.exceptions import PddlError, nearest
+from rosa_pddl.exceptions import PddlError
+from rosa_pddl.formulas import CHANGES, COMPARISONS, nodes_of
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import BODY, Node, Source, formula, listed, typed
+from rosa_pddl.syntax import ANY, Node, Source, formula, listed, typed
 
-_CONNECTIVES: Final = frozenset({"and", "or", "not", "imply", "when"})
-_NUMERIC: Final = frozenset({"<", ">", "<=", ">=", "assign", "increase", "decrease", "scale-up", "scale-down"})
-_TIMED: Final = frozenset({("at", "start"), ("at", "end"), ("over", "all")})
+_CONNECTIVES: Final = ("and", "or", "not", "imply", "when")
+_COMPUTING: Final = (*COMPARISONS, *CHANGES, "=", "+", "-", "*", "/")
 
-_Kinds = tuple[str, ...]
 _Scope = Mapping[str, str]
 
 
@@ -107,8 +107,10 @@ class Declarations:
         self._place = f"declarations of {name}"
         for one in self.schemas:
             _check(one)
-        self._check_problem()
-        self._signatures = self._used()
+        if not self.schemas:
+            raise PddlError("no action is declared", self._place)
+        if not problem.goal:
+            raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
 
     @property
     def rosa_actions(self) -> tuple[str, ...]:
@@ -136,40 +138,6 @@ class Declarations:
         domain = Source(file.format("domain"), self._domain_lists())
         return build_domain(domain, Source(file.format("problem"), self._problem_lists()))
 
-    def _check_problem(self) -> None:
-        problem = self.problem
-        if not self.schemas:
-            raise PddlError("no action is declared", self._place)
-        if not problem.goal:
-            raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
-        for name in problem.limits:
-            if name not in self._resources:
-                hint = nearest(name, self._resources)
-                raise PddlError(f"{name!r} is limited, but no action uses it up; {hint}", self._place)
-        known = [each.rosa_action for each in self.schemas if each.rosa_action is not None]
-        for one in self.schemas:
-            for action in one.makes_feasible:
-                if action not in known:
-                    message = f"makes {action!r} feasible, which no action does; {nearest(action, known)}"
-                    raise PddlError(message, _of(one))
-
-    def _used(self) -> "_Signatures":
-        """Find out what the predicates and numeric facts are about, from how they are used."""
-        objects = {**self.problem.objects, **dict.fromkeys(self.rosa_actions, ACTION_TYPE)}
-        own = (FEASIBLE, *(f"{action}_action".lower() for action in self.rosa_actions))
-        used = _Signatures(objects, self.problem.types, dict.fromkeys(own, (ACTION_TYPE,)))
-        for one in self.schemas:
-            scope, place = _scope(one), _of(one)
-            for text in (*one.start, *one.over_all, *one.end, *one.start_effects, *one.end_effects):
-                used.read(_parsed(text, place), scope, place)
-            for amount in (one.cost, *one.uses.values(), *(f"({name})" for name in one.uses)):
-                if isinstance(amount, str):
-                    used.join(used.numbers, _parsed(amount, place), scope, place)
-        for amount in self.problem.limits.values():
-            if isinstance(amount, str):
-                used.join(used.numbers, _parsed(amount, self._place), {}, self._place)
-        return used
-
     @property
     def _has_costs(self) -> bool:
         return any(one.cost is not None for one in self.schemas)
@@ -178,17 +146,28 @@ class Declarations:
     def _resources(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(name for one in self.schemas for name in one.uses))
 
+    @property
+    def _objects(self) -> Mapping[str, str]:
+        return {**dict.fromkeys(self.rosa_actions, ACTION_TYPE), **self.problem.objects}
+
+    def _listed_objects(self, *, constant: bool) -> Iterator[str]:
+        """Yield the objects with their types: those that actions name are constants of the domain."""
+        words = {word.lower for one in self.schemas for formula in _formulas(one) for word in nodes_of(formula)}
+        for name, kind in self._objects.items():
+            yield from (name, "-", kind) if (name.lower() in words) is constant else ()
+
     def _domain_lists(self) -> Node:
-        used = self._signatures
-        functions = [_signature(name, kinds) for name, kinds in used.numbers.items()]
+        predicates, numbers = self._signatures()
+        has_durations = any(one.duration_s is not None for one in self.schemas)
+        requirements = [":typing", ":adl", *[":durative-actions"] * has_durations]
         return listed(
             "define",
             listed("domain", self.name),
-            listed(":requirements", ":typing", ":adl", *self._requirements()),
+            listed(":requirements", *requirements, *[":numeric-fluents"] * bool(numbers or self._has_costs)),
             listed(":types", *self._types()),
-            listed(":constants", *(word for one in self._objects(constant=True) for word in one)),
-            listed(":predicates", *(_signature(name, kinds) for name, kinds in used.predicates.items())),
-            listed(":functions", *functions, *([listed("total-cost")] if self._has_costs else [])),
+            listed(":constants", *self._listed_objects(constant=True)),
+            listed(":predicates", *predicates),
+            listed(":functions", *numbers, *[listed("total-cost")] * self._has_costs),
             *(_action(one, self._has_costs) for one in self.schemas),
         )
 
@@ -204,37 +183,44 @@ class Declarations:
             "define",
             listed("problem", self.name),
             listed(":domain", self.name),
-            listed(":objects", *(word for one in self._objects(constant=False) for word in one)),
+            listed(":objects", *self._listed_objects(constant=False)),
             listed(":init", *facts),
             listed(":goal", listed("and", *goals)),
-            *([listed(":metric", "minimize", listed("total-cost"))] if self._has_costs else []),
+            *[listed(":metric", "minimize", listed("total-cost"))] * self._has_costs,
         )
 
-    def _requirements(self) -> Iterator[str]:
-        if any(one.duration_s is not None for one in self.schemas):
-            yield ":durative-actions"
-        if self._signatures.numbers or self._has_costs:
-            yield ":numeric-fluents"
+    def _signatures(self) -> tuple[list[Node], list[Node]]:
+        """Return the predicates and the numbers, with the least types that fit all that they are used for."""
+        objects = {name.lower(): kind for name, kind in self._objects.items()}
+        own = (FEASIBLE, *(f"{action}_action" for action in self.rosa_actions))
+        predicates: dict[str, list[list[str]]] = {name.lower(): [[ACTION_TYPE]] for name in own}
+        numbers: dict[str, list[list[str]]] = {}
+        for scope, formulas in ((_scope(one), _formulas(one)) for one in self.schemas):
+            for atom, kinds, is_number in chain.from_iterable(_atoms(one, {**objects, **scope}) for one in formulas):
+                uses = (numbers if is_number else predicates).setdefault(atom.head, [[] for _ in kinds])
+                for each, kind in zip(uses, kinds, strict=False):  # the reader says what is wrong with other uses
+                    each.append(kind)
+        for amount in self.problem.limits.values():
+            numbers |= {_parsed(amount, self._place).head: []} if isinstance(amount, str) else {}
+        numbers.pop("total-cost", None)
+        return self._declared(predicates), self._declared(numbers)
 
-    def _objects(self, *, constant: bool) -> Iterator[tuple[str, str, str]]:
-        """Yield the objects with their types: those that formulas name are constants of the domain."""
-        for name, kind in (*dict.fromkeys(self.rosa_actions, ACTION_TYPE).items(), *self.problem.objects.items()):
-            if (name.lower() in self._signatures.constants) is constant:
-                yield name, "-", kind
+    def _declared(self, used: Mapping[str, list[list[str]]]) -> list[Node]:
+        found = []
+        for name, places in used.items():
+            typed_as = ((f"?x{number}", "-", self._least(kinds)) for number, kinds in enumerate(places, 1))
+            found.append(listed(name, *chain.from_iterable(typed_as)))
+        return found
 
-    def _written(self, lists: Node) -> str:
-        self.load()  # what is not correct PDDL is not written
-        lines = [f"; Generated from the {self._place}.", f"(define {lists.children[1]}"]
-        for node in lists.children[2:]:
-            if node.head in BODY:
-                lines.append(f" ({node.head} {node.children[1]}")
-                parts = node.children[2:]
-                for word, value in zip(parts[::2], parts[1::2], strict=True):
-                    lines += _in_lines(value, f"  {word} ") if value.head == "and" else [f"  {word} {value}"]
-                lines.append(" )")
-            elif node.children[1:]:  # some readers refuse a section that is empty
-                lines += _in_lines(node) if any(one.is_list for one in node.children) else [f" {node}"]
-        return "\n".join([*lines, ")\n"])
+    def _least(self, kinds: Iterable[str]) -> str:
+        first, *others = [self._lineage(kind) for kind in dict.fromkeys(kinds)]
+        return next((kind for kind in first if all(kind in other for other in others)), "object")
+
+    def _lineage(self, kind: str) -> list[str]:
+        lineage = [kind]
+        while (kind := self.problem.types.get(kind, kind)) not in lineage:
+            lineage.append(kind)
+        return lineage
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
@@ -244,83 +230,31 @@ class Declarations:
         yield from ["-", "object"]
         yield from (word for kind, parent in above.items() for word in (kind, "-", parent))
 
-
-class _Signatures:
-    """Keeps of each predicate and number the least types that fit all its uses; names are in lower case."""
-
-    def __init__(self, objects: Mapping[str, str], above: Mapping[str, str], predicates: Mapping[str, _Kinds]) -> None:
-        self._objects = {name.lower(): kind.lower() for name, kind in objects.items()}
-        self._spelled = tuple(objects)
-        self._above = {kind.lower(): parent.lower() for kind, parent in above.items()}
-        self.predicates = dict(predicates)
-        self.numbers: dict[str, _Kinds] = {}
-        self.constants: set[str] = set()
-
-    def read(self, node: Node, scope: _Scope, place: str) -> None:
-        """Take in a condition or an effect whose variables have the types of the scope."""
-        for atom, inner in _atoms(node, scope, place):
-            if atom.head == "=":
-                self._kinds(atom, inner, place)
-            else:
-                self.join(self.predicates, atom, inner, place)
-
-    def join(self, known: dict[str, _Kinds], atom: Node, scope: _Scope, place: str) -> None:
-        kinds = self._kinds(atom, scope, place)
-        before = known.setdefault(atom.head, kinds)
-        joined = self._joined(before, kinds)
-        if joined is None:
-            message = f"{atom} is about {_in_words(kinds)}, but elsewhere {atom.head!r} is about {_in_words(before)}"
-            raise PddlError(f"{message}; declare a type above both in types={{...}}", place)
-        known[atom.head] = joined
-
-    def _kinds(self, atom: Node, scope: _Scope, place: str) -> _Kinds:
-        kinds = []
-        for argument in atom.children[1:]:
-            is_variable = argument.lower.startswith("?")
-            kind = (scope if is_variable else self._objects).get(argument.lower)
-            if kind is None:
-                what, names = ("parameter", tuple(scope)) if is_variable else ("object", self._spelled)
-                raise PddlError(f"{atom}: unknown {what} {str(argument)!r}; {nearest(str(argument), names)}", place)
-            if not is_variable:
-                self.constants.add(argument.lower)
-            kinds.append(kind)
-        return tuple(kinds)
-
-    def _joined(self, one: _Kinds, other: _Kinds) -> _Kinds | None:
-        joined = tuple(filter(None, map(self._least, one, other)))
-        return joined if len(joined) == len(one) == len(other) else None
-
-    def _least(self, one: str, other: str) -> str | None:
-        if "object" in (one, other):
-            return "object"
-        others = self._lineage(other)
-        return next((kind for kind in self._lineage(one) if kind in others), None)
-
-    def _lineage(self, kind: str) -> list[str]:
-        lineage = [kind]
-        while (kind := self._above.get(kind, kind)) not in lineage:
-            lineage.append(kind)
-        return lineage
+    def _written(self, lists: Node) -> str:
+        self.load()  # what is not correct PDDL is not written
+        sections = [str(node).replace(" :", "\n    :") for node in lists.children[2:] if node.children[1:]]
+        return "\n ".join([f"; Generated from the {self._place}.\n(define {lists.children[1]}", *sections]) + ")\n"
 
 
-def _atoms(node: Node, scope: _Scope, place: str) -> Iterator[tuple[Node, _Scope]]:
-    """Yield each atom of a formula with the types of the variables there; refuse what is declared elsewhere."""
+def _formulas(schema: ActionSchema) -> Iterator[Node]:
+    texts = (*schema.start, *schema.over_all, *schema.end, *schema.start_effects, *schema.end_effects)
+    yield from (_parsed(text, _of(schema)) for text in texts)
+    amounts = [one for one in (schema.cost, *schema.uses.values()) if isinstance(one, str)]
+    yield from (listed("+", _parsed(one, _of(schema))) for one in amounts)
+    yield from (listed("+", listed(name)) for name in schema.uses)
+
+
+def _atoms(node: Node, scope: _Scope, is_number: bool = False) -> Iterator[tuple[Node, list[str], bool]]:
+    """Yield each atom and each number of a formula, with the types of its arguments, and whether it is a number."""
     head, rest = node.head, node.children[1:]
-    if not node.is_list:
-        raise PddlError(f"found {node.word!r}, expected a list such as '({node.word})'", place)
-    if len(rest) == 2 and rest[1].is_list and (head, rest[0].lower) in _TIMED:
-        raise PddlError(f"found {node}; say only {rest[1]}, where it belongs (start, over_all, end)", place)
-    if head in _NUMERIC:
-        raise PddlError(f"found {node}, which computes with numbers; state a cost as cost=...", place)
-    if head in _CONNECTIVES:
-        for child in rest:
-            yield from _atoms(child, scope, place)
-    elif head in ("forall", "exists"):
-        if len(rest) != 2 or not rest[0].is_list:
-            raise PddlError(f"found {node}, expected '({head} (?x - type) (...))'", place)
-        yield from _atoms(rest[1], {**scope, **_typed(rest[0], place)}, place)
-    elif head:
-        yield node, scope
+    if head in ("forall", "exists") and rest:
+        scope, rest = {**scope, **_typed(rest[0].children)}, rest[1:]
+    elif head and head not in _CONNECTIVES + _COMPUTING:
+        yield node, [scope.get(one.lower, "object") for one in rest], is_number
+        return
+    for child in (one for one in rest if one.is_list):
+        # an effect on a number, and what it is changed by, are numbers, as is what is compared
+        yield from _atoms(child, scope, is_number=head in _COMPUTING)
 
 
 def _parsed(text: str, place: str) -> Node:
@@ -330,16 +264,9 @@ def _parsed(text: str, place: str) -> Node:
     return formula(text, f"{place}, in {text!r}")
 
 
-def _typed(node: Node, place: str) -> _Scope:
-    found = typed(Source(place, node), node.children, are_variables=True)
-    missing = next((name for name, kind in found if kind is None), None)
-    if missing is not None:
-        raise PddlError(f"found the parameter {missing}, expected one with its type such as '?x - place'", place)
-    return {name.lower: kind.lower for name, kind in found if kind is not None}
-
-
-def _in_words(kinds: _Kinds) -> str:
-    return f"({' '.join(kinds)})" if kinds else "nothing"
+def _typed(nodes: Iterable[Node]) -> _Scope:
+    found = typed(Source("", ANY), nodes)
+    return {name.lower: "object" if kind is None or kind.is_list else str(kind) for name, kind in found}
 
 
 def _of(schema: ActionSchema) -> str:
@@ -351,9 +278,6 @@ def _check(schema: ActionSchema) -> None:
     for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "makes_feasible"):
         if isinstance(getattr(schema, key), str):
             raise PddlError(f"{key} is one text, expected several; write ({getattr(schema, key)!r},)", place)
-    for name in _parameters(schema):
-        if name in _reserved(schema):
-            raise PddlError(f"the parameter {name} is taken: it stands for a ROSA action; choose another name", place)
     amounts = {f"uses[{name!r}]": value for name, value in schema.uses.items()}
     for key, value in {"duration_s": schema.duration_s, "cost": schema.cost, **amounts}.items():
         if isinstance(value, int | float) and not 0.0 <= value < float("inf"):
@@ -363,26 +287,16 @@ def _check(schema: ActionSchema) -> None:
         raise PddlError(message, place)
 
 
-def _reserved(schema: ActionSchema) -> list[str]:
+def _parameters(schema: ActionSchema) -> Node:
+    """Return the parameters with their types, those for ROSA actions first."""
     own = ["?a"] if schema.rosa_action is not None else []
-    return own + [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
-
-
-def _parameters(schema: ActionSchema) -> _Scope:
-    return {
-        name: kind
-        for text in schema.parameters
-        for name, kind in _typed(_parsed(f"({text})", _of(schema)), _of(schema)).items()
-    }
+    own += [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
+    given = (_parsed(f"({text})", _of(schema)).children for text in schema.parameters)
+    return listed(*(word for one in own for word in (one, "-", ACTION_TYPE)), *chain.from_iterable(given))
 
 
 def _scope(schema: ActionSchema) -> _Scope:
-    """Return the types of the parameters, those for ROSA actions first."""
-    return {**dict.fromkeys(_reserved(schema), ACTION_TYPE), **_parameters(schema)}
-
-
-def _signature(name: str, kinds: Iterable[str]) -> Node:
-    return listed(name, *(word for number, kind in enumerate(kinds, 1) for word in (f"?x{number}", "-", kind)))
+    return _typed(_parameters(schema).children)
 
 
 def _action(schema: ActionSchema, has_costs: bool) -> Node:
@@ -396,7 +310,7 @@ def _action(schema: ActionSchema, has_costs: bool) -> Node:
         effects += formulas(f"({FEASIBLE} ?a{number})")
     amounts = {**({"total-cost": schema.cost or 0} if has_costs else {}), **schema.uses}
     effects += [listed("increase", listed(name), _number(amount)) for name, amount in amounts.items()]
-    parameters = listed(*(word for name, kind in _scope(schema).items() for word in (name, "-", kind)))
+    parameters = _parameters(schema)
     if schema.duration_s is None:
         parts = (":precondition", listed("and", *own, *start), ":effect", listed("and", *effects))
         return listed(":action", schema.name, ":parameters", parameters, *parts)
@@ -406,10 +320,6 @@ def _action(schema: ActionSchema, has_costs: bool) -> Node:
     duration = listed("=", "?duration", _number(schema.duration_s))
     parts = (":condition", listed("and", *conditions), ":effect", listed("and", *changes))
     return listed(":durative-action", schema.name, ":parameters", parameters, ":duration", duration, *parts)
-
-
-def _in_lines(node: Node, before: str = " ") -> list[str]:
-    return [f"{before}({node.head}", *(f"    {one}" for one in node.children[1:]), "  )"]
 
 
 def _at(when: str, formulas: Iterable[Node]) -> list[Node]:

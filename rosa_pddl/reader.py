@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts
-from rosa_pddl.exceptions import UnknownNameError, nearest
+from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, nodes_of
 from rosa_pddl.number_uses import NumberUses
 from rosa_pddl.problem import Problem
@@ -164,7 +164,7 @@ class _Reader:
                     raise domain.unsupported(part, f"{message} an effect of actions")
         for node in domain.root.children[2:]:
             if node.head in BODY:
-                with _located(domain, node):
+                with _located(domain, node, f"in {start_of(node.children[1])}: " if node.children[1:] else ""):
                     self._read_action(node)
         for fact in (part for node in section(problem, ":init") for part in _parts_of(node)):
             with _located(problem, fact):
@@ -560,12 +560,14 @@ def _signatures(source: Source, head: str) -> Iterator[Node]:
 
 
 @contextmanager
-def _located(source: Source, node: Node) -> Iterator[None]:
-    """Say where stands what unified-planning does not take."""
+def _located(source: Source, node: Node, place: str = "") -> Iterator[None]:
+    """Say where stands what unified-planning does not take, and in which place what stands at no line."""
     from unified_planning.exceptions import UPException
 
     try:
         yield
+    except PddlError as error:
+        raise error if error.line else type(error)(place + error.message, error.file) from error
     except (UPException, AssertionError) as error:
         text = " ".join(str(error).split()) or repr(error)
         raise source.error(node, f"unified-planning cannot take this: {text}") from error

@@ -129,13 +129,17 @@ def test_numbers_are_written_with_all_their_digits():
         (
             CROSS,
             replace(WALK, limits={"energy": 3}),
-            "'energy' is limited, but no action uses it up; nearest: energy_used",
+            "found the unknown predicate 'energy_left', expected a declared one; nearest: energy_used",
         ),
         (replace(CROSS, uses={"risk": -1}), WALK, "uses['risk'] is -1, expected a number that is not negative"),
-        (replace(CROSS, uses={**CROSS.uses, "risk": "(takes ?x)"}), WALK, "unknown parameter '?x'"),
+        (
+            replace(CROSS, uses={**CROSS.uses, "risk": "(takes ?x)"}),
+            WALK,
+            "in cross: found the variable '?x', expected a parameter",
+        ),
     ],
 )
 def test_declarations_without_meaning_are_refused(schema, problem, words):
     with pytest.raises(PddlError) as caught:
-        Declarations("walk", [schema], problem)
+        Declarations("walk", [schema], problem).load()
     assert words in str(caught.value)
