@@ -484,6 +484,7 @@ class WaitForArchitecture(ActionBehaviour):
 
     def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, timeout: float = math.inf) -> None:
         super().__init__(name, kb, action)
+        self.timeout = timeout
         self._request = ActionRequest(kb, timeout)
 
     def initialise(self) -> None:
@@ -535,7 +536,7 @@ class RosaAction(ActionBehaviour):
         even_if_unfeasible: bool = False,
     ) -> None:
         super().__init__(name, kb, action)
-        self.even_if_unfeasible = even_if_unfeasible
+        self.wait, self.timeout, self.even_if_unfeasible = wait, timeout, even_if_unfeasible
         self._preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
@@ -549,11 +550,6 @@ class RosaAction(ActionBehaviour):
         with suppress(RuntimeError):  # this leaf is not connected to a blackboard
             return self.get_input("preference") or None
         return None
-
-    @property
-    def waits(self) -> bool:
-        """Whether it begins only when the robot is configured for its action."""
-        return self._request.timeout is not None
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.

@@ -128,14 +128,14 @@ class SafeSwitch(_Parts):
         super().__init__(name, [*transitions.values(), task])
         self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
         self.posture, self.key = posture, key
-        self.transitions = tuple(transitions)
+        self.after = tuple(transitions)
 
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             self._begin()
         before, child = self.posture.get(self.key), self.children[-1]
-        if before in self.transitions:
-            child = self.current_child = self.children[self.transitions.index(before)]
+        if before in self.after:
+            child = self.current_child = self.children[self.after.index(before)]
             yield from child.tick()
             said = child.feedback_message
             self.feedback_message = f"switching from {before}{f': {said}' if said else ''}"

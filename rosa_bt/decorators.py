@@ -47,8 +47,8 @@ class ForAction(Decorator):
         self.kb = kb
         self.action = action
         self.preference = preference
-        self.timeout = timeout if wait else None
-        self._request = ActionRequest(kb, self.timeout)
+        self.wait, self.timeout = wait, timeout
+        self._request = ActionRequest(kb, timeout if wait else None)
         self._is_ready = False
 
     def tick(self) -> Iterator[Behaviour]:

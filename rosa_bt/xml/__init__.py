@@ -1,8 +1,7 @@
 """Trees in the XML of BehaviorTree.CPP 4: read with its semantics, and written."""
 
-from rosa_bt.xml.ports import Port
 from rosa_bt.xml.reader import load_xml
 from rosa_bt.xml.registry import BehaviourRegistry
 from rosa_bt.xml.writer import NumberedTree, export_xml
 
-__all__ = ["BehaviourRegistry", "NumberedTree", "Port", "export_xml", "load_xml"]
+__all__ = ["BehaviourRegistry", "NumberedTree", "export_xml", "load_xml"]

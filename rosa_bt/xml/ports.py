@@ -1,7 +1,6 @@
 """Ports: what a node declares, filled with what its element says: literals, or keys of the blackboard."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any, Final, get_origin
 
@@ -50,7 +49,7 @@ class Ports:
 
     def _declare(self, name: str, key: str) -> None:
         wanted = self._declared[name].data_type
-        wanted = None if wanted in (Any, object, Port) else wanted
+        wanted = None if wanted in (Any, object) else wanted
         entry = self.blackboard.entry(key)
         if entry is None:
             self.blackboard.make(key, wanted)
@@ -124,7 +123,7 @@ class Ports:
 
     def _converted(self, name: str, value: object) -> Any:  # noqa: ANN401  # of the type that the port declares
         wanted = self._declared[name].data_type
-        if wanted in (Any, object, Port):
+        if wanted in (Any, object):
             return value
         try:
             if isinstance(value, str):
@@ -141,17 +140,3 @@ class Ports:
                 f"the port {name!r} takes a value of type {getattr(wanted, '__name__', wanted)}, not {value!r}"
             )
         return value
-
-
-@dataclass(frozen=True)
-class Port:
-    """One port, for behaviours that do not use py_trees' ports: handed to a parameter that is given a `{key}`."""
-
-    ports: Ports
-    name: str
-
-    def get(self) -> Any:  # noqa: ANN401  # whatever is on the blackboard
-        return self.ports.get(self.name)
-
-    def set(self, value: object) -> None:
-        self.ports.set(self.name, value)

@@ -136,12 +136,8 @@ class Document:
     def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-        version = root.attributes.get("BTCPP_format", "3" if _is_of_3(root) else "4")
-        if version not in ("3", "4"):
-            raise root.error(f'BTCPP_format={version!r} is not known; this reads BTCPP_format="4", and "3"')
-        if version == "3":
-            _log.warning("%s: read as of version 3: its names, and SubTrees whose attributes are keys", root.where)
-            root = _as_4(root)
+        if root.attributes.get("BTCPP_format", "4") != "4":
+            _log.warning("%s: read as of version 4, whose names its nodes need to have", root.where)
         is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
         several = [one for one in root.children if one.tag == "TreeNodesModel"]
         if len(several) > 1:
@@ -198,31 +194,11 @@ def _add(table: dict[str, Element], name: str, element: Element) -> None:
 
 
 _RENAMED: Final = {
-    **{"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithMemory", "RetryUntilSuccesful": "RetryUntilSuccessful"},
-    **{"__autoremap": "_autoremap", "__shared_blackboard": "_autoremap"},
+    "SubTreePlus": "SubTree",
+    "SequenceStar": "SequenceWithMemory",
+    "RetryUntilSuccesful": "RetryUntilSuccessful",
 }
-_COUNTS: Final = {"threshold": "success_count"} | {f"{of}_threshold": f"{of}_count" for of in ("success", "failure")}
-
-
-def _is_of_3(element: Element) -> bool:
-    """Tell whether there is what only version 3 has: many of its files do not say which version they are of."""
-    names = element.attributes.keys() | {element.tag, element.attributes.get("ID")}
-    return not names.isdisjoint(_RENAMED) or any(map(_is_of_3, element.children))
-
-
-def _as_4(element: Element) -> Element:
-    """Return what an element of version 3 is in version 4, after BehaviorTree.CPP's guide to migration."""
-    names = {**_RENAMED, **(_COUNTS if "Parallel" in (element.tag, element.attributes.get("ID")) else {})}
-    attributes = {}
-    for key, text in element.attributes.items():
-        if text == "=":
-            text = "{=}"
-        elif element.tag == "SubTree" and key not in ("ID", "name") and key[0] != "_" and key_of(text, key) is None:
-            text = f"{{{text}}}"  # there, each is a key, and values are for SubTreePlus
-        attributes[names.get(key, key)] = names.get(text, text) if key == "ID" else text
-    ports = "input_port", "output_port", "inout_port"  # of the model of a SubTree: none is asked for
-    children = [_as_4(one) for one in element.children if element.tag != "SubTree" or one.tag not in ports]
-    return Element(names.get(element.tag, element.tag), attributes, tuple(children), element.where)
+"""What version 3 called otherwise."""
 
 
 def _read(path: Path, where: str) -> Element:
@@ -502,7 +478,7 @@ class _Builder:
 
     def _unknown(self, tag: str) -> str:
         if tag in _RENAMED:
-            return f'<{tag}> is of version 3; write <{_RENAMED[tag]}>, or BTCPP_format="3" in <root>'
+            return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_RENAMED[tag]}>"
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         own = hint(tag, [*_NODES, "SubTree"], "nodes")

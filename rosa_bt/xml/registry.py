@@ -18,7 +18,7 @@ from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES
 from rosa_bt.xml.nodes import MAX_NODES, Branch
-from rosa_bt.xml.ports import Declared, Port, Ports, key_of
+from rosa_bt.xml.ports import Declared, Ports, key_of
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
@@ -27,10 +27,9 @@ Kind = Literal["action", "condition"]
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
 BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
 """Names that have their meaning already."""
-_ROLES: Final = frozenset({"name", "child", "children", "behaviour_class_name"})
+_ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute is meant for."""
 _VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-_FREE: Final = PortInformation(object, required=False)
 
 
 @dataclass(frozen=True)
@@ -49,27 +48,24 @@ class Entry:
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
         """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""
-        ports = self._class_ports or {}
-        declared = self._declared(written)
+        declared, (inputs, outputs) = self._arguments, self._class_ports
         mine = {key: text for key, text in written.items() if key in declared}
-        for key in ports:  # what has a key is read from the port, unless the constructor cannot do without it
+        for key in {**inputs, **outputs}:  # what has a key is read from the port, unless the constructor needs a value
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
-        rest = {key: text for key, text in written.items() if key not in declared or key in ports}
-        behaviour = self.factory(**self._offered(name, branches), **_arguments(declared, mine, board))
+        given = _values(declared, mine, board)
+        behaviour = self.factory(**self._offered(name, branches, board), **given)
         if isinstance(behaviour, PortsMixin):
-            _connect(behaviour, rest, declared, mine, board)
-        else:
-            Ports(declared, rest, board)  # raises if there is any, and says which ports there are
+            inputs, outputs = behaviour.input_ports(), behaviour.output_ports()
+        known = {**inputs, **outputs}
+        rest = {key: text for key, text in written.items() if key not in declared or key in known}
+        ports = Ports({**declared, **known}, rest, board)  # raises of what is no port, and says which ports there are
+        if isinstance(behaviour, PortsMixin):
+            ports.check_required(frozenset(outputs) | mine.keys())
+            ports.connect(behaviour)
+        if isinstance(behaviour, KbBehaviour):
+            _check_leaf(behaviour, rest, mine, ports)
         return behaviour
-
-    def _declared(self, written: Mapping[str, str]) -> Declared:
-        """Return the arguments that attributes can give; of a class with ports, those have the types of the ports."""
-        declared = dict(self._arguments)
-        for key, port in (self._class_ports or {}).items():
-            if key in declared and declared[key].data_type is not Port:
-                declared[key] = PortInformation(port.data_type, required=declared[key].required)
-        return {**dict.fromkeys(written, _FREE), **declared} if self._takes_any else declared
 
     @cached_property
     def _maker(self) -> Factory:
@@ -79,11 +75,10 @@ class Entry:
         return maker
 
     def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
-        """Yield what can be written: "input_port", "output_port" or "inout_port", the name, and what is declared."""
-        outputs = self._maker.output_ports() if self._class_ports else {}  # type: ignore[attr-defined]  # it has ports
-        for name, port in {**(self._class_ports or {}), **self._declared({})}.items():
-            is_both = port.data_type is Port
-            yield "inout_port" if is_both else "output_port" if name in outputs else "input_port", name, port
+        """Yield what can be written: "input_port" or "output_port", the name, and what is declared."""
+        inputs, outputs = self._class_ports
+        for name, port in {**inputs, **outputs, **self._arguments}.items():
+            yield "output_port" if name in outputs else "input_port", name, port
 
     @property
     def made(self) -> type[Behaviour] | None:
@@ -95,26 +90,21 @@ class Entry:
         return inspect.signature(self.factory).parameters
 
     @cached_property
-    def _takes_any(self) -> bool:
-        """Whether it takes whatever is written, in `**ports`; those of a class with ports are not for that."""
-        return self._class_ports is None and any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
-
-    @cached_property
-    def _class_ports(self) -> Declared | None:
-        """The ports that py_trees knows of, if the factory is a class that declares them."""
+    def _class_ports(self) -> tuple[Declared, Declared]:
+        """The ports that py_trees knows of, in and out, if the factory is a class that declares them."""
         maker = self._maker
-        if isinstance(maker, type) and issubclass(maker, PortsMixin):
-            return {**maker.input_ports(), **maker.output_ports()}
-        return None
+        has_ports = isinstance(maker, type) and issubclass(maker, PortsMixin)
+        return (maker.input_ports(), maker.output_ports()) if has_ports else ({}, {})  # type: ignore[attr-defined]  # it has ports
 
     @cached_property
     def _arguments(self) -> Declared:
-        """The parameters that can be written as attributes, as ports."""
+        """The parameters that can be written as attributes, as ports; those of the name of a port have its type."""
         maker = self._maker
         try:
             hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
         except (NameError, TypeError):
             hints = {}
+        hints |= {name: port.data_type for ports in self._class_ports for name, port in ports.items()}
         taken = {*self.bound, *_ROLES}
         return {
             name: PortInformation(hints.get(name, object), required=one.default is one.empty)
@@ -122,8 +112,8 @@ class Entry:
             if one.kind not in _VARIOUS and name not in taken
         }
 
-    def _offered(self, name: str, branches: Sequence[Branch]) -> dict[str, Any]:
-        offered: dict[str, Any] = {**self.bound, "name": name, "children": list(branches)}
+    def _offered(self, name: str, branches: Sequence[Branch], board: Blackboard) -> dict[str, Any]:
+        offered: dict[str, Any] = {**self.bound, "name": name, "children": list(branches), "blackboard": board}
         if branches:
             offered["child"] = branches[0]
         takes_name = any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
@@ -131,34 +121,18 @@ class Entry:
         return {key: value for key, value in offered.items() if key in known}
 
 
-def _arguments(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
-    """Return what the constructor is given: values, and ports where they are read later."""
-    for key, port in declared.items():
-        if port.required and key not in mine:
-            raise PortError(f"{key!r} is missing; write {key}=... in the element, or hand it to BehaviourRegistry")
-    ports, given = Ports(declared, mine, board), dict[str, Any]()
-    for name in mine:
-        kind, pointed = declared[name].data_type, ports.key(name)
-        if kind not in (Port, object, Any) and pointed is not None:
+def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
+    """Return what the constructor is given."""
+    for name, port in declared.items():
+        if port.required and name not in mine:
+            raise PortError(f"{name!r} is missing; write {name}=... in the element, or hand it to BehaviourRegistry")
+        if name in mine and (pointed := key_of(mine[name], name)) is not None:
             raise PortError(
-                f"{name!r} is needed when the tree is made, but {{{pointed}}} is known when it is ticked; annotate the "
-                "parameter as Port, or declare it in INPUT_PORTS (py_trees.ports) and let the constructor do without it"
+                f"{name!r} is needed when the tree is made, but {{{pointed}}} is known when it is ticked; declare it "
+                "in INPUT_PORTS (py_trees.ports), and let the constructor do without it"
             )
-        given[name] = Port(ports, name) if kind is Port or pointed is not None else ports.get(name)
-    return given
-
-
-def _connect(
-    behaviour: PortsMixin, rest: Mapping[str, str], declared: Declared, mine: Mapping[str, str], board: Blackboard
-) -> None:
-    known = {**behaviour.input_ports(), **behaviour.output_ports()}
-    if not rest.keys() <= known.keys():
-        Ports({**declared, **known}, rest, board)  # says which there are, those of the constructor, too
-    ports = Ports(known, rest, board)
-    ports.check_required(frozenset(behaviour.output_ports()) | mine.keys())
-    ports.connect(behaviour)
-    if isinstance(behaviour, KbBehaviour):
-        _check_leaf(behaviour, rest, mine, ports)
+    ports = Ports(declared, mine, board)
+    return {name: ports.get(name) for name in mine}
 
 
 def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, str], ports: Ports) -> None:
@@ -184,14 +158,13 @@ def _do_until_unfeasible(name: str, children: Sequence[Branch], *, memory: bool 
     return DoUntilUnfeasible(name, *children, memory=memory)
 
 
-def _safe_switch(name: str, children: Sequence[Branch], action: str, after: list[str], posture: Port) -> SafeSwitch:
+def _safe_switch(
+    name: str, children: Sequence[Branch], action: str, after: list[str], blackboard: Blackboard
+) -> SafeSwitch:
     *steps, task = children
     if len(steps) != len(after):
         raise RegistryError(f"it has {len(children)} children; it takes one for each action in `after`, and the task")
-    board, key = posture.ports.blackboard, posture.ports.key(posture.name)
-    if key is None:
-        raise RegistryError("`posture` is a key that the switches share, such as {@posture}")
-    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), board, action, key)
+    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), blackboard, action, "@posture")
 
 
 _OURS: Final[Mapping[str, Factory]] = {
@@ -235,8 +208,8 @@ class BehaviourRegistry:
     def register(self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
         """Register a class of behaviours, or a function that makes one; also as a decorator.
 
-        Parameters that are called `name`, `child` and `children` get what the file says; every other parameter, and
-        every port that py_trees knows of, is an attribute, read as the type it declares.
+        Parameters that are called `name`, `child` and `children` get what the file says, `blackboard` that of the tree;
+        every other parameter, and every port that py_trees knows of, is an attribute, read as the type it declares.
 
         Args:
             name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.

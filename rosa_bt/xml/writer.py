@@ -4,7 +4,8 @@
 """
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
+from math import inf
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -14,7 +15,7 @@ from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIsFailure
 from py_trees.ports import PortsMixin
 
-from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
+from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
@@ -34,23 +35,26 @@ BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
     Sequence: {True: "Sequence", False: "ReactiveSequence"},
     Selector: {True: "Fallback", False: "ReactiveFallback"},
 }
+_IDIOMS: Final = (ForAction, UntilSuccess, DoUntilUnfeasible, SafeSwitch)
 MAIN: Final = "MainTree"
 MOST_NODES: Final = 2**16 - 1
 """Of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
 
-def _of_ours(node: Behaviour) -> dict[str, str] | None:
-    """Return what is written of a node that a registry with a knowledge base has; None of another."""
-    if type(node) is ForAction:
-        said = {"action": node.action, "preference": node.preference}
-        waits = {} if node.timeout is None else {"wait": "true", "timeout": str(node.timeout)}
-        return {key: text for key, text in (said | waits).items() if text is not None}
-    if type(node) is DoUntilUnfeasible:
-        return {"memory": "true"} if node.memory else {}
-    if type(node) is SafeSwitch:
-        return {"action": node.action, "after": ";".join(node.transitions), "posture": "{@posture}"}
-    return {} if type(node) is UntilSuccess else None
+_NAMES: Final = ("action", "preference", "wait", "timeout", "even_if_unfeasible", "during", "memory", "after")
+"""Parameters of ours that are written as attributes; the behaviours keep them under these names."""
+_UNSAID: Final = (None, False, inf)
+
+
+def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
+    """Return what a behaviour of ours was told beside its name, as far as what makes it takes that."""
+    names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
+    if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
+        names = ("action", *(name for name in _NAMES[1:] if name in inspect.signature(maker).parameters))
+    said = {name: getattr(node, name, None) for name in names}
+    said = {name: ";".join(one) if isinstance(one, tuple) else one for name, one in said.items()}
+    return {name: "true" if one is True else str(one) for name, one in said.items() if one not in _UNSAID}
 
 
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, *, models: bool = False) -> str:
@@ -135,44 +139,36 @@ class _Writer:
 
     def _of_py_trees(self, slot: Slot) -> tuple[str, dict[str, str]]:
         """Return the tag and the attributes of what did not come from a file."""
-        node = slot.node
-        tag, ours = _tag_of(node), _of_ours(node)
-        is_same = type(node) in SAME or (type(node) in BY_MEMORY and node.children)
-        if ours is None and not is_same and (node.children or isinstance(node, XmlNode) or type(node) in BY_MEMORY):
+        node, maker = slot.node, type(slot.node)
+        is_same = maker in (*SAME, *_IDIOMS) or (maker in BY_MEMORY and node.children)
+        if not is_same and (node.children or isinstance(node, XmlNode) or maker in BY_MEMORY):
             known = ", ".join(sorted(one.__name__ for one in (*BY_MEMORY, *SAME)))
-            what = f"{type(node).__name__} {node.name!r}{'' if node.children else ' without children'}"
+            what = f"{maker.__name__} {node.name!r}{'' if node.children else ' without children'}"
             raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
-        if ours is None and not is_same:
-            tag, ours = self._leaf(node)
-        return tag, {"name": node.name, **(ours or {}), **(slot.rules.written if slot.rules else {})}
+        tag, said = (_tag_of(node), _said(node, maker)) if is_same else self._leaf(node)
+        return tag, {"name": node.name, **said, **(slot.rules.written if slot.rules else {})}
 
     def _leaf(self, leaf: Behaviour) -> tuple[str, dict[str, str]]:
-        tag = type(leaf).__name__ if self._registry is None else self._registry.name_of(leaf)
+        kind = type(leaf)
+        tag = kind.__name__ if self._registry is None else self._registry.name_of(leaf)
         if tag is None:
-            raise ExportError(f"{type(leaf).__name__} {leaf.name!r} is not registered; register its class")
+            raise ExportError(f"{kind.__name__} {leaf.name!r} is not registered; register its class")
         if problem := wrong_id(tag):
             raise ExportError(f"{leaf.name!r} is registered under a name that is refused: {problem}")
         if tag in BUILT_IN:
             raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
-        if self._registry is None or self._registry[tag].factory is type(leaf):
-            self._check_arguments(leaf)
-        if not isinstance(leaf, ActionBehaviour):
-            return tag, {}
-        if leaf.port_arguments["action"] is None:
+        if isinstance(leaf, ActionBehaviour) and leaf.port_arguments["action"] is None:
             raise ExportError(f"{leaf.name!r} names no action; make it with one")
-        preference = leaf.preference if isinstance(leaf, RosaAction) else None
-        during = f"{leaf.during:g}" if isinstance(leaf, IsActionFeasible) and leaf.during else None
-        said = {"action": leaf.action, "preference": preference, "during": during}
-        return tag, {key: text for key, text in said.items() if text}
+        maker = kind if self._registry is None else self._registry[tag].factory
+        if maker is kind:
+            self._check_arguments(leaf)
+        return tag, _said(leaf, maker)
 
     def _check_arguments(self, leaf: Behaviour) -> None:
-        bound = {"kb"} if self._registry is None else set(self._registry.bound)
-        known = {"name", "self", "behaviour_class_name", *bound}
-        if isinstance(leaf, ActionBehaviour):
-            known |= {"action", "preference"} | ({"during"} if isinstance(leaf, IsActionFeasible) else set())
-            known |= set() if isinstance(leaf, RosaAction) and leaf.waits else {"wait", "timeout"}
-            known |= set() if isinstance(leaf, RosaAction) and leaf.even_if_unfeasible else {"even_if_unfeasible"}
-        elif isinstance(leaf, PortsMixin) and {**leaf.input_ports(), **leaf.output_ports()}:
+        """Raise unless all that the constructor takes is written, or handed in by the registry."""
+        known = {"name", "behaviour_class_name", *({"kb"} if self._registry is None else self._registry.bound)}
+        known |= set(_NAMES if isinstance(leaf, ActionBehaviour) else ())
+        if isinstance(leaf, PortsMixin) and not {**leaf.input_ports(), **leaf.output_ports()}.keys() <= known:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
         parameters = inspect.signature(type(leaf)).parameters.values()
         unknown = ", ".join(one.name for one in parameters if one.name not in known and one.kind not in (2, 4))
@@ -279,10 +275,8 @@ class NumberedTree:
         node = slot.node
         if isinstance(node, Branch) and not isinstance(node, SubTree):
             return self._element(node.child, path)  # it is there for py_trees only
-        tag, attributes = slot.source or (_tag_of(node), {})
+        tag, attributes = slot.source or (_tag_of(node), _said(node, type(node)))
         element = Element(tag, {**attributes, "name": node.name, "_uid": str(self._number(node))})
-        if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
-            element.set("action", node.action)
         if isinstance(node, SubTree):
             element.set("ID", node.tree)
             self._tree(node, f"{path}/{node.name}" if path else node.name)

@@ -131,8 +131,10 @@ def test_actions_are_written_with_what_they_do():
     text = export_xml(composites.Sequence("s", memory=False, children=children), registry)
     load_xml(text, registry).tick_once()
     assert [(one.action, one.preference) for one in kb.required_actions] == [("scan", "light")]
-    with pytest.raises(ExportError, match="was made with wait, timeout"):
-        export_xml(Scan("do", kb, "scan", wait=True), registry)
+    written = export_xml(Scan("do", kb, "scan", wait=True, timeout=2.5), registry)
+    assert '<Scan name="do" action="scan" wait="true" timeout="2.5" />' in written
+    again = load_xml(written, registry).child.node
+    assert (again.wait, again.timeout) == (True, 2.5)
     with pytest.raises(ExportError, match="'do' names no action"):
         export_xml(Scan("do", kb), registry)
 

@@ -25,7 +25,6 @@ from rosa_bt import (
     switch_safely,
 )
 from rosa_bt.decorators import UntilSuccess
-from rosa_bt.xml import Port
 
 ACTIONS = ("scan", "drive", "charge")
 
@@ -129,7 +128,7 @@ def test_what_is_written_of_an_idiom_is_its_nodes():
     text = export_xml(IDIOMS["switching"](kb), registered(kb))
     tags = [one.tag for one in ElementTree.fromstring(text).iter()]
     assert tags[2:7] == ["DoUntilUnfeasible", "ReactiveSequence", "IsActionFeasible", "SafeSwitch", "Turn"]
-    assert '<SafeSwitch name="switch to scan" action="scan" after="charge;drive" posture="{@posture}">' in text
+    assert '<SafeSwitch name="switch to scan" action="scan" after="charge;drive">' in text
     assert '<DoUntilUnfeasible name="scan, or else charge" memory="true">' in export_xml(
         IDIOMS["until, to the end"](kb)
     )
@@ -140,7 +139,7 @@ def test_what_is_written_of_an_idiom_is_its_nodes():
     [
         ("<DoUntilUnfeasible><Turn/></DoUntilUnfeasible>", "has 1 children; it takes 2: the task, and what is done"),
         (
-            '<SafeSwitch action="scan" after="drive" posture="{p}"><Turn/></SafeSwitch>',
+            '<SafeSwitch action="scan" after="drive"><Turn/></SafeSwitch>',
             "one for each action in `after`",
         ),
         ('<ForAction action="scann"><Turn/></ForAction>', "scann"),
@@ -168,7 +167,7 @@ def test_models_of_what_is_registered_are_written_with_their_ports():
     registry.register("asked", lambda name, where: Ported(name), kind="condition")
 
     @registry.register
-    def guarded(name: str, child: Behaviour, times: int, said: Port) -> Behaviour:
+    def guarded(name: str, child: Behaviour, times: int, said: str) -> Behaviour:
         return UntilSuccess(name, child)
 
     @registry.register
@@ -183,7 +182,7 @@ def test_models_of_what_is_registered_are_written_with_their_ports():
         "Turn": ("Action", []),
         "Ported": ("Condition", [("input_port", "metres", "double", "2.5"), ("output_port", "driven", "bool")]),
         "asked": ("Condition", [("input_port", "where")]),
-        "guarded": ("Decorator", [("input_port", "times", "int"), ("inout_port", "said")]),
+        "guarded": ("Decorator", [("input_port", "times", "int"), ("input_port", "said", "std::string")]),
         "made": ("Condition", []),
     }
     again = load_xml(text, registry)

@@ -23,7 +23,6 @@ from rosa_bt import (
     XmlError,
     load_xml,
 )
-from rosa_bt.xml import Port
 from rosa_bt.xml.blackboard import PortError
 
 
@@ -41,17 +40,19 @@ class Add(PortsMixin, Behaviour, register=False):
         return Status.SUCCESS
 
 
-class Say(Behaviour):
+class Say(PortsMixin, Behaviour, register=False):
     """Keeps what it is told."""
 
+    INPUT_PORTS = {"what": PortInformation(object)}  # noqa: RUF012  # py_trees declares it so
+    OUTPUT_PORTS = {}  # noqa: RUF012  # py_trees declares it so
     heard: list
 
-    def __init__(self, name, heard, what: Port, times: int = 1, loud: bool = False):
+    def __init__(self, name, heard, times: int = 1, loud: bool = False):
         super().__init__(name)
-        self.heard, self.what, self.times, self.loud = heard, what, times, loud
+        self.heard, self.times, self.loud = heard, times, loud
 
     def update(self):
-        self.heard.append((self.what.get(), self.times, self.loud))
+        self.heard.append((self.get_input("what"), self.times, self.loud))
         return Status.SUCCESS
 
 
@@ -182,17 +183,16 @@ def test_key_that_nobody_has_written_is_told_by_name():
     assert "no data available" in tree.child.node.feedback_message
 
 
-def test_functions_make_leaves_too_and_take_what_they_declare():
-    registry = BehaviourRegistry(heard=[])
-    heard = []
+def test_functions_make_leaves_too_and_take_what_they_declare_and_the_blackboard():
+    registry = BehaviourRegistry()
 
-    @registry.register("any")
-    def make(name, **ports):
-        heard.append((name, {key: one.get() if isinstance(one, Port) else one for key, one in ports.items()}))
-        return Say(name, heard, Port, 1)
+    @registry.register("count")
+    def count(name, blackboard, start: int, by: int = 1):
+        blackboard["count"] = start + by
+        return Finished(name, [])
 
-    load_xml(wrapped('<any name="n" a="1" b-c="x"/>'), registry)
-    assert heard == [("n", {"a": "1", "b-c": "x"})]
+    tree = load_xml(wrapped('<SubTree ID="Sub" count="{total}"/>', Sub='<count start="4"/>'), registry)
+    assert dict(tree.blackboard) == {"total": 5}
 
 
 def test_bare_decorator_takes_the_name_of_the_class_or_function():
@@ -204,17 +204,17 @@ def test_bare_decorator_takes_the_name_of_the_class_or_function():
 
     @registry.register
     def whisper(*_):
-        return Greet("whispered", [], Port, 1)
+        return Finished("whispered", [])
 
     tree = load_xml(wrapped('<Sequence><Greet what="x"/><whisper/></Sequence>'), registry)
-    assert [type(one) for one in tree.child.node.children] == [Greet, Greet]
+    assert [type(one) for one in tree.child.node.children] == [Greet, Finished]
     assert isinstance(Greet, type)
 
 
 def test_functions_and_partial_ones_get_the_name_and_the_types_of_what_they_call():
     heard = []
     registry = BehaviourRegistry()
-    registry.register("short", lambda name: Say(name, heard, Port, 1))
+    registry.register("short", lambda name: Finished(name, heard))
     registry.register("half", partial(Say, heard=heard, loud=True))
     registry.register("sum", partial(Add))
     text = '<Sequence><Add one="1" total="{t}"/><half what="{t}" times="2"/></Sequence>'.replace("Add", "sum")
@@ -524,14 +524,11 @@ NAVIGATION = """
 def test_tree_in_the_style_of_nav2_plans_follows_and_recovers():
     said, now = [], 0.0
     scripts = {"ComputePath": "SSFFS", "ClearMap": "S", "FollowPath": "RRFR", "Spin": "S", "GoalUpdated": "F"}
-    registry = BehaviourRegistry()
-
-    def register(tag, kind, steps):
-        registry.register(tag, lambda name, **ports: kind(name, steps, said))
-
-    for tag, script in scripts.items():
-        register(tag, Condition if tag == "GoalUpdated" else Action, cycle(script))
-    tree = load_xml(NAVIGATION, registry, clock=lambda: now)
+    leaves = {
+        tag: partial(Condition if tag == "GoalUpdated" else Action, script=cycle(script), said=said)
+        for tag, script in scripts.items()
+    }
+    tree = load_xml(NAVIGATION, BehaviourRegistry(), clock=lambda: now, substitutes=leaves)
     lines = []
     for now in (0.0, 0.5, 1.0, 1.5):  # noqa: B007  # the clock of the tree reads it
         lines += trace(tree.tick_once, tree, said, 1)

@@ -24,7 +24,7 @@ REFUSED = {
     "<aa/>": "<text>:2: <aa> is unknown; did you mean 'a'? registered behaviours: a, b, ok",
     "<Sequense><a/></Sequense>": "did you mean the node 'Sequence'",
     "<Other/>": '<Other> is a tree; write <SubTree ID="Other"/>',
-    "<SubTreePlus ID='Other'/>": '<SubTreePlus> is of version 3; write <SubTree>, or BTCPP_format="3" in <root>',
+    "<SubTreePlus ID='Other'/>": "<SubTreePlus> is of version 3 of BehaviorTree.CPP; write <SubTree>",
     "<ManualSelector><a/></ManualSelector>": "<ManualSelector> is unknown; registered behaviours: a, b, ok",
     "<a/><b/>": "a tree has one child, not 2; put a Sequence around",
     "": "a tree has one child, not 0",
@@ -78,7 +78,6 @@ NO_FILES = {
     "<root": "<text>:1: it is no XML",
     "<root>\n<BehaviorTree>\n</root>": "<text>:3: it is no XML: mismatched tag",
     "<tree/>": "the outermost element is <root>, not <tree>",
-    '<root BTCPP_format="5"/>': "BTCPP_format='5' is not known",
     "<root/>": "which tree? There are: none",
     "<root><Sequence/></root>": "which tree? There are: none",
     "<root><BehaviorTree ID='SubTree'><a/></BehaviorTree></root>": "'SubTree' is the name of a node",
@@ -194,32 +193,11 @@ def test_what_means_nothing_is_passed_over_with_a_note(caplog):
     assert "_skipif is passed over; did you mean _skipIf?" in caplog.text
 
 
-OLD = """
-  <BehaviorTree ID="Main"><SequenceStar>
-    <SetBlackboard output_key="goal" value="7"/>
-    <SubTree ID="Keys" k="goal" same="="/>
-    <SubTreePlus ID="Plus" text="word" k="{goal}"/>
-    <SubTree ID="Shared" __shared_blackboard="true"/>
-    <Decorator ID="RetryUntilSuccesful" num_attempts="1"><SubTreePlus ID="Shared" __autoremap="1"/></Decorator>
-    <Control ID="Parallel" success_threshold="1" failure_threshold="1"><a/><b/></Control>
-  </SequenceStar></BehaviorTree>
-  <BehaviorTree ID="Keys"><ScriptCondition code="k == 7"/></BehaviorTree>
-  <BehaviorTree ID="Plus"><ScriptCondition code="text == 'word' &amp;&amp; k == 7"/></BehaviorTree>
-  <BehaviorTree ID="Shared"><ScriptCondition code="goal == 7"/></BehaviorTree>
-  <TreeNodesModel><SubTree ID="Keys"><input_port name="k"/><input_port name="other"/></SubTree></TreeNodesModel>
-</root>"""
-
-
-@pytest.mark.parametrize("version", ['BTCPP_format="3" ', ""])
-def test_file_of_version_3_is_read_by_its_rules_with_a_note(version, caplog):
-    said = []
-    tree = load_xml(f'<root {version}main_tree_to_execute="Main">{OLD}', registry_of(LEAVES, said))
-    for _ in range(6):
-        tree.tick_once()
-    assert (tree.status, said) == (Status.SUCCESS, ["a:s:S"])
-    assert "<text>:1: read as of version 3" in caplog.text
-    with pytest.raises(XmlError, match="<SequenceStar> is of version 3; write <SequenceWithMemory>"):
-        load(f'<root BTCPP_format="4" main_tree_to_execute="Main">{OLD}')
+def test_file_that_says_another_version_is_read_as_of_version_4_with_a_note(caplog):
+    tree = load('<root BTCPP_format="3"><BehaviorTree ID="Main"><ok/></BehaviorTree></root>')
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS
+    assert "<text>:1: read as of version 4" in caplog.text
 
 
 def test_dashes_in_comments_and_blanks_before_the_declaration_are_read_with_a_note(tmp_path, caplog):
