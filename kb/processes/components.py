@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import mkdtemp
-from threading import RLock
+from threading import RLock, Thread
 from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import quote
@@ -65,20 +65,14 @@ class Program:
     steady: float = 60.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.arguments, str) or not isinstance(self.arguments, Sequence) or not self.arguments:
+        if isinstance(self.arguments, str) or not self.arguments:
             raise InvalidValue(
                 f'arguments are a list that begins with the executable, e.g. ["node", "--quiet"], not '
                 f"{self.arguments!r}; no shell takes them apart"
             )
-        for argument in self.arguments:
-            _check_text("an argument", argument)
-        if not isinstance(self.environment, Mapping):
-            raise InvalidValue(f"an environment is a mapping of text to text, not {self.environment!r}")
-        for name, value in self.environment.items():
-            _check_text("the name of a variable of the environment", name)
-            _check_text(f"the variable {name} of the environment", value)
-            if not name or "=" in name:
-                raise InvalidValue(f"{name!r} cannot be the name of a variable: it is not empty and has no '='")
+        for text in (*self.arguments, *self.environment, *self.environment.values()):
+            if not isinstance(text, str) or "\0" in text:
+                raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
         if type(self.restarts) is not int or self.restarts < 0:
             raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
         for what in ("grace", "back_off", "steady"):
@@ -89,21 +83,11 @@ class Program:
     def check(self) -> None:
         """Raise if it cannot be run because something is missing on this machine."""
         directory, name = Path(self.directory or "."), self.arguments[0]
-        file = directory / name
-        is_path = os.sep in name
         if not directory.is_dir():
-            what = "is no directory" if directory.exists() else "does not exist"
-            problem = f"the working directory {str(directory)!r} {what}; create it or name another"
-        elif not is_path and shutil.which(name, path=self.environment.get("PATH", os.environ.get("PATH"))) is None:
-            problem = f"no executable {name!r} is found in the directories of PATH; install it, or give its whole path"
-        elif is_path and not file.is_file():
-            what = "is no file" if file.exists() else "does not exist"
-            problem = f"the executable {str(file)!r} {what}; correct the path"
-        elif is_path and not os.access(file, os.X_OK):
-            problem = f"{str(file)!r} is not executable; allow it with chmod +x, or name its interpreter first"
-        else:
-            return
-        raise InvalidValue(problem)
+            raise InvalidValue(f"there is no working directory {str(directory)!r}; create it or name another")
+        path = self.environment.get("PATH", os.environ.get("PATH"))
+        if shutil.which(directory / name if os.sep in name else name, path=path) is None:
+            raise InvalidValue(f"no executable {name!r} is found; install it, correct the path, or chmod +x it")
 
     def command(self, parameters: Parameters) -> list[str]:
         """Return the arguments with the parameters in place; one that was not given raises `KnowledgeBaseError`."""
@@ -113,13 +97,6 @@ class Program:
         """Return the variables in addition to those of this process, with the parameters in place."""
         own = {name: _placed(value, parameters) for name, value in self.environment.items()}
         return {PARAMETERS: json.dumps(dict(parameters)), **own}
-
-
-def _check_text(what: str, value: object) -> None:
-    if not isinstance(value, str):
-        raise InvalidValue(f"{what} is text, not {value!r}; write it as {str(value)!r}")
-    if "\0" in value:
-        raise InvalidValue(f"{what} cannot hold a null character: {value!r}")
 
 
 def _placed(text: str, parameters: Parameters) -> str:
@@ -188,7 +165,7 @@ class ProcessComponents:
         }
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
-        self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
+        self._tidiers: dict[str, Thread] = {}
         self._observed: KnowledgeBase | None = None
         self._owner = os.getpid()
         self._is_open = True
@@ -203,7 +180,7 @@ class ProcessComponents:
             if self._guardian is not None and self._guardian.poll() is not None:
                 _dismiss(self._guardian, self._grace)
                 self._guardian = None
-            self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
+            self._guardian = self._guardian or _guard(self._mark, self._grace)
             return _Switch(handle, self._lock, self._mark)
 
     def deactivate(self, component: str) -> "_Switch":
@@ -261,11 +238,12 @@ class ProcessComponents:
                 left = [handle for handle in left if not handle.stop(kill=is_over)]
                 if left:
                     time.sleep(0.01)
-            for one in (self._guardian, *self._tidiers.values()):
-                if one is not None:
-                    _dismiss(one, self._grace)
+            if self._guardian is not None:
+                _dismiss(self._guardian, self._grace)
+            for one in self._tidiers.values():
+                one.join(self._grace + _TO_DIE_S)
             for handle in self._handles.values():
-                handle.output.close()
+                handle.output.catch_up()
             if self._private is not None:
                 shutil.rmtree(self._private, ignore_errors=True)
         try:  # an end is never an error, also if it cannot be told any more
@@ -312,7 +290,8 @@ class ProcessComponents:
             self._handles[component].predecessors[pid] = guardian.started(pid)
             if self._is_open and mark not in self._tidiers:
                 _log.warning("the process of %s, %d, was left over and is ended", component, pid)
-                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # nobody's number: it begins at once
+                self._tidiers[mark] = Thread(target=guardian.end, args=(mark, self._grace), daemon=True)
+                self._tidiers[mark].start()
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
@@ -398,24 +377,22 @@ class _Handle:
         program.check()
         command, variables = program.command(self._parameters), program.variables(self._parameters)
         environment, no_input = {**os.environ, **variables, guardian.MARK: mark}, subprocess.DEVNULL
-        source, sink = os.pipe()
         try:
             self.process = subprocess.Popen(
                 command,
+                bufsize=0,
                 cwd=program.directory,
                 env=environment,
                 stdin=no_input,
-                stdout=sink,
-                stderr=sink,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
-            self.output.follow(source)
         except OSError as error:
-            os.close(source)
             remedy = "see whether its first line names an interpreter that is there"
             raise KnowledgeBaseError(f"{command[0]!r} cannot be run: {error.strerror}; {remedy}") from None
-        finally:
-            os.close(sink)
+        assert self.process.stdout is not None
+        self.output.follow(self.process.stdout)
         self._started, self._in_force, self.crash = self.clock(), self._parameters, (-1, "")
         self._report("component_started", self.process.pid)
 
@@ -491,9 +468,9 @@ class _Switch:
             return KnowledgeBaseError(text) if pid == self.pid else None
 
 
-def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
+def _guard(mark: str, grace: float) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-I", "-S", guardian.__file__, f"{guardian.MARK}={mark}", str(grace), str(parent)],
+        [sys.executable, "-I", "-S", guardian.__file__, mark, str(grace), str(os.getpid())],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -4,9 +4,8 @@ The mark is in the environment of everything that a component starts: a random t
 process that started it. A number alone says nothing, since it is given again to something else.
 
 The guardian is a program of its own, so that it outlives whom it watches; it imports nothing of ours and is run
-without site packages: `python guardian.py MARK GRACE PARENT`. MARK is the entry "NAME=value" of the environment; GRACE
-is how long its carriers may take to end [s]; PARENT is the number of the process that is watched. The end of its
-standard input counts as the parent's end.
+without site packages: `python guardian.py MARK GRACE PARENT`. GRACE is how long who carries the mark may take to end
+[s]; PARENT is the number of the process that is watched. The end of its standard input counts as the parent's end.
 """
 
 import os
@@ -63,10 +62,11 @@ def main(mark: str, grace: str, parent: str) -> None:
         readable, _, _ = select.select([0], [], [], 0.2)
         if readable and not os.read(0, 1):
             break
-    _end(mark.encode(), float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
+    end(mark, float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
 
 
-def _end(mark: bytes, grace: float, sure: float) -> None:
+def end(mark: str, grace: float, sure: float = _SURE_S) -> None:
+    """End what carries a mark, by force after a grace [s], until nothing was seen of it for as long as is sure [s]."""
     deadline = time.monotonic() + grace
     _send(signal.SIGTERM, _carriers(mark))
     last_seen = time.monotonic()
@@ -78,8 +78,9 @@ def _end(mark: bytes, grace: float, sure: float) -> None:
         time.sleep(0.02)
 
 
-def _carriers(mark: bytes) -> list[int]:
-    return [pid for pid in _pids() if mark in _environment(pid)]
+def _carriers(mark: str) -> list[int]:
+    entry = f"{MARK}={mark}".encode()
+    return [pid for pid in _pids() if entry in _environment(pid)]
 
 
 def _send(number: signal.Signals, processes: list[int]) -> None:

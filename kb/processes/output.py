@@ -2,18 +2,20 @@
 
 import logging
 import os
-import select
+from contextlib import suppress
+from io import FileIO
 from pathlib import Path
-from threading import Lock, Thread
-from typing import Final
+from threading import Thread
+from typing import IO, Final
 
 MOST: Final = 1 << 20
 """How much is kept of each component [bytes], in two files: what is written now, and what was before it."""
 
 _log = logging.getLogger(__name__)
-_CHUNK: Final = 1 << 16
-_TAIL: Final = 2000
+_CHUNK, _TAIL = 1 << 16, 2000
 _LINES, _WIDTH = 3, 160
+_BEHIND: Final = 0.5
+"""How long it is waited [s] for what an ended process has written; only who left its group can keep that back."""
 
 
 class Output:
@@ -26,69 +28,44 @@ class Output:
 
     def __init__(self, path: Path, most: int = MOST) -> None:
         self.path, self._half = path, max(1, most // 2)
-        self._lock = Lock()
-        self._source = self._file = -1
+        self._reader = Thread()
         self._size, self._tail = 0, b""
 
-    def follow(self, source: int) -> None:
+    def follow(self, source: IO[bytes]) -> None:
         """Read from a pipe until all who can write to it are gone, in a thread of its own; it is closed then."""
-        os.set_blocking(source, False)
-        self._source, self._tail = source, b""
-        Thread(target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True).start()
+        self._tail = b""
+        self._reader = Thread(target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True)
+        self._reader.start()
+
+    def catch_up(self) -> None:
+        """Wait until all was read that an ended process has written."""
+        if self._reader.is_alive():
+            self._reader.join(_BEHIND)
 
     def last_lines(self) -> str:
-        """Return the last lines in one, after all was read that an ended process has written; empty if nothing was."""
-        for _ in range(2 * MOST // _CHUNK):
-            if not self._take(self._source):
-                break
+        """Return the last lines in one, all that an ended process has written; empty if nothing was."""
+        self.catch_up()
         text = self._tail.decode("utf-8", "replace")
         lines = ["".join(one for one in line if one.isprintable()).strip()[:_WIDTH] for line in text.splitlines()]
         return " | ".join([line for line in lines if line][-_LINES:])
 
-    def _follow(self, source: int) -> None:
-        readable = select.poll()
-        readable.register(source, select.POLLIN)
-        is_open = True
-        while is_open:
-            readable.poll()
-            is_open = self._take(source) or self._source == source
-        with self._lock:
-            os.close(source)
-
-    def _take(self, source: int) -> bool:
-        """Read what there is; returns whether there was something. At the end nothing is followed any more."""
-        with self._lock:
-            if source < 0 or source != self._source:
-                return False
-            try:
-                data = os.read(source, _CHUNK)
-            except BlockingIOError:
-                return False
-            if not data:
-                self._source = -1
-                return False
-            self._tail = (self._tail + data)[-_TAIL:]
-            try:
-                self._write(data)
-            except OSError as error:  # a full disk stops nobody
-                _log.warning("what goes to %s is lost: %s", self.path, error.strerror)
-            return True
+    def _follow(self, source: IO[bytes]) -> None:
+        with source:
+            while data := source.read(min(_CHUNK, self._half)):
+                self._tail = (self._tail + data)[-_TAIL:]
+                try:
+                    self._write(data)
+                except OSError as error:  # a full disk stops nobody
+                    _log.warning("what goes to %s is lost: %s", self.path, error.strerror)
 
     def _write(self, data: bytes) -> None:
-        while data:
-            if self._file < 0 or self._size >= self._half:
-                if self._file >= 0:
-                    os.close(self._file)
-                    self._file = -1
-                if self.path.is_symlink() or self.path.exists():
-                    self.path.replace(f"{self.path}.1")
-                how = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-                self._file, self._size = os.open(self.path, how, 0o600), 0
-            written = os.write(self._file, data[: self._half - self._size])
-            self._size, data = self._size + written, data[written:]
+        if not 0 < self._size <= self._half - len(data):
+            with suppress(FileNotFoundError):
+                self.path.replace(f"{self.path}.1")
+            self._size = 0
+        with FileIO(self.path, "a" if self._size else "x", opener=_opened) as file:
+            self._size += file.write(data)
 
-    def close(self) -> None:
-        with self._lock:
-            if self._file >= 0:
-                os.close(self._file)
-                self._file = -1
+
+def _opened(path: str, how: int) -> int:
+    return os.open(path, how | os.O_NOFOLLOW, 0o600)

@@ -99,12 +99,11 @@ def test_no_link_is_followed_and_what_was_there_is_kept_beside(tmp_path):
     (folder / "camera.log").symlink_to(stranger)
     output = Output(folder / "camera.log", 100)
     source, sink = os.pipe()
-    output.follow(source)
+    output.follow(os.fdopen(source, "rb", buffering=0))
     os.write(sink, b"hello\n")
     os.close(sink)
     wait_for(lambda: (folder / "camera.log").is_file() and not (folder / "camera.log").is_symlink())
     assert output.last_lines() == "hello"
-    output.close()
     assert stranger.read_text() == "mine"
     assert (folder / "camera.log.1").readlink() == stranger
 
@@ -129,8 +128,7 @@ def test_what_an_ended_process_left_in_the_pipe_is_in_its_last_lines(tmp_path):
     for number in range(50):  # the reader's thread may be behind
         output = Output(tmp_path / f"{number}.log")
         source, sink = os.pipe()
-        output.follow(source)
+        output.follow(os.fdopen(source, "rb", buffering=0))
         os.write(sink, f"{number}\n".encode())
         os.close(sink)
         assert output.last_lines() == str(number)
-        output.close()
