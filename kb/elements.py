@@ -6,6 +6,7 @@ once it is declared, stands in its annotation.
 
 import json
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -118,8 +119,10 @@ def _priority(field: str, name: str, value: object) -> float | None:
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
-    if isinstance(value, tuple | list) and len(value) == 2:
-        enough, last = value
+    """Return n and k, as they are declared or as files have them: "2 of 3", "[2, 3]"."""
+    given = [int(one) for one in re.findall(r"\d{1,9}", value)] if isinstance(value, str) else value
+    if isinstance(given, tuple | list) and len(given) == 2:
+        enough, last = given
         if type(enough) is int and type(last) is int and 0 < enough <= last < 2 * enough:
             return enough, last
     raise ModelError(

@@ -277,9 +277,6 @@ class Declarer:
         value = _single(field, given)
         if isinstance(value, Ref):
             raise ModelError(f"{field} is a value, not {value.id}")
-        if field == "agreement":
-            with _well_written():
-                return tuple(json.loads(str(value)))
         return value
 
     def _inner(self, value: Value) -> Individual:

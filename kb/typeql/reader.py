@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
-from difflib import get_close_matches
 from itertools import count
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -19,16 +18,15 @@ from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.store import Insertion, Own, Question, Store, Thing, shown
 from kb.typeql.syntax import Define, Literal, parse
-from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Kind, Vocabulary, seconds
+from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Stated = tuple[int, facts.Fact, Place]
 """A fact, with the number of its statement, and where."""
 
-_CLASSES: Final = {cls: kind for cls, kind in CLASSES.items() if issubclass(cls, Element)}
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
-_STATED: Final = frozenset({"status", "required", "selected", "active", "pid", "value", "time", "latest"})
-"""The attributes of elements that say what is so from the start."""
+_STATED: Final = frozenset({"name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
+"""The attributes of elements that say what is so from the start, and its name."""
 _SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
 """What is written for a comparison by mistake, and what is meant."""
 _RESULTS: Final[Mapping[str, str]] = {
@@ -52,7 +50,7 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
             for bindings in Question(store, file).answers(query.patterns):
                 Insertion(store, file, bindings).run(query.statements)
     _complete(store)
-    said = (one.name for one in store.of(Kind.MODEL))
+    said = (one.name for one in store.of("robot-model"))
     model = cls(name if name is not None else next(said, files[0].stem))
     _Reading(model, store).run()
     model.notes.extend(store.notes)
@@ -66,17 +64,18 @@ def _complete(store: Store) -> None:
             for role in roles:
                 if len(thing.players(role.name)) < role.least and not _only_states(thing):
                     raise thing.place.error(f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)")
-    for kind, whole in ((Kind.DESIGN, "function"), (Kind.CONFIGURATION, "component")):
+    for kind in ("function-design", "component-configuration"):
+        whole, _, what = kind.partition("-")
         for thing in store.of(kind):
             if thing.own("name") is None:
-                name = _unused(f"{thing.players(whole)[0].name} {kind.value.split()[1]}", store.named[kind])
+                name = _unused(f"{thing.players(whole)[0].name} {what}", store.named[kind])
                 store.give(thing, "name", name, thing.place)
                 store.note(thing.place, f"this {thing.type.label} has no name; it is called {name!r}")
 
 
 def _only_states(thing: Thing) -> bool:
     """Tell whether a constraint is only there to carry a status, whatever it compares."""
-    return thing.kind is Kind.CONSTRAINT and thing.own("status") is not None and bool(thing.players("constrained"))
+    return thing.kind == "constraint" and thing.own("status") is not None and bool(thing.players("constrained"))
 
 
 class _Reading:
@@ -88,16 +87,16 @@ class _Reading:
 
     def run(self) -> None:
         required = self._required_functions()
-        for cls, kind in _CLASSES.items():
-            for thing in self.store.of(kind):
+        for cls, kind in CLASSES.items():
+            for thing in self.store.of(kind) if issubclass(cls, Element) else ():
                 with thing.place.blamed():
                     is_action = cls is elements.Action
                     given = {"functions": required.get(thing, [])} if is_action else self._fields(cls, thing)
                     self._keep(thing, self.model.declare(cls, thing.name, **given))
-        for thing in self.store.of(Kind.CONSTRAINT):
+        for thing in self.store.of("constraint"):
             with thing.place.blamed():
                 self._keep(thing, self._constraint(thing))
-        for thing in self.store.of(Kind.ESTIMATION):
+        for thing in self.store.of("estimation"):
             with thing.place.blamed():
                 self._estimate(thing)
         for _, fact, place in sorted(self._facts(), key=lambda one: one[0]):
@@ -111,15 +110,15 @@ class _Reading:
     def _required_functions(self) -> dict[Thing, list[str]]:
         """An action may stand in several requirements."""
         required: dict[Thing, list[str]] = {}
-        for relation in self.store.of(Kind.REQUIREMENT):
+        for relation in self.store.of("functional-requirement"):
             for action in relation.players("action"):
                 required.setdefault(action, []).extend(_names(relation, "required-function"))
         return required
 
     def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
-        owns = [own for own in thing.owns if own.field and own.field.name not in _STATED | {"name"}]
+        owns = [own for own in thing.owns if own.field and own.field.name not in _STATED]
         given: dict[str, Any] = {own.field.name: own.value for own in owns if own.field}
-        for role in ROLES.get(_CLASSES[cls], ()):
+        for role in ROLES.get(CLASSES[cls], ()):
             if role.field:
                 names = _names(thing, role.name)
                 given[role.field] = names[0] if role.most == 1 else names
@@ -128,11 +127,6 @@ class _Reading:
             given |= {"kind": kinds[0]} if kinds else {}
         if cls is Configuration:
             given["parameters"] = _parameters(thing)
-        if own := thing.own("agreement"):
-            found = re.fullmatch(r"\s*(\d{1,9})\s+of\s+(\d{1,9})\s*", str(own.value))
-            if found is None:
-                raise own.place.error(f"{own.value!r:.60} is no agreement; write e.g. '2 of 3'")
-            given["agreement"] = int(found[1]), int(found[2])
         return given
 
     def _constraint(self, thing: Thing) -> Constraint:
@@ -150,9 +144,9 @@ class _Reading:
         return self.model.constrain(constrained, expression)  # type: ignore[arg-type]  # the role lets no other in
 
     def _stand_in(self, thing: Thing) -> str:
-        name = _unused("unnamed attribute", self.store.named[Kind.ATTRIBUTE])
+        name = _unused("unnamed attribute", self.store.named["attribute"])
         self.store.note(thing.place, f"this constraint has a status and no attribute; it is given {name!r}")
-        self.store.named[Kind.ATTRIBUTE][name] = thing
+        self.store.named["attribute"][name] = thing
         return self.model.declare(Attribute, name).name
 
     def _estimate(self, thing: Thing) -> None:
@@ -170,25 +164,25 @@ class _Reading:
                 if fact is not None:
                     yield own.order, fact, own.place
         yield from self._measurements()
-        for thing in self.store.of(Kind.REQUIRED_ACTION):
+        for thing in self.store.of("required-action"):
             preference = _preference(thing)
             for name in _names(thing, "action"):
                 requested = facts.RequiredActionFact(name, preference, **_period(thing), result=self._result(thing))
                 yield thing.order, requested, thing.place
-        for thing in self.store.of(Kind.PROCESS):
+        for thing in self.store.of("component-process"):
             pid = thing.value("pid")
             if isinstance(pid, int):
                 (name,) = _names(thing, "component")
                 yield thing.order, facts.ProcessFact(name, pid, **_period(thing)), thing.place
             else:
                 self.store.note(thing.place, f"this {thing.type.label} has no pid; it is passed over")
-        for thing in self.store.of(Kind.PLAN):
+        for thing in self.store.of("reconfiguration-plan"):
             yield thing.order, self._plan(thing), thing.place
 
     def _stated(self, thing: Thing, element: Element | Constraint, own: Own) -> facts.Fact | None:
         name = own.field.name if own.field else ""
         if name == "status":
-            status = self._status(thing, own)
+            status = self._status(thing, element, own)
             return facts.StatusFact(element, status) if status else None
         if name == "pid" and isinstance(element, Component):
             return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
@@ -200,24 +194,23 @@ class _Reading:
             return facts.SelectedFact(element)
         return facts.ActiveFact(element.name) if name == "active" and isinstance(element, Component) else None
 
-    def _status(self, thing: Thing, own: Own) -> Status | None:
+    def _status(self, thing: Thing, element: Element | Constraint, own: Own) -> Status | None:
         """Return the status that is meant; a word that is none is noted, for others load such files as well."""
         word = " ".join(str(own.value).replace("_", " ").replace("-", " ").lower().split())
-        known = STATUSES["configuration" if thing.kind is Kind.CONFIGURATION else str(thing.kind)]
+        known = STATUSES[elements.KINDS[type(element)]]
         if word in known:
             return Status(word)
-        near = get_close_matches(word, known, n=1)
-        hint = f"did you mean {str(near[0])!r}?" if near else f"there are {', '.join(known)}"
-        self.store.note(own.place, f"{own.value!r} is no status of a {thing.type.label}, and not asserted; {hint}")
+        unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
+        self.store.note(own.place, f"{unknown}; not asserted")
         return None
 
     def _measurements(self) -> Iterator[Stated]:
         """Yield all measurements; where the files do not say which one is the latest, the newest, said last, is."""
         measured: dict[str, list[Thing]] = {}
-        for thing in self.store.of(Kind.MEASUREMENT):
+        for thing in self.store.of("measurement"):
             for name in _names(thing, "measured-attribute"):
                 measured.setdefault(name, []).append(thing)
-        for thing in self.store.of(Kind.ATTRIBUTE):
+        for thing in self.store.of("attribute"):
             if thing.own("value"):
                 measured.setdefault(thing.name, []).append(thing)
         for name, things in measured.items():
@@ -234,21 +227,22 @@ class _Reading:
                 yield _order(thing), fact, own.place
 
     def _plan(self, thing: Thing) -> facts.PlanFact:
-        activate, deactivate = (self._steps(thing, one, "component") for one in (Kind.ACTIVATION, Kind.DEACTIVATION))
-        parameters = self._steps(thing, Kind.ADAPTATION, "component-configuration")
+        activate = self._steps(thing, "component-activation", "component")
+        deactivate = self._steps(thing, "component-deactivation", "component")
+        parameters = self._steps(thing, "parameter-adaptation", "component-configuration")
         return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
 
-    def _steps(self, whole: Thing, kind: Kind, role: str) -> tuple[str, ...]:
+    def _steps(self, whole: Thing, kind: str, role: str) -> tuple[str, ...]:
         """Return the names of what a plan activates, deactivates or configures, in steps of a kind or directly."""
         names: list[str] = []
         for one in whole.parts:
-            if one.thing.kind is Kind.STRUCTURAL:
+            if one.thing.kind == "structural-adaptation":
                 names += self._steps(one.thing, kind, role)
-            elif one.thing.kind is kind:
+            elif one.thing.kind == kind:
                 names += (chosen := _names(one.thing, role))
                 if not chosen:
                     self.store.note(one.thing.place, f"this {one.thing.type.label} names no {role}; it is passed over")
-            elif one.thing.kind in (Kind.COMPONENT, Kind.CONFIGURATION) and one.role and one.role.name == kind.label:
+            elif one.thing.kind in ("component", "component-configuration") and one.role and one.role.name == kind:
                 names.append(one.thing.name)
         return tuple(names)
 
@@ -272,13 +266,13 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
     if isinstance(value, int | float):
         return value
     if default is None and thing.kind:
-        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind.label}-{name} 0.5`")
+        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind}-{name} 0.5`")
     return default or 0.0
 
 
 def _order(measured: Thing) -> int:
     own = measured.own("value")
-    return own.order if own and measured.kind is Kind.ATTRIBUTE else measured.order
+    return own.order if own and measured.kind == "attribute" else measured.order
 
 
 def _time(thing: Thing, name: str) -> float | None:
@@ -296,7 +290,7 @@ def _preference(thing: Thing) -> dict[str, float] | None:
     """Return the weight of each attribute that is preferred, 1 by default; an estimation stands for its attribute."""
     names: list[str] = []
     for one in thing.players("preferred-attribute"):
-        names += _names(one, "affected") if one.kind is Kind.ESTIMATION else [one.name]
+        names += _names(one, "affected") if one.kind == "estimation" else [one.name]
     own = thing.own("weights")
     if own is None:
         return dict.fromkeys(names, 1.0) or None
@@ -328,15 +322,13 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter
     if type_name is None:
         return value  # type: ignore[return-value]  # no date: it was checked
     word = re.sub(r"[-\s]", "_", type_name.strip().lower()).removeprefix("parameter_").replace("[]", "_array")
-    base = word.removesuffix("_array")
-    if base not in _READERS:
+    read = _READERS.get(word.removesuffix("_array"))
+    if read is None:
         known = [*elements.PARAMETER_TYPES.values(), *(f"{one}_array" for one in elements.PARAMETER_TYPES.values())]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
-        if word == base:
-            return _READERS[base](value)
-        return [_READERS[base](item) for item in _items(value, base)]  # type: ignore[return-value]  # all of one type
-    except (ValueError, KeyError):
+        return [read(item) for item in _items(value)] if word.endswith("_array") else read(value)  # type: ignore[return-value]  # all of one type
+    except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 
 
@@ -355,21 +347,18 @@ _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
 }
 
 
-def _items(value: Literal, base: str) -> list[object]:
+def _items(value: Literal) -> list[object]:
+    """Return the items of a list, as Python or JSON write one; the texts in it may be without quotes."""
     if not isinstance(value, str):
         return [value]
-    text = value.strip()
-    if not (text.startswith("[") and text.endswith("]")):
+    with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+        items = ast.literal_eval(value.strip())
+        if isinstance(items, list):
+            return items
+    inner = re.fullmatch(r"\s*\[\s*([\s\S]*?)\s*\]\s*", value)
+    if inner is None:
         raise ValueError
-    if base in ("string", "str"):
-        for read in (json.loads, ast.literal_eval):
-            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-                items = read(text)
-                if isinstance(items, list) and all(isinstance(item, str) for item in items):
-                    return list(items)
-    inner = text[1:-1].strip()
-    items = [item.strip() for item in inner.split(",")] if inner else []
-    return [one[1:-1] if re.fullmatch(r"""'[\s\S]*'|"[\s\S]*["]""", one) else one for one in items]
+    return [item.strip().strip("'\"") for item in inner[1].split(",")] if inner[1] else []
 
 
 def _unused(stem: str, taken: Container[str]) -> str:

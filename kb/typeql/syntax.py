@@ -40,23 +40,10 @@ _EXPECTED: Final = {
 """What each terminal is called in messages, in the order in which they are listed; others are not suggested."""
 
 
-class Isa(NamedTuple):
-    """`isa LABEL`, or `isa! LABEL` for that very type."""
-
-    label: Word
-    exact: bool
-
-
 class Has(NamedTuple):
-    """`has LABEL value` or `has LABEL $variable`."""
+    """`has LABEL value`."""
 
     label: Word
-    value: Word | Literal
-
-
-class Equal(NamedTuple):
-    """`$variable "value"` or `$variable == "value"`."""
-
     value: Literal
 
 
@@ -74,15 +61,14 @@ class Players(NamedTuple):
     players: tuple[Player, ...]
 
 
-Clause = Isa | Has | Equal | Players
-
-
 class Statement(NamedTuple):
     """What is said of one variable, with its `$`, or of a relation without one; the word is where it begins."""
 
     word: Word
     variable: str | None
-    clauses: tuple[Clause, ...]
+    isa: Word | None
+    has: tuple[Has, ...]
+    players: tuple[Player, ...]
 
 
 class Define(NamedTuple):
@@ -143,17 +129,20 @@ class _Refusal(PostLex):
             yield word
 
 
-def _statement(first: Word | Players, *clauses: Clause) -> Statement:
-    if isinstance(first, Players):
-        return Statement(first.word, None, (first, *clauses))
-    return Statement(first, str(first), clauses)
+def _statement(first: Word | Players, *clauses: Word | Has | Players) -> Statement:
+    every = (first, *clauses)
+    isa, *more = (*(one for one in every if isinstance(one, Word) and one.type == "LABEL"), None)
+    if more and more[0] is not None:
+        raise _Refused(more[0], f"a second type, `{more[0]}`; a thing has one")
+    has = tuple(one for one in every if isinstance(one, Has))
+    players = tuple(player for one in every if isinstance(one, Players) for player in one.players)
+    word, variable = (first.word, None) if isinstance(first, Players) else (first, str(first))
+    return Statement(word, variable, isa, has, players)
 
 
-def _value(word: Word) -> Word | Literal:
-    """Return what a written value stands for, or a variable as it is; a date without a zone is in UTC."""
+def _value(word: Word) -> Literal:
+    """Return what a written value stands for; a date without a zone is in UTC."""
     text = str(word)
-    if word.type == "VARIABLE":
-        return word
     if word.type == "STRING":
         return _ESCAPE.sub(_unescaped, text[1:-1])
     if word.type == "BOOLEAN":
@@ -187,9 +176,8 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "patterns": lambda *patterns: patterns,
     "match": lambda patterns, insert: Insert(insert.statements, patterns),
     "statement": _statement,
-    "isa": lambda keyword, label: Isa(label, keyword == "isa!"),
-    "has": lambda _, label, value: Has(label, _value(value)),
-    "value": lambda value: Equal(_value(value)),
+    "isa": lambda label: label,
+    "has": lambda label, value: Has(label, _value(value)),
     "players": lambda word, *players: Players(word, players),
     "player": _player,
 }

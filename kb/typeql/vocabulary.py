@@ -1,10 +1,12 @@
-"""Which types, roles and attributes there are: ROSA's, from `vocabulary.toml`, and those that the files define."""
+"""Which types, roles and attributes there are: ROSA's, from `vocabulary.toml`, and those that the files define.
+
+The kind of a thing is the ROSA type that it is a sort of, as `vocabulary.toml` spells it.
+"""
 
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from enum import StrEnum
 from functools import cache
 from importlib.resources import files
 from typing import Any, Final, NamedTuple
@@ -20,39 +22,6 @@ EXTENSIONS: Final[Mapping[str, list[str]]] = _WORDS["extensions"]
 _QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
 _ROOTS: Final = frozenset({"entity", "relation", "attribute", "thing"})
 
-
-class Kind(StrEnum):
-    """What a thing in a file is."""
-
-    ATTRIBUTE = "attribute"
-    COMPONENT = "component"
-    CONFIGURATION = "component configuration"
-    FUNCTION = "function"
-    DESIGN = "function design"
-    ACTION = "action"
-    CONSTRAINT = "constraint"
-    ESTIMATION = "estimation"
-    MODEL = "robot model"
-    PARAMETER = "component parameter"
-    REQUIREMENT = "functional requirement"
-    MEASUREMENT = "measurement"
-    REQUIRED_ACTION = "required action"
-    PLAN = "reconfiguration plan"
-    ACTIVATION = "component activation"
-    DEACTIVATION = "component deactivation"
-    STRUCTURAL = "structural adaptation"
-    ADAPTATION = "parameter adaptation"
-    PROCESS = "component process"
-
-    @property
-    def label(self) -> str:
-        """How it is spelled in the names of types and attributes."""
-        return self.replace(" ", "-")
-
-
-CLASSES: Final[Mapping[type, Kind]] = {cls: Kind(word) for cls, word in facts.ROSA.items() if word in tuple(Kind)}
-"""What each class of elements and facts is in a file, each after those that it refers to."""
-
 SPECIAL: Final[Mapping[str, str]] = {
     elements.AttributeKind.QUALITY: "QualityAttribute",
     elements.AttributeKind.ENVIRONMENTAL: "EnvironmentalAttribute",
@@ -62,23 +31,22 @@ SPECIAL: Final[Mapping[str, str]] = {
 }
 """The type that says the kind of an attribute or component."""
 
-
-class Value(StrEnum):
-    """What sort of value an attribute has, as messages call it."""
-
-    TEXT = "a text in quotes"
-    FLAG = "true or false"
-    WHOLE = "a whole number"
-    NUMBER = "a number"
-    TIME = "a date and time such as 2024-05-01T12:30:00"
-    ANY = "a text, a number or true or false"
+VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
+    "text": ("a text in quotes", (str,)),
+    "flag": ("true or false", (bool,)),
+    "whole": ("a whole number", (int,)),
+    "number": ("a number", (int, float)),
+    "time": ("a date and time such as 2024-05-01T12:30:00", (datetime,)),
+    "any": ("a text, a number or true or false", (str, bool, int, float)),
+}
+"""What sorts of values attributes have: how messages call them, and how they are read."""
 
 
 class Field(NamedTuple):
     """An attribute of a kind of thing: the field of an element or fact that it is, and how it is written."""
 
     name: str
-    value: Value
+    value: str
     label: str
     words: tuple[str, ...]
 
@@ -91,7 +59,7 @@ class Role(NamedTuple):
 
     name: str
     field: str
-    kinds: tuple[Kind, ...]
+    kinds: tuple[str, ...]
     words: tuple[str, ...]
     least: int
     most: int
@@ -100,19 +68,22 @@ class Role(NamedTuple):
 def _role(name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0) -> Role:
     for group, members in _WORDS["groups"].items():
         words = words.replace(f"@{group}", members)
-    return Role(name, field, tuple(map(Kind, by)), tuple(words.split()), least, most)
+    return Role(name, field, tuple(by), tuple(words.split()), least, most)
 
 
-ROLES: Final[Mapping[Kind, tuple[Role, ...]]] = {
-    Kind(kind): tuple(_role(name, **given) for name, given in roles.items()) for kind, roles in _WORDS["roles"].items()
+ROLES: Final[Mapping[str, tuple[Role, ...]]] = {
+    kind: tuple(_role(name, **given) for name, given in roles.items()) for kind, roles in _WORDS["roles"].items()
 }
 
-ATTRIBUTES: Final[Mapping[Kind, tuple[Field, ...]]] = dict.fromkeys(Kind, ()) | {
-    Kind(kind): tuple(
-        Field(name, Value[value.upper()], label, tuple(words.split())) for label, (name, value, words) in own.items()
-    )
+ATTRIBUTES: Final[Mapping[str, tuple[Field, ...]]] = {
+    kind: tuple(Field(name, value, label, tuple(words.split())) for label, (name, value, words) in own.items())
     for kind, own in _WORDS["attributes"].items()
 }
+
+CLASSES: Final[Mapping[type, str]] = {
+    cls: kind for cls, word in facts.ROSA.items() if (kind := word.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
+}
+"""The kind of each class of elements and facts, each after those that it refers to."""
 
 
 @dataclass(slots=True, eq=False)
@@ -120,7 +91,7 @@ class Type:
     """A type of thing; its kind is None if ROSA does not know it."""
 
     label: str
-    kind: Kind | None
+    kind: str | None
     parent: "Type | None" = None
 
     def lineage(self) -> Iterator["Type"]:
@@ -141,10 +112,10 @@ class Vocabulary:
     """
 
     def __init__(self) -> None:
-        self._types: dict[str, Type] = {kind.label.replace("-", ""): Type(kind.label, kind) for kind in ROLES}
+        self._types: dict[str, Type] = {_plain(kind): Type(kind, kind) for kind in ROLES}
         for label, above in _WORDS["entities"].items():
             parent = self._types.get(_plain(above)) if above[0].isupper() else None
-            self._types[_plain(label)] = Type(label, parent.kind if parent else Kind(above), parent)
+            self._types[_plain(label)] = Type(label, parent.kind if parent else above, parent)
         for alias, label in _WORDS["aliases"].items():
             self._types[_plain(alias)] = self._types[_plain(label)]
         self._parents: dict[str, tuple[str, Place]] = {}
@@ -166,7 +137,7 @@ class Vocabulary:
             raise place.error(f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`")
         return found
 
-    def role(self, of: Type, kind: Kind, word: Word | None, player: Type, place: Place) -> Role:
+    def role(self, of: Type, kind: str, word: Word | None, player: Type, place: Place) -> Role:
         """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
         if kind not in ROLES:
             raise place.error(f"{of.label} is no relation; nothing plays a role in it")
@@ -177,11 +148,11 @@ class Vocabulary:
         if fitting:
             names = ", ".join(role.name for role in fitting)
             raise place.error(f"what this {player.label} is in {of.label} is not clear; write one of the roles {names}")
-        needed = ", ".join(dict.fromkeys(one.value for role in candidates for one in role.kinds))
+        needed = ", ".join(dict.fromkeys(one for role in candidates for one in role.kinds))
         what = f"role `{word}`" if word else "a player"
         raise place.error(f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here")
 
-    def roles(self, of: Type, kind: Kind, word: Word, place: Place) -> tuple[Role, ...]:
+    def roles(self, of: Type, kind: str, word: Word, place: Place) -> tuple[Role, ...]:
         """Return the roles that a word can mean."""
         name, found = _word(word), tuple[Role, ...]()
         while name and not found:
@@ -201,7 +172,7 @@ class Vocabulary:
         if label in below:
             raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
         above = None if parent in _ROOTS else self._link(parent, [*below, label])
-        is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in Kind)
+        is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in ATTRIBUTES)
         if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):
             self.attributes.add(label)
             return None
@@ -218,10 +189,10 @@ def seconds(moment: datetime) -> float:
 
 
 @cache
-def field_of(kind: Kind, label: str) -> Field | None:
+def field_of(kind: str, label: str) -> Field | None:
     """Return the attribute of a kind of thing that is called so, or None if ROSA has none."""
     name = f"-{_word(label)}"
-    found = [(len(one), field) for field in ATTRIBUTES[kind] for one in field.words if name.endswith(f"-{one}")]
+    found = [(len(one), field) for field in ATTRIBUTES.get(kind, ()) for one in field.words if name.endswith(f"-{one}")]
     return max(found, key=lambda one: one[0])[1] if found else None
 
 

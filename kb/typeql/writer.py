@@ -19,8 +19,8 @@ from kb.elements import (
     parameter_type,
 )
 from kb.exceptions import ModelError
-from kb.facts import ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact, tables_of
-from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, Value, seconds
+from kb.facts import ROSA, ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact, tables_of
+from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, seconds
 
 _STEPS: Final = {
     "component-activation": ("component", "activate", Component),
@@ -61,7 +61,7 @@ class _Writer:
         """Everything, in an order in which it can be read without looking ahead."""
         yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
         parts: dict[str, Iterable[Changeable]] = {
-            **{f"{CLASSES[cls]}s": table.values() for cls, table in self.tables.items()},
+            **{f"{ROSA[cls]}s": table.values() for cls, table in self.tables.items()},
             "constraints": self.model.constraints,
             "estimations": self.model.estimations,
         }
@@ -80,7 +80,7 @@ class _Writer:
             players.append(("parameter", variable))
             given = {"parameter-key": quoted(key), "parameter-value": quoted(text), "parameter-type": quoted(sort)}
             yield _statement(variable, (), "ComponentParameter", given)
-        variable = self.variables[one] = self._fresh(CLASSES[type(one)].split()[-1], called(one))
+        variable = self.variables[one] = self._fresh(ROSA[type(one)].split()[-1], called(one))
         yield self._described(one, "" if isinstance(one, Estimation) else variable, players)
         if isinstance(one, Action) and one.functions:
             needs = [("required-function", self._of(Function, name)) for name in one.functions]
@@ -112,7 +112,7 @@ class _Writer:
             for player in _players(one, role.field):
                 known = self.variables.get(player)
                 named.append((role.name, known or self._of(_ELEMENTS[role.kinds[0]], player)))
-        label = kind.label if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
+        label = kind if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
         given = {field.label: _written(field, one) for field in _FIELDS[type(one)]}
         return _statement(variable, [*named, *players], label, given)
 
@@ -169,11 +169,11 @@ def _written(field: Field, one: object) -> str | None:
         return quoted("{} of {}".format(*value))
     if field.name == "rates":
         return quoted(json.dumps(value))
-    if field.value is Value.TIME:
+    if field.value == "time":
         return written_time(value)
     if field.name in ("time", "start", "end") and written_time(value):
         return None
-    if field.value is Value.TEXT:
+    if field.value == "text":
         return quoted(value)
     text = str(value).lower() if isinstance(value, bool) else repr(value)
     if text.lstrip("-") in ("inf", "nan"):

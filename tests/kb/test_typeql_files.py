@@ -125,5 +125,5 @@ def test_values_without_quotes_are_taken_as_they_are():
 
 def test_attribute_that_nobody_declares_is_noted():
     (note,) = load("mobile_robot").notes
-    assert "mobile_robot.tql:39:8" in note
+    assert "mobile_robot.tql:38:8" in note
     assert "'colour'" in note

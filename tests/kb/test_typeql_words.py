@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from kb import Model
 from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
 from kb.files import ModelFileError
-from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Kind, Vocabulary, field_of, seconds
+from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Vocabulary, field_of, seconds
 from kb.typeql.writer import quoted, written_time
 
 ROBOT = """insert
@@ -30,15 +30,15 @@ def load(tmp_path):
     return loaded
 
 
-@pytest.mark.parametrize("kind", ROLES, ids=str)
+@pytest.mark.parametrize("kind", ROLES)
 def test_every_role_is_known_by_its_own_name(kind):
     vocabulary = Vocabulary()
-    relation = vocabulary.type(kind.label, None)
+    relation = vocabulary.type(kind, None)
     for role in ROLES[kind]:
         assert role in vocabulary.roles(relation, kind, role.name, None)
 
 
-@pytest.mark.parametrize("kind", Kind, ids=str)
+@pytest.mark.parametrize("kind", ATTRIBUTES)
 def test_every_attribute_is_known_by_its_endings(kind):
     for field in ATTRIBUTES[kind]:
         for word in field.words:
@@ -216,13 +216,11 @@ def test_time_that_no_date_says_exactly_is_not_written_as_one(time):
 
 MATCHES = {
     "match $c isa Component; insert $c has always-improve true;": {"motor", "node"},
-    "match $c isa! Component; insert $c has always-improve true;": {"motor"},
     "match $c isa ROSNode; insert $c has always-improve true;": {"node"},
     "match $c has component-name 'motor'; insert $c has always-improve true;": {"motor"},
-    "match $n == 'node'; $c isa Component, has component-name $n; insert $c has always-improve true;": {"node"},
     "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {"motor"},
     "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {"motor"},
-    "match $d ($_, required-component: $c) isa function-design, has name 'by motor';"
+    "match $d ($f, required-component: $c) isa function-design, has name 'by motor';"
     " insert $c has always-improve true;": {"motor"},
     "match $c isa Component, has is-active true; insert $c has always-improve true;": {"node"},
 }
@@ -244,11 +242,6 @@ def test_players_that_are_found_in_two_ways_insert_once(load):
     more = "(function: $f, component: $c) isa function-design, has function-design-name 'again';"
     text = "match (function: $f, component: $c) isa function-design; insert $x ($c) isa component-configuration;"
     assert list(load(ROBOT + more, text).configurations) == ["motor configuration 1"]
-
-
-def test_value_that_is_matched_can_be_inserted(load):
-    text = "match $f isa Function, has function-name $n; insert $c isa Component, has component-name $n;"
-    assert list(load(ROBOT, text).components) == ["motor", "move"]
 
 
 def test_relation_that_is_matched_can_be_given_more_players(load):
