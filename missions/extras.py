@@ -11,7 +11,7 @@ def needs(extra: str, what: str) -> Iterator[None]:
     """Say which extra is missing when an import inside fails.
 
         with needs("live", "the live page"):
-            import starlette
+            import websockets
 
     Raises:
         MissionError: a library is not installed.

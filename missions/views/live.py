@@ -7,15 +7,16 @@ present instead of all that it has missed, and is told how much that was.
 import asyncio
 import hmac
 import json
+import logging
 import os
 import socket
-from collections.abc import AsyncIterator, Mapping
-from contextlib import AbstractContextManager, asynccontextmanager, suppress
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, suppress
 from ipaddress import ip_address
 from secrets import token_urlsafe
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
-from urllib.parse import quote, urlsplit
+from urllib.parse import parse_qs, quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import MissionError
@@ -23,14 +24,12 @@ from missions.extras import needs
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
 from missions.views.report import page_of
-from missions.views.rows import VERSION, Row, encoded
+from missions.views.rows import VERSION, encoded
 from missions.views.steering import Steering
 
 if TYPE_CHECKING:
-    from starlette.applications import Starlette
-    from starlette.requests import Request
-    from starlette.responses import Response
-    from starlette.websockets import WebSocket
+    from websockets.asyncio.server import ServerConnection
+    from websockets.http11 import Request, Response
 
 PORT: Final = 8420
 KEEP: Final = 100_000
@@ -51,15 +50,15 @@ _MISTAKES: Final = 20
 _PATIENCE_S: Final = 2.0
 """How long pages get for the last rows when the view is closed [s], of this machine's time."""
 _HEADERS: Final = {
+    "Content-Type": "text/html; charset=utf-8",
     "Cache-Control": "no-store",
     "Content-Security-Policy": "frame-ancestors 'none'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
 _SERVER: Final[dict[str, Any]] = {
-    **{"ws": "websockets-sansio", "ws_max_size": _LONGEST, "ws_per_message_deflate": False, "lifespan": "on"},
-    **{"limit_concurrency": _MOST_PAGES, "timeout_graceful_shutdown": 1, "log_level": "critical"},
-    "server_header": False,
+    **{"compression": None, "max_size": _LONGEST, "server_header": None, "close_timeout": 1},
+    "logger": logging.Logger("live page", logging.CRITICAL),  # what a page does wrong is told to the page
 }
 
 
@@ -97,9 +96,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         **shown: Any,  # noqa: ANN401  # as of Recorder
     ) -> None:
         with needs("live", "the live page"):
-            import starlette  # noqa: F401  # used later, in the server's thread
-            import uvicorn
-            import websockets  # noqa: F401  # used by uvicorn
+            import websockets  # noqa: F401  # used later, in the server's thread
         self._kb, self._steering = kb, steering
         self._token = token if token is not None or _is_this_machine(host) else token_urlsafe(16)
         self._socket = _listening(host, port)
@@ -115,21 +112,12 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._page = page_of(document, str(self.recorder.header["title"]))
         self._rows = self.recorder.rows
         self._pages: dict[_Page, None] = {}
-        self._frame: tuple[int, int, str] = (0, 0, "")
+        self._end = self._rows.next
+        self._frames: dict[int, tuple[int, str]] = {}
         self._is_closing = False
         self._beat = asyncio.Event()
-        self._server = uvicorn.Server(uvicorn.Config(self._application(), **_SERVER))
-        self._thread = Thread(target=self._server.run, args=([self._socket],), name="live page", daemon=True)
+        self._thread = Thread(target=lambda: asyncio.run(self._serve()), name="live page", daemon=True)
         self._thread.start()
-
-    @property
-    def pages(self) -> int:
-        return len(self._pages)
-
-    @property
-    def dropped(self) -> int:
-        """How many rows pages that look now were too slow for."""
-        return sum(page.dropped for page in tuple(self._pages))
 
     def close(self) -> None:
         """Give the pages the last rows, as far as they take them in time, and listen no more."""
@@ -144,39 +132,29 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     # ---------------------------------------------------------------- the server's own thread
 
-    def _application(self) -> "Starlette":
-        from starlette.applications import Starlette
-        from starlette.routing import Route, WebSocketRoute
+    async def _serve(self) -> None:
+        """Wake the pages whenever there is something new, again and again, until they have the last of it."""
+        from websockets.asyncio.server import serve
 
-        @asynccontextmanager
-        async def beating(_: object) -> AsyncIterator[None]:
-            task = asyncio.create_task(self._beat_on())
-            yield
-            task.cancel()
-
-        routes = [Route("/", self._answer_page), WebSocketRoute("/ws", self._answer_socket)]
-        return Starlette(routes=routes, lifespan=beating)
-
-    async def _beat_on(self) -> None:
-        """Put what is new into one frame for all pages, again and again."""
         silent, closing_s = 0, 0.0
-        sent = self._rows.next
-        while True:
-            start, rows = self._rows.since(sent)
-            silent += 1
-            if rows or silent >= _SILENCE:
-                silent, sent = 0, start + len(rows)
-                self._frame = start, sent, self._framed(start, rows)
-                waiting, self._beat = self._beat, asyncio.Event()
-                waiting.set()
-            if self._is_closing:
-                closing_s += BEAT_S
-                if not self._pages or closing_s > _PATIENCE_S:
-                    self._server.should_exit = True
-            await asyncio.sleep(BEAT_S)
+        async with serve(self._attend, sock=self._socket, process_request=self._admit, **_SERVER):
+            while not self._is_closing or (self._pages and closing_s <= _PATIENCE_S):
+                silent += 1
+                if self._rows.next > self._end or silent >= _SILENCE or self._is_closing:
+                    silent, self._end = 0, self._rows.next
+                    self._frames.clear()
+                    waiting, self._beat = self._beat, asyncio.Event()
+                    waiting.set()
+                closing_s += BEAT_S * self._is_closing
+                await asyncio.sleep(BEAT_S)
 
-    def _framed(self, start: int, rows: list[Row]) -> str:
-        return encoded({"rows": rows, "from": start, "now": self._now, "state": self._state})
+    def _framed(self, start: int) -> tuple[int, str]:
+        """Return the number of the first row from one on, and all up to the last beat, written once for all pages."""
+        if start not in self._frames:
+            first, rows = self._rows.since(start, self._end - start)
+            text = encoded({"rows": rows, "from": first, "now": self._now, "state": self._state})
+            self._frames[start] = first, text
+        return self._frames[start]
 
     @property
     def _state(self) -> dict[str, Any]:
@@ -198,72 +176,61 @@ class LiveView(AbstractContextManager["LiveView"]):
             return ""
         return f"the token is {'wrong' if token else 'missing'}; open the address that was printed when the view began"
 
-    async def _answer_page(self, request: "Request") -> "Response":
-        from starlette.responses import HTMLResponse, PlainTextResponse
-
-        refusal = self._refusal(request.headers, request.query_params.get("token", ""))
+    def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
+        """Answer who asks for the page, or who may not look; None to whom its socket is given."""
+        path = urlsplit(request.path)
+        refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
         if refusal:
-            return PlainTextResponse(refusal + "\n", status_code=403, headers=_HEADERS)
-        return HTMLResponse(self._page, headers=_HEADERS)
+            return connection.respond(403, refusal + "\n")
+        if len(self._pages) >= _MOST_PAGES:
+            return connection.respond(503, f"{_MOST_PAGES} pages look already\n")
+        if path.path == "/ws":
+            return None
+        response = connection.respond(200, self._page) if path.path == "/" else connection.respond(404, "\n")
+        del response.headers["Content-Type"]
+        response.headers.update(_HEADERS)
+        return response
 
-    async def _answer_socket(self, websocket: "WebSocket") -> None:
-        from starlette.responses import PlainTextResponse
-        from starlette.websockets import WebSocketDisconnect
-
-        refusal = self._refusal(websocket.headers, websocket.query_params.get("token", ""))
-        if refusal:
-            await websocket.send_denial_response(PlainTextResponse(refusal + "\n", status_code=403))
-            return
-        await websocket.accept()
+    async def _attend(self, websocket: "ServerConnection") -> None:
         page = _Page(websocket)
         self._pages[page] = None
-        tasks = [asyncio.create_task(one(page)) for one in (self._listen, self._show)]
+        showing = asyncio.create_task(self._show(page))
         try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                with suppress(WebSocketDisconnect, RuntimeError, OSError):
-                    task.result()
+            await self._listen(page)
         finally:
-            for task in tasks:
-                task.cancel()
+            showing.cancel()
             del self._pages[page]
 
     async def _show(self, page: "_Page") -> None:
         """Send what is new as it comes, as fast as this page takes it."""
-        await self._greet(page)
-        while True:
-            start, end, text = self._frame
-            if page.next == start < end:
-                await page.send(text)
-                page.next = end
-            elif self._rows.next - page.next > _BEHIND:
-                page.dropped += self._rows.next - page.next
-                await self._greet(page)
-            elif page.next < end:
-                first, rows = self._rows.since(page.next, end - page.next)
-                page.dropped += first - page.next
-                await page.send(self._framed(first, rows))
-                page.next = first + len(rows)
-            elif self._is_closing:
-                await page.websocket.close(1000, "the view is closed")
-                return
-            else:
-                await self._beat.wait()
-                if self._frame[0] == self._frame[1]:
-                    await page.send(self._frame[2])
+        from websockets.exceptions import ConnectionClosed
+
+        with suppress(ConnectionClosed):
+            await self._greet(page)
+            while not (self._is_closing and page.next == self._rows.next):
+                beat = self._beat
+                if self._rows.next - page.next > _BEHIND:
+                    page.dropped += self._rows.next - page.next
+                    await self._greet(page)
+                elif page.next < self._end or await beat.wait():
+                    first, text = self._framed(page.next)
+                    page.dropped += first - page.next
+                    page.next = self._end
+                    await page.websocket.send(text)
+            await page.websocket.close(1000, "the view is closed")
 
     async def _greet(self, page: "_Page") -> None:
         rows, following = self._rows.snapshot()
         greeting = {"hello": self.recorder.header, "rows": rows, "first": self._rows.first, "next": following}
         greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}
         greeting["may"] = [] if self._steering is None else ["pause", "speed", "inject"]
-        await page.send(encoded(greeting))
+        await page.websocket.send(encoded(greeting))
         page.next = following
 
     async def _listen(self, page: "_Page") -> None:
         """Answer what a page asks, until it goes or says nothing that means anything."""
         mistakes = 0
-        async for text in page.websocket.iter_text():
+        async for text in page.websocket:
             asked: Any = None
             try:
                 asked = json.loads(text)
@@ -275,7 +242,7 @@ class LiveView(AbstractContextManager["LiveView"]):
                 answer = {"error": f"that is nothing a page says: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
-                await page.send(encoded(answer if number is None else {"id": number, **answer}))
+                await page.websocket.send(encoded(answer if number is None else {"id": number, **answer}))
             if mistakes >= _MISTAKES:
                 await page.websocket.close(1008, f"{mistakes} messages that mean nothing; goodbye")
                 return
@@ -297,14 +264,9 @@ class LiveView(AbstractContextManager["LiveView"]):
 class _Page:
     """A page that looks: the number of the row that it gets next, and how many it was too slow for."""
 
-    def __init__(self, websocket: "WebSocket") -> None:
+    def __init__(self, websocket: "ServerConnection") -> None:
         self.websocket = websocket
         self.next = self.dropped = 0
-        self._turn = asyncio.Lock()
-
-    async def send(self, text: str) -> None:
-        async with self._turn:
-            await self.websocket.send_text(text)
 
 
 def _is_this_machine(host: str) -> bool:

@@ -81,7 +81,7 @@ def test_memory_of_the_view_is_flat_over_a_day():
                 rover.kb.measure("energy", 0.9 if second % 600 < 500 else 0.1)
                 rover.manager.update()
                 rover.runner.tick()
-            only = [tracemalloc.Filter(True, "*/missions/views/*"), tracemalloc.Filter(True, "*/uvicorn/*")]
+            only = [tracemalloc.Filter(True, "*/missions/views/*"), tracemalloc.Filter(True, "*/websockets/*")]
             taken = tracemalloc.take_snapshot().filter_traces(only)
             held.append(sum(one.size for one in taken.statistics("filename")) / 2**20)
         tracemalloc.stop()
