@@ -1,5 +1,6 @@
 """What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
 
+import sqlite3
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -149,8 +150,9 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
     """Raise MissionError instead if what is tried with files, such as "read x.toml", cannot be done."""
     try:
         yield
-    except OSError as error:
-        raise MissionError(f"cannot {what}: {error.strerror or error}{advice}") from error
+    except (OSError, sqlite3.Error) as error:
+        why = getattr(error, "strerror", None) or error
+        raise MissionError(f"cannot {what}: {why}{advice}") from error
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:

@@ -59,8 +59,8 @@ class Group:
     inputs: dict[str, float] = field(default_factory=dict)
     columns: "dict[tuple[str, str], array[float]]" = field(default_factory=lambda: defaultdict(lambda: array("d")))
 
-    def add(self, record: Mapping[str, Any], timing: Mapping[str, Any] | None) -> None:
-        """Add the next run, in the order of seeds, and what is known of how long it took."""
+    def add(self, record: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
+        """Add the next run, in the order of seeds, and what is known of how long it took; empty for nothing."""
         for name, value in record.items():
             if name.startswith(INPUT):
                 self.inputs[name.removeprefix(INPUT)] = value
@@ -69,7 +69,7 @@ class Group:
                 column.extend([*[nan] * (self.runs - len(column)), value])
         for name, _, delay_s in record["reactions"]:
             self.columns["delay", name].append(delay_s)
-        for name, compute_s in timing["reactions"] if timing else ():
+        for name, compute_s in timing.get("reactions", ()):
             self.columns["thought", name].append(compute_s)
         if timing:
             self.columns["took", "run"].append(timing["wall_s"])
@@ -129,11 +129,11 @@ class Comparison:
 def comparisons(kept: Kept) -> list[Comparison]:
     """Return what is compared in a campaign; what has no runs yet is left out."""
     parts = defaultdict[Any, dict[Any, Group]](dict)
-    for run, record in kept.records.items():
+    for record, timing in kept.rows():
         if record["outcome"] != CRASHED:
             groups = parts[record["mission"], tuple(record["settings"].items())]
             layer = record["manager"], record["task"]
             if layer not in groups:
                 groups[layer] = Group(*layer, PAPER.get((record["mission"], record["manager"]), Published({}, {})))
-            groups[layer].add(record, kept.timings.get(run))
+            groups[layer].add(record, timing)
     return [Comparison(mission, dict(settings), (*parts[mission, settings].values(),)) for mission, settings in parts]

@@ -18,6 +18,7 @@ from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation
 from kb.forecasts.extrapolation import Series, slope_of
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
 from missions.engine.runner import MissionRun
+from missions.experiments.results import FILE, read_store
 from missions.extras import needs
 
 LEVEL: Final = 0.95  # how often an interval holds the true value
@@ -375,7 +376,7 @@ def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
         MissionError: there is nothing to be learned from one of them; the message says why.
     """
     for path in paths:
-        found = list(_campaign(path) if (path / "campaign.json").exists() else _recorded(path))
+        found = list(_campaign(path) if (path / FILE).exists() else _recorded(path))
         if not found:
             raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
         yield from found
@@ -391,12 +392,11 @@ def _recorded(path: Path) -> Iterator[Experience]:
 def _campaign(path: Path) -> Iterator[Experience]:
     from missions.baselines import open_run
     from missions.engine.registry import find_mission
-    from missions.experiments.results import CRASHED, read_store
 
     kept = read_store(path)
-    for run in kept.campaign.planned():
-        if kept.records.get(run.name, {"outcome": CRASHED})["outcome"] != CRASHED:
-            how = {"manager": run.manager, "task": run.task or "bt", "settings": dict(run.settings)}
-            opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # each is of its own type
-            if opened.controller.kb is not None:
-                yield Experience.of(run.name, opened)
+    planned = kept.campaign.planned()
+    for run in (planned[place] for place in sorted(kept.done(retry=True))):
+        how = {"manager": run.manager, "task": run.task or "bt", "settings": dict(run.settings)}
+        opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # each is of its own type
+        if opened.controller.kb is not None:
+            yield Experience.of(run.name, opened)

@@ -117,13 +117,13 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
 
 
 def _introduce(document: Document, kept: Kept, crashed: int) -> None:
-    total = len(kept.campaign.planned())
+    total, done = len(kept.campaign.planned()), len(kept.done())
     document.text(
-        f"{len(kept.records)} of {total} runs are done, {crashed} of them crashed. "
+        f"{done} of {total} runs are done, {crashed} of them crashed. "
         f"Made by {', '.join(f'{name} {version}' for name, version in kept.provenance.items())}."
     )
-    if kept.missing:
-        document.text(f"{kept.missing} runs are still to be done: what follows is of those that are done.")
+    if done < total:
+        document.text(f"{total - done} runs are still to be done: what follows is of those that are done.")
 
 
 def _headlines(comparison: Comparison, asked: Sequence[str]) -> Mapping[str, str]:
@@ -261,7 +261,7 @@ def _add_crashes(document: Document, crashed: Sequence[Mapping[str, Any]]) -> No
     if crashed:
         document.heading("Runs that crashed")
         document.items([f"{record['run']}: {record['error']}" for record in crashed])
-        document.text("Each can be run again alone; crashes.txt has their tracebacks:")
+        document.text("Each can be run again alone; the campaign's file has their tracebacks:")
         document.text("\n".join(["```sh", *(record["rerun"] for record in crashed), "```"]))
 
 

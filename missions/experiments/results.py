@@ -1,31 +1,35 @@
-"""The folder of a campaign: each run is a line in it, kept the moment it is done, and the tables made of the lines."""
+"""The folder of a campaign: a file of SQLite with a row for each run, kept the moment it is done, and its tables."""
 
 import csv
 import fcntl
 import hashlib
-import io
 import json
 import os
 import platform
-from array import array
+import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
-from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from time import monotonic
-from typing import Any, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun, PlannedRuns, files_tried, from_data
+from missions.experiments.campaign import Campaign, PlannedRun, files_tried, from_data
 from missions.views.output import OutputFile
 
-FORMAT = 1
-CAMPAIGN, RUNS, TIMING, CRASHES = "campaign.json", "runs.jsonl", "timing.jsonl", "crashes.txt"
-SYNC_S = 1.0
+FORMAT: Final = 2
+FILE: Final = "campaign.sqlite3"
+SYNC_S: Final = 1.0
+_TABLES: Final = """
+    BEGIN;
+    CREATE TABLE about (format INTEGER, campaign TEXT, provenance TEXT);
+    CREATE TABLE runs (place INTEGER PRIMARY KEY, outcome TEXT, record TEXT, timing TEXT, traceback TEXT);
+"""
+"""`place` is that of the run in the campaign; records, timings, campaign and provenance are JSON."""
 CRASHED = "crashed"
 """Outcome of a run that raised an exception or took its process down with it."""
 
@@ -72,75 +76,43 @@ def _version(name: str) -> str:
         return "not installed"
 
 
-class Lines(Mapping[str, Mapping[str, Any]]):
-    """The complete lines of a file by the names of runs, in the order of the campaign; the last of a name counts.
-
-    A line is read when it is asked for; held is where it begins: 8 bytes a run.
-
-    Raises:
-        MissionError: a line is damaged, was made by other code than that given, or is of no run of the campaign.
-    """
-
-    def __init__(self, path: Path, planned: PlannedRuns, code: str | None = None) -> None:
-        self._path, self._planned, start = path, planned, 0
-        self._starts = array("q", [-1]) * len(planned)
-        with files_tried(f"read {path}"), path.open("rb") if path.exists() else io.BytesIO() as file:
-            for number, line in enumerate(file, start=1):
-                if line.endswith(b"\n"):
-                    self._starts[self._place(line, number, code)] = start
-                    start += len(line)
-
-    def _place(self, line: bytes, number: int, code: str | None) -> int:
-        try:
-            data = json.loads(line)
-            name, place = data["run"], self._planned.place(data["run"])
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
-            problem = f"{self._path}, line {number} is damaged"
-            raise MissionError(f"{problem}: take it away, then go on with --resume") from error
-        if code != (by := data.get("code")):
-            problem = f"{self._path}: {name} was run by code {by}, the campaign by {code}"
-            raise MissionError(f"{problem}; results of different versions cannot be mixed")
-        if place is None:
-            raise MissionError(f"{self._path} holds {name}, which is no run of the campaign")
-        return place
-
-    def __getitem__(self, name: str) -> Mapping[str, Any]:
-        place = self._planned.place(name)
-        if place is None or self._starts[place] < 0:
-            raise KeyError(name)
-        with files_tried(f"read {self._path}"), self._path.open("rb") as file:
-            file.seek(self._starts[place])
-            return dict(json.loads(file.readline()))
-
-    def __iter__(self) -> Iterator[str]:
-        return (run.name for run, start in zip(self._planned, self._starts, strict=True) if start >= 0)
-
-    def __len__(self) -> int:
-        return len(self._starts) - self._starts.count(-1)
-
-
 class Kept(NamedTuple):
-    """What the folder of a campaign holds; records and timings by the names of runs, in the order of the campaign."""
+    """What the file of a campaign holds; runs are read when they are asked for, as there may be a million."""
 
+    path: Path
     campaign: Campaign
     provenance: Mapping[str, str]
-    records: Mapping[str, Mapping[str, Any]]
-    timings: Mapping[str, Mapping[str, Any]]
+
+    def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+        """Yield the figures of each run that is done, and how long it took, in the order of the campaign."""
+        for record, timing in self._read("SELECT record, timing FROM runs ORDER BY place"):
+            yield json.loads(record), json.loads(timing)
 
     @property
-    def crashed(self) -> tuple[Mapping[str, Any], ...]:
-        return tuple(record for record in self.records.values() if record["outcome"] == CRASHED)
+    def records(self) -> Iterator[dict[str, Any]]:
+        return (record for record, _ in self.rows())
 
     @property
-    def missing(self) -> int:
-        return len(self.campaign.planned()) - len(self.records)
+    def crashed(self) -> list[dict[str, Any]]:
+        rows = self._read("SELECT record FROM runs WHERE outcome = ? ORDER BY place", CRASHED)
+        return [json.loads(record) for (record,) in rows]
+
+    def done(self, *, retry: bool = False) -> set[int]:
+        """Return the places of the runs that are done; to `retry`, without those that crashed."""
+        rows = self._read("SELECT place FROM runs WHERE outcome != ?", CRASHED if retry else "")
+        return {place for (place,) in rows}
+
+    def _read(self, query: str, *given: str) -> Iterator[tuple[Any, ...]]:
+        with files_tried(f"read {self.path}"), closing(_opened(self.path)) as file:
+            yield from file.execute(query, given)
 
 
 class Store:
     """The folder of a campaign, held by the one program that runs it; used as a context.
 
-    A line is complete or not there at all: what a killed program left half-written is taken away when the campaign is
-    gone on with (`resume`; without a campaign, with what the folder says).
+    Args:
+        folder: where it is.
+        campaign: what is to be run; None: what the folder says, if it is gone on with (`resume`).
 
     Raises:
         MissionError: the folder is not what it should be, or another program holds it.
@@ -148,16 +120,22 @@ class Store:
 
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
         self._folder, self._synced_s = folder, monotonic()
-        if campaign is None and not resume:
-            raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
         self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        self._planned = self.campaign.planned()
         if campaign is None and (own := ", ".join(self.campaign.own_modules)):
             advice = f"if it is yours, say so by its file: rosa campaign FILE.toml --resume --out {folder}"
             raise MissionError(
                 f"the campaign in {folder} would import {own}, because a file of results says so; {advice}"
             )
-        with ExitStack() as stack:
-            self._runs, self._timing, self._crashes = (self._open(name, stack) for name in (RUNS, TIMING, CRASHES))
+        with ExitStack() as stack, files_tried(f"write to {folder}"):
+            held = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, held)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise MissionError(f"another program is running the campaign in {folder}") from error
+            self._file = stack.enter_context(closing(_opened(folder / FILE)))
+            self._file.executescript("PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL")
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -168,7 +146,7 @@ class Store:
             self._sync()
 
     def keep(self, outcome: Outcome) -> None:
-        """Add what came of a run, to the files at once and on disk within a second of the next, or at the end.
+        """Add what came of a run, to the file at once and on disk within a second of the next, or at the end.
 
         Raises:
             MissionError: other code ran it, or there is no room.
@@ -179,88 +157,57 @@ class Store:
                 f"{outcome.run.name} was run by other code ({outcome.code}) than the campaign ({code}); "
                 "install the same on every worker, then go on with --resume"
             )
-        if outcome.traceback:
-            self._write(self._crashes, f"{outcome.run.name}\n{outcome.run.command}\n{outcome.traceback}\n")
-        if outcome.timing:
-            self._write(self._timing, _line(outcome.timing))
-        self._write(self._runs, _line({**outcome.record, "code": outcome.code}))
+        told = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
+        row = self._planned.place(outcome.run.name), outcome.record["outcome"], *told, outcome.traceback
+        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
+            self._file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", row)
         if monotonic() >= self._synced_s + SYNC_S:
             self._sync()
 
     def _sync(self) -> None:
         """Have on disk what was written: together, as it takes longer than many a run."""
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
-            for file in (self._runs, self._timing, self._crashes):
-                os.fsync(file)
+            self._file.execute("PRAGMA wal_checkpoint")
         self._synced_s = monotonic()
 
-    def _open(self, name: str, stack: ExitStack) -> int:
-        """Open a file to append to, hold it, and take away what is half-written."""
-        path = self._folder / name
-        with files_tried(f"write {path}"):
-            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
-            stack.callback(os.close, file)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise MissionError(f"another program is running the campaign in {self._folder}") from error
-            if os.fstat(file).st_size:
-                with mmap(file, 0, access=ACCESS_READ) as content:
-                    complete = content.rfind(b"\n") + 1
-                os.ftruncate(file, complete)
-        return file
 
-    def _write(self, file: int, text: str) -> None:
-        content = text.encode()
-        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
-            while content:
-                content = content[os.write(file, content) :]
+def _opened(path: Path, mode: str = "rw") -> sqlite3.Connection:
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None)
 
 
 def read_store(folder: Path) -> Kept:
-    """Say what the folder of a campaign holds; a last line that is half-written is passed over."""
-    campaign, begun_with = _head(folder)
-    planned = campaign.planned()
-    records = Lines(folder / RUNS, planned, begun_with["code"])
-    return Kept(campaign, begun_with, records, Lines(folder / TIMING, planned))
-
-
-def _line(data: Mapping[str, Any]) -> str:
-    return json.dumps(data, allow_nan=False, ensure_ascii=False) + "\n"
-
-
-def _head(folder: Path) -> tuple[Campaign, dict[str, str]]:
-    """Return the campaign of a folder and what it was begun with."""
-    path = folder / CAMPAIGN
+    """Say what the folder of a campaign holds; MissionError if it holds none, or that is damaged."""
+    path = folder / FILE
     if not folder.is_dir():
         raise MissionError(f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one")
+    if not path.exists():
+        raise MissionError(f"{folder} holds no campaign: there is no {FILE} in it")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        made, campaign, begun_with = data["format"], data["campaign"], dict(data["provenance"])
-        begun_with["code"]
-    except FileNotFoundError as error:
-        raise MissionError(f"{folder} holds no campaign: there is no {CAMPAIGN} in it") from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise MissionError(f"{path} is damaged: {type(error).__name__}: {error}") from error
+        with closing(_opened(path)) as file:
+            (made, campaign, begun_with), *_ = file.execute("SELECT * FROM about").fetchall()
+    except (sqlite3.Error, ValueError) as error:
+        raise MissionError(f"{path} is damaged: {error}") from error
     if made != FORMAT:
         raise MissionError(f"{path} has format {made}; this version reads format {FORMAT}")
-    return from_data(campaign, str(path)), begun_with
+    return Kept(path, from_data(json.loads(campaign), str(path)), json.loads(begun_with))
 
 
 def _begun(folder: Path, campaign: Campaign) -> Campaign:
-    if (folder / CAMPAIGN).exists() or (folder / RUNS).exists():
+    if (folder / FILE).exists():
         raise MissionError(f"{folder} holds a campaign already; go on with it by --resume, or give another --out")
     with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
-    data = {"format": FORMAT, "campaign": campaign.as_data(), "provenance": dict(provenance())}
-    with OutputFile(folder / CAMPAIGN) as file:
-        file.finish(json.dumps(data, indent=2, ensure_ascii=False) + "\n")
+        with closing(_opened(folder / FILE, "rwc")) as file:
+            file.executescript(_TABLES)
+            about = FORMAT, *(json.dumps(one, ensure_ascii=False) for one in (campaign.as_data(), dict(provenance())))
+            file.execute("INSERT INTO about VALUES (?, ?, ?)", about)
+            file.execute("COMMIT")
     return campaign
 
 
 def _same(folder: Path, campaign: Campaign | None) -> Campaign:
     """Return the campaign of a folder, which must be the one asked for and have been begun with what there is now."""
-    kept, begun_with = _head(folder)
+    _, kept, begun_with = read_store(folder)
     if campaign is not None and campaign != kept:
         mine, theirs = campaign.as_data(), kept.as_data()
         key = next(key for key in mine if mine[key] != theirs[key])
@@ -278,10 +225,10 @@ def _same(folder: Path, campaign: Campaign | None) -> Campaign:
 def run_rows(kept: Kept) -> Iterator[dict[str, Any]]:
     """Yield a row for each run, all with the same columns; settings come last and have the prefix "set_"."""
     figures, changed = dict[str, None](), dict[str, None]()
-    for record in kept.records.values():
-        figures |= dict.fromkeys(one for one in record if one not in ("code", "reactions", "settings"))
+    for record in kept.records:
+        figures |= dict.fromkeys(one for one in record if one not in ("reactions", "settings"))
         changed |= dict.fromkeys(record["settings"])
-    for record in kept.records.values():
+    for record in kept.records:
         settings = {f"set_{name}": record["settings"].get(name) for name in changed}
         yield {name: record.get(name) for name in figures} | settings
 
@@ -289,7 +236,7 @@ def run_rows(kept: Kept) -> Iterator[dict[str, Any]]:
 def reaction_rows(kept: Kept) -> Iterator[dict[str, Any]]:
     """Yield a row for each reaction to an uncertainty."""
     same, own = ("run", "mission", "manager", "task", "seed"), ("uncertainty", "start_s", "delay_s")
-    for record in kept.records.values():
+    for record in kept.records:
         for reaction in record.get("reactions", []):
             yield {key: record[key] for key in same} | dict(zip(own, reaction, strict=True))
 

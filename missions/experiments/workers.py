@@ -260,9 +260,8 @@ def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progre
     Raises:
         MissionError: the folder cannot be written, or the workers are out of reach.
     """
-    planned = store.campaign.planned()
-    before = read_store(folder).records
-    left = [run for run in planned if run.name not in before or (retry and before[run.name]["outcome"] == CRASHED)]
+    planned, done = store.campaign.planned(), read_store(folder).done(retry=retry)
+    left = [run for place, run in enumerate(planned) if place not in done]
     left.sort(key=lambda run: run.seed)
     progress.begin(len(planned) - len(left), len(planned))
     for outcome in outcomes(left, workers, progress.note):

@@ -14,9 +14,10 @@ from running import text
 
 from kb import KnowledgeBase, Model
 from missions.baselines import open_run
+from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.experiments.results import read_store
+from missions.experiments.results import FILE, read_store
 from missions.views.output import as_json, summary
 
 CAMPAIGN = """
@@ -180,16 +181,23 @@ def tables(folder):
     return {name: (folder / name).read_bytes() for name in ("runs.csv", "reactions.csv")}
 
 
+def kept(folder):
+    """Return the records of a campaign that is perhaps about to begin, by the names of runs."""
+    try:
+        return {record["run"]: record for record in read_store(folder).records}
+    except MissionError:
+        return {}
+
+
 def gone_on_with(folder, file, whole):
     """Go on with a campaign that something has stopped; returns what is untrue of it after that."""
-    begun = (folder / "campaign.json").exists()
-    before = dict(read_store(folder).records) if begun else {}
+    begun, before = (folder / FILE).exists(), kept(folder)
     running = campaign(folder, file, "--workers", 1, *(["--resume"] if begun else []))
     said, _ = running.communicate(timeout=300)
     if running.returncode:
         return [said]
     lies = [] if tables(folder) == whole else ["the tables are others"]
-    after = read_store(folder).records
+    after = kept(folder)
     if any(after.get(name) != record for name, record in before.items()):
         lies.append("what was kept has changed")
     return lies

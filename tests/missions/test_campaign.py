@@ -5,16 +5,18 @@ import json
 import os
 import shlex
 import shutil
+import sqlite3
 import subprocess
 import sys
 import time
+from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -22,7 +24,7 @@ from missions import cli
 from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
-from missions.experiments.results import PACKAGES, Outcome, Store, provenance, read_store
+from missions.experiments.results import FILE, PACKAGES, Outcome, Store, provenance, read_store
 from missions.experiments.workers import do
 from missions.views.console import CampaignProgress
 
@@ -101,7 +103,19 @@ def tables(folder):
 
 
 def lines(folder):
-    return [json.loads(line) for line in (folder / "runs.jsonl").read_text().splitlines()]
+    return list(read_store(folder).records) if (folder / FILE).exists() else []
+
+
+def begun_with(folder):
+    """Return what a campaign that is perhaps about to begin holds."""
+    try:
+        return lines(folder)
+    except MissionError:
+        return []
+
+
+def timings(folder):
+    return {record["run"]: timing for record, timing in read_store(folder).rows()}
 
 
 WORDS = st.lists(st.sampled_from("abcdefgh"), min_size=1, max_size=3, unique=True).map(tuple)
@@ -197,20 +211,17 @@ def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(rosa, small, 
     file, two = small
     folder = tmp_path / "killed"
     running = rosa("campaign", file, "--workers", 2, "--out", folder)
-    while running.poll() is None and not ((folder / "runs.jsonl").exists() and len(lines(folder)) > 2):
+    while running.poll() is None and len(begun_with(folder)) <= 2:
         time.sleep(0.02)
     running.kill()
     running.communicate()  # returns when its workers have ended, too
-    kept = (folder / "runs.jsonl").read_bytes().splitlines(keepends=True)[: RUNS - 1]  # should it have been too quick
-    done, before = len(kept), b"".join(kept)
-    assert done > 2
-    (folder / "runs.jsonl").write_bytes(before + b'{"run": "suave/none/bias=0')
-    assert len(read_store(folder).records) == done  # what is half-written is passed over
-    finish(rosa("campaign", "--resume", "--workers", 2, "--out", folder))
-    after = (folder / "runs.jsonl").read_bytes()
-    assert after.startswith(before)
-    names = [one["run"] for one in lines(folder)]
-    assert len(names) == len(set(names)) == RUNS
+    before = timings(folder)
+    assert len(before) > 2
+    out = finish(rosa("campaign", "--resume", "--workers", 2, "--out", folder))
+    assert f"{RUNS - len(before)} of them now" in out
+    after = timings(folder)
+    assert len(after) == RUNS
+    assert {run: after[run] for run in before} == before  # not done again
     assert tables(folder) == tables(two)
 
 
@@ -252,7 +263,9 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, quick, tmp_path
     errors = {1: raised, 2: "the process that ran it died", 3: "SystemExit: enough"}
     assert crashed == {f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/1": error for y, error in errors.items()}
     assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
-    assert "ZeroDivisionError" in (folder / "crashes.txt").read_text()
+    with closing(sqlite3.connect(folder / FILE)) as file:
+        tracebacks = [text for (text,) in file.execute("SELECT traceback FROM runs WHERE outcome = 'crashed'")]
+    assert sum("ZeroDivisionError" in text for text in tracebacks) == 1
     assert len(lines(folder)) == 4
 
     (tmp_path / "clumsy.py").write_text(CLUMSY.format(trouble="pass"))
@@ -328,7 +341,7 @@ def test_file_that_is_wrong_is_refused_before_anything_runs(tmp_path, monkeypatc
         (["c.toml", "--workers", "2", "--cluster", "x:1"], "not both"),
         (["c.toml", "--retry"], "--retry goes with --resume"),
         (["--resume", "--out", "nowhere"], "there is no folder nowhere"),
-        (["--resume", "--out", "."], ". holds no campaign: there is no campaign.json"),
+        (["--resume", "--out", "."], ". holds no campaign: there is no campaign.sqlite3"),
         (["c.toml", "--out", "c.toml/in"], "cannot make c.toml/in: Not a directory"),
         (["c.toml", "--workers", "0"], "--workers"),
     ],
@@ -365,7 +378,7 @@ def test_folder_that_holds_another_campaign_is_left_alone(tmp_path, quick):
     assert code == 2
     assert "holds another campaign: its managers is ['none'], not ['none', 'bt', 'ours']" in err
     assert read_store(tmp_path / "c").campaign == data
-    assert len(read_store(tmp_path / "c").records) == 1
+    assert len(lines(tmp_path / "c")) == 1
 
 
 def test_folder_is_held_by_one_program_at_a_time(tmp_path, quick):
@@ -379,72 +392,66 @@ def test_folder_is_held_by_one_program_at_a_time(tmp_path, quick):
 def test_results_of_different_code_are_never_mixed(tmp_path, quick):
     begun(tmp_path / "c")
     with Store(tmp_path / "c", None, resume=True) as store:
-        strange = Outcome(store.campaign.planned()[1], "other", {"run": "x"})
+        strange = Outcome(store.campaign.planned()[1], "other", {"run": "x", "outcome": "y"})
         with pytest.raises(MissionError, match=r"was run by other code \(other\) than the campaign"):
             store.keep(strange)
-    head = json.loads((tmp_path / "c" / "campaign.json").read_text())
-    head["provenance"]["code"] = "older"
-    (tmp_path / "c" / "campaign.json").write_text(json.dumps(head))
+    with closing(sqlite3.connect(tmp_path / "c" / FILE)) as file, file:
+        file.execute("UPDATE about SET provenance = json_set(provenance, '$.code', 'older')")
     code, _, err = quick("campaign", "--resume", "--out", tmp_path / "c")
     assert code == 2
     assert f"was begun with code older, here is {provenance()['code']}" in err
-    with pytest.raises(MissionError, match="results of different versions cannot be mixed"):
-        read_store(tmp_path / "c")
+    assert "results of different versions cannot be mixed" in err
 
 
 @pytest.mark.parametrize(
-    ("file", "content", "message"),
+    ("damage", "message"),
     [
-        ("campaign.json", "{", "is damaged"),
-        ("campaign.json", '{"format": 1}', "is damaged: KeyError"),
-        ("campaign.json", '{"format": 9, "campaign": {}, "provenance": {"code": ""}}', "has format 9; this version"),
-        ("runs.jsonl", "nonsense\n", "line 1 is damaged"),
-        ("runs.jsonl", "[]\n", "line 1 is damaged"),
+        (lambda path: path.write_bytes(b"nonsense" * 1000), "is damaged: file is not a database"),
+        (lambda path: path.write_bytes(b""), "is damaged: no such table"),
+        (lambda path: altered(path, "DELETE FROM about"), "is damaged"),
+        (lambda path: altered(path, "UPDATE about SET format = 9"), "has format 9; this version"),
     ],
 )
-def test_damaged_folder_says_which_file_is_damaged(tmp_path, file, content, message):
+def test_damaged_file_is_told(tmp_path, damage, message):
     begun(tmp_path / "c")
-    (tmp_path / "c" / file).write_text(content)
+    damage(tmp_path / "c" / FILE)
     with pytest.raises(MissionError, match=message):
         read_store(tmp_path / "c")
 
 
-def test_run_of_another_campaign_among_the_results_is_found_out(tmp_path):
+def altered(path, query):
+    with closing(sqlite3.connect(path)) as file, file:
+        file.execute(query)
+
+
+def test_damaged_run_is_told_when_it_is_read(tmp_path):
     begun(tmp_path / "c")
-    with (tmp_path / "c" / "runs.jsonl").open("a") as file:
-        file.write(json.dumps({"run": "suave/none/99", "code": provenance()["code"], "outcome": "time_limit"}) + "\n")
-    with pytest.raises(MissionError, match="holds suave/none/99, which is no run of the campaign"):
-        read_store(tmp_path / "c")
+    content = (tmp_path / "c" / FILE).read_bytes()
+    (tmp_path / "c" / FILE).write_bytes(content[:8192] + bytes(len(content) - 8192))
+    with pytest.raises(MissionError, match=r"cannot read .*campaign.sqlite3: database disk image is malformed"):
+        lines(tmp_path / "c")
 
 
 def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypatch):
     synced, now = [], [0.0]
     monkeypatch.setattr("missions.experiments.results.monotonic", lambda: now[0])
-    monkeypatch.setattr(os, "fsync", lambda file: synced.append(now[0]))
+    opened = sqlite3.connect
+
+    def watched(*given, **named):
+        file = opened(*given, **named)
+        file.set_trace_callback(lambda said: synced.append(now[0]) if "checkpoint" in said else None)
+        return file
+
+    monkeypatch.setattr(sqlite3, "connect", watched)
     campaign = Campaign("many", ("suave",), runs=50)
     with Store(tmp_path / "c", campaign) as store:
         for run in campaign.planned():
             now[0] += 0.1
             store.keep(Outcome(run, provenance()["code"], {"run": run.name, "outcome": "x"}, {"run": run.name}))
-            assert run.name in (tmp_path / "c" / "runs.jsonl").read_text()  # what a kill cannot take any more
+            assert lines(tmp_path / "c")[-1]["run"] == run.name  # what a kill cannot take any more
     each = dict.fromkeys(synced)
     assert 5 <= len(each) <= 7
-    assert len(read_store(tmp_path / "c").records) == 50
-
-
-@settings(max_examples=25)
-@given(data=st.data())
-def test_whatever_is_cut_off_at_the_end_costs_the_last_line_at_most(data, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("cut") / "c"
-    begun(folder)
-    content = (folder / "runs.jsonl").read_bytes()
-    kept = data.draw(st.integers(0, len(content)))
-    (folder / "runs.jsonl").write_bytes(content[:kept])
-    with Store(folder, None, resume=True) as store:
-        store.keep(first())
-    records = read_store(folder).records
-    assert list(records) == [first().run.name]
-    assert len(lines(folder)) == 1 + (kept == len(content))
+    assert len(lines(tmp_path / "c")) == 50
 
 
 def test_bar_shows_how_far_how_fast_and_how_long():

@@ -1,6 +1,5 @@
 """The report on a campaign: the published table beside ours, and what it says of runs that are missing or strange."""
 
-import json
 import re
 import sys
 import tracemalloc
@@ -181,13 +180,13 @@ def test_a_run_takes_few_bytes_while_tables_and_report_are_made_of_a_million(tmp
         _, most = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    runs = len(again.records)
+    runs = len(again.done())
     assert runs == 1200
     assert [group.runs for part in parts for group in part.groups] == [600, 600]
     assert places / runs < 40
     assert whole / runs < 200
     assert (most - whole) / runs < 300  # of it 150 kB for the files that are open
-    assert dict(store.records) == dict(again.records)
+    assert list(store.rows()) == list(again.rows())
 
 
 def test_single_run_has_no_spread(tmp_path):
@@ -211,7 +210,7 @@ def test_nothing_to_report_is_said(tmp_path):
     [
         (["nowhere"], "there is no folder nowhere; `rosa campaign FILE.toml --out nowhere` makes one"),
         (["."], ". holds no campaign"),
-        (["c", "--out", "c/runs.jsonl/x"], "cannot make c/runs.jsonl/x"),
+        (["c", "--out", "c/campaign.sqlite3/x"], "cannot make c/campaign.sqlite3/x"),
     ],
 )
 def test_wrong_use_is_one_clear_message(tmp_path, monkeypatch, capsys, arguments, message):
@@ -225,15 +224,15 @@ def test_wrong_use_is_one_clear_message(tmp_path, monkeypatch, capsys, arguments
     assert message in " ".join(capsys.readouterr().err.split())
 
 
-def test_half_written_results_are_reported_as_far_as_they_go(tmp_path):
-    folder = tmp_path / "c"
-    kept(folder)
-    content = (folder / "runs.jsonl").read_bytes()
-    (folder / "runs.jsonl").write_bytes(content[: len(content) // 2])
-    write_report(read_store(folder), tmp_path)
-    done = (folder / "runs.jsonl").read_bytes().count(b"\n")
-    assert f"{done} of 80 runs are done" in (tmp_path / "report.md").read_text()
-    assert json.loads((folder / "runs.jsonl").read_text().splitlines()[0])["run"] == "suave/none/0"
+def test_results_are_reported_as_far_as_they_go_while_runs_are_done(tmp_path):
+    planned = TABLE.planned()
+    with Store(tmp_path / "c", TABLE) as store:
+        for run in planned[30], planned[0]:
+            store.keep(outcome(run))
+        write_report(read_store(tmp_path / "c"), tmp_path)
+    assert "2 of 80 runs are done" in (tmp_path / "report.md").read_text()
+    records = read_store(tmp_path / "c").records
+    assert [record["run"] for record in records] == [planned[0].name, planned[30].name]
 
 
 def test_document_escapes_what_would_be_taken_for_markup():
