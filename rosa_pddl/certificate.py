@@ -45,14 +45,20 @@ class Certificate:
             raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
-        """Return the plan for what is unfeasible in a problem, or as little of its end as works there; None if none."""
-        feasible, out = problem.domain.feasible_atom, problem.weights.items()
-        actions = tuple(one for one in problem.domain.rosa_actions if feasible(one) not in problem.state)
-        found, left_out = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED)), {s for s, n in out if not n}
-        for count in range(1, 1 + len(found.steps)):
-            rest = found.steps[-count:]
-            if left_out.isdisjoint(rest) and flaw(problem.domain, rest, problem.state, problem.wanted) is None:
-                return replace(found, outcome=Outcome.SOLVED, steps=rest, schedule=())
+        """Return the plan for what is unfeasible in a problem, or as little of its end as works there; None if none.
+
+        What is forecast to become unfeasible may have to be taken as that already.
+        """
+        domain, state, until = problem.domain, problem.state, problem.until
+        atoms = {domain.feasible_atom(one): one for one in domain.rosa_actions}
+        left_out = {step for step, times in problem.weights.items() if not times}
+        for lasting in (state, state - until.keys()) if until else (state,):
+            actions = tuple(one for atom, one in atoms.items() if atom not in lasting)
+            found = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED))
+            for count in range(1, 1 + len(found.steps)):
+                rest = found.steps[-count:]
+                if left_out.isdisjoint(rest) and flaw(domain, rest, state, problem.wanted, until) is None:
+                    return replace(found, outcome=Outcome.SOLVED, steps=rest, schedule=())
         return None
 
     @property

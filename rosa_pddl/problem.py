@@ -3,6 +3,9 @@
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from math import floor, isfinite
+from numbers import Real
 from threading import RLock
 from weakref import WeakKeyDictionary
 
@@ -18,7 +21,7 @@ from rosa_pddl.domain import (
     head_of,
     number_fact,
 )
-from rosa_pddl.exceptions import UnknownNameError, UnsupportedPddlError, nearest
+from rosa_pddl.exceptions import SensingError, UnknownNameError, UnsupportedPddlError, nearest
 from rosa_pddl.syntax import NAME
 from rosa_pddl.validate import text_of
 
@@ -43,6 +46,7 @@ class Problem:
 
     Raises:
         UnknownNameError: the costs name what the domain does not know, or no numeric fact; or so do the times.
+        SensingError: a time is no finite number.
     """
 
     domain: Domain
@@ -63,8 +67,12 @@ class Problem:
         if costs.keys() != self.costs.keys():
             object.__setattr__(self, "costs", costs)  # in the spelling of the files
         feasible = set(map(self.domain.feasible_atom, self.domain.rosa_actions)) if self.until else set()
-        for text in self.until.keys() - feasible:
-            raise UnknownNameError(f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}")
+        for text, left_s in self.until.items():
+            if text not in feasible:
+                raise UnknownNameError(f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}")
+            if not (isinstance(left_s, Real) and isfinite(left_s)):
+                message = f"{text} is forecast to hold for {left_s!r} s, expected a finite number"
+                raise SensingError(f"{message}; leave out what is not forecast to end")
 
     @property
     def wanted(self) -> tuple[UpThing, ...]:
@@ -96,7 +104,13 @@ class Problem:
             if problem.has_fluent(expression.fluent().name):
                 problem.set_initial_value(expression, exact(number))
         for atom, left_s in self.until.items() if overlapping else ():
-            problem.add_timed_effect(GlobalStartTiming(exact(left_s)), domain.expression(atom), manager.FALSE())
+            # Aries counts in tenths of a second, and lets a step end one after what it needs has ceased to hold
+            tenths = floor(10 * exact(left_s)) - 1
+            if tenths > 0:
+                when = GlobalStartTiming(Fraction(tenths, 10))
+                problem.add_timed_effect(when, domain.expression(atom), manager.FALSE())
+            else:
+                problem.set_initial_value(domain.expression(atom), manager.FALSE())
         for goal in (*self.wanted, *domain.limits):
             problem.add_goal(_without_quantifiers(goal, problem) if overlapping else goal)
         actions = dict[UpThing, UpThing]()

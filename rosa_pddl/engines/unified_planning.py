@@ -106,8 +106,8 @@ def asked(
     try:
         answer = json.loads(ended.output)
         outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
-        if engine == NUMERIC and outcome is Outcome.UNSOLVABLE_PROVEN:
-            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # it says so of problems that have plans, too
+        if (engine == NUMERIC or known.until) and outcome is Outcome.UNSOLVABLE_PROVEN:
+            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # ENHSP says so of problems that have plans; times are rounded
         schedule = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
         has_plan = answer.get("plan") is not None
     except (ValueError, KeyError, TypeError) as error:

@@ -11,6 +11,7 @@ from rosa_pddl import (
     Outcome,
     Planner,
     Problem,
+    SensingError,
     TimedStep,
     UnknownNameError,
     flaw,
@@ -209,6 +210,12 @@ def test_a_time_of_what_is_no_feasibility_is_refused():
             problem({text: 1.0})
 
 
+@pytest.mark.parametrize("left_s", [float("nan"), float("inf"), "soon", None])
+def test_a_time_that_is_no_number_is_refused(left_s):
+    with pytest.raises(SensingError, match=r"\(action_feasible sail\) is forecast to hold for .* a finite number"):
+        problem({SAIL: left_s})
+
+
 RIG = """(define (domain rig) (:requirements :durative-actions)
   (:types action) (:predicates (action_feasible ?a - action) (lift_action ?a - action) (push_action ?a - action)
     (up) (aside))
@@ -230,6 +237,7 @@ def test_a_temporal_engine_is_told_of_the_times():
     rig = parse_domain(RIG, f"{goal} {init}")
     lift, push = map(rig.feasible_atom, ("lift", "push"))
     planner = Planner("aries", 300.0, overlapping=True)
-    for until, expected in (({push: 19.5}, ["lift", "swing"]), ({lift: 11.5}, ["push"])):
+    either = {push: 19.987}, ["lift", "swing"]  # it counts in tenths of a second, and begins a tenth after an end
+    for until, expected in (either, ({lift: 12.1, push: 0.05}, ["lift", "swing"]), ({lift: 11.51}, ["push"])):
         result = planner.plan(Problem(rig, initial_state(rig) | {lift, push}, until=until))
         assert steps(result) == expected

@@ -6,7 +6,16 @@ from py_trees.behaviours import Success
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_pddl import LastingFeasibility, PlanExecutor, Planner, load_domain, parse_domain
+from rosa_pddl import (
+    LastingFeasibility,
+    PlanExecutor,
+    Planner,
+    Problem,
+    certificate,
+    initial_state,
+    load_domain,
+    parse_domain,
+)
 
 DOMAIN = """
 (define (domain diver)
@@ -264,6 +273,23 @@ def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_on
     assert (one.executor.status, len(one.reasons)) == (Status.FAILURE, asked)
     one.light += 0.3
     assert one.run(100) == done("sail", "look")
+
+
+def test_certified_plan_for_what_is_forecast_to_become_unfeasible_is_used_at_once():
+    domain = parse_domain(DOMAIN, PROBLEM)
+    inspect, charge = map(domain.feasible_atom, ("inspect", "charge"))
+    state = initial_state(domain) | {inspect, charge}
+    certified = certificate(
+        domain, lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))), Planner("label-setting")
+    )
+
+    def steps(until):
+        found = certified.prepared(Problem(domain, state, until=until))
+        return found and [step.schema for step in found.steps]
+
+    assert steps({inspect: 20.0}) == ["inspect"]
+    assert steps({inspect: 19.0}) == ["charge", "inspect"]
+    assert steps({inspect: 19.0, charge: 4.0}) is None
 
 
 def test_what_is_safe_is_done_also_if_it_could_not_be_finished(sailing):
