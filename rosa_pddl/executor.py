@@ -34,7 +34,7 @@ _MOST_ROUNDS = 8
 
 
 class RunningStep:
-    """A step that runs, by its number in the plan that is executed; None if it is of an earlier one.
+    """A step that runs, by its number in the plan that is executed.
 
     It is listed where it is owned before its behaviour is made, so that an interrupt at any instant leaves it to be
     released; that may be done again when it was interrupted itself.
@@ -42,7 +42,7 @@ class RunningStep:
 
     BOOKKEEPING = "began_s"
 
-    def __init__(self, step: Step, number: int | None, began_s: float) -> None:
+    def __init__(self, step: Step, number: int, began_s: float) -> None:
         self.step, self.number, self.began_s = step, number, began_s
         self.behaviour: Behaviour | None = None
         self._is_midway = False
@@ -105,43 +105,6 @@ class RunningStep:
         self._is_midway = False
 
 
-class _Interlude:
-    """What is done between two steps while a plan is made: a behaviour made of the step before."""
-
-    def __init__(self, factory: Factory | None, parent: Behaviour) -> None:
-        self._factory, self._parent = factory, parent
-        self._after: Step | None = None
-        self._running: list[RunningStep] = []
-
-    @property
-    def behaviours(self) -> list[Behaviour]:
-        return [running.behaviour for running in self._running if running.behaviour is not None]
-
-    def follow(self, step: Step) -> None:
-        self._after = step
-
-    def tick(self, arguments: Mapping[str, object]) -> list[Behaviour]:
-        """Tick it, and begin it if that is due; return the nodes that were ticked. Once it has ended, that is it."""
-        if self._factory is not None and self._after is not None:
-            self._running.append(RunningStep(self._after, None, 0.0))
-            self._after = None
-            self._running[-1].begin(self._factory, self._parent, arguments)
-        if not self._running:
-            return []
-        status, _, ticked = self._running[-1].tick()
-        self._release(1 if status == Status.RUNNING else 0)
-        return ticked
-
-    def end(self) -> None:
-        self._after = None
-        self._release(0)
-
-    def _release(self, kept: int) -> None:
-        while len(self._running) > kept:
-            self._running[0].release()
-            del self._running[0]
-
-
 def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
     given = ", ".join(sorted(behaviours)) or "none"
     for schema in domain.schemas:
@@ -178,8 +141,6 @@ class PlanExecutor(Behaviour):
             is the same each time [s]; None to take it as soon as it is there, in the tick of the request if the planner
             answers at once.
         policy: when to plan anew, and what becomes of running steps meanwhile.
-        meanwhile: makes of a step that was given up or has ended what is done until the next one has begun, if a plan
-            has to be made for that; by default nothing is.
 
     Attributes:
         goals: what is to be reached; may be changed between ticks.
@@ -204,7 +165,6 @@ class PlanExecutor(Behaviour):
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
         policy: ReplanningPolicy | None = None,
-        meanwhile: Factory | None = None,
     ) -> None:
         super().__init__(name)
         self._findings = domain.check(kb)
@@ -228,7 +188,6 @@ class PlanExecutor(Behaviour):
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
-        self._interlude = _Interlude(meanwhile, self)
         self._ended_meanwhile: list[Step] = []
         self._plan: PlanExecution | None = None
         self._found_valid: tuple[PlanExecution, PlanningState] | None = None
@@ -376,7 +335,6 @@ class PlanExecutor(Behaviour):
         while status == Status.RUNNING and self._client.was_answered_at_once and rounds:
             self._take_plan()
             status, rounds = self._go_on(), rounds - 1
-        self._bridge()
         return status
 
     def _go_on(self) -> Status:
@@ -456,14 +414,6 @@ class PlanExecutor(Behaviour):
             doing += [f"{step} again in {self._setbacks.wait_s(step):.2g} s, as it failed" for step in steps]
             self.feedback_message = ", ".join(doing)
         return Status.RUNNING
-
-    def _bridge(self) -> None:
-        """Do what is done between two steps, or release it: not before the next step has begun."""
-        if self._running:
-            self._interlude.end()
-        else:
-            self._ticked += self._interlude.tick(self._setup_arguments)
-            self.children = self._interlude.behaviours
 
     def _unstarted(self, state: State) -> State:
         """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
@@ -561,7 +511,7 @@ class PlanExecutor(Behaviour):
         self._took_s[step.schema] = self._clock() - running.began_s
         self._setbacks.forget(step)
         self._release([running])
-        if self._plan is not None and running.number is not None:
+        if self._plan is not None:
             self._plan = self._plan.with_event(StepEvent(running.number, True))
         if self._client.is_under_way:
             self._ended_meanwhile.append(step)
@@ -584,7 +534,6 @@ class PlanExecutor(Behaviour):
             self._belief.give_up(running, running.step)
             self._running.remove(running)
             self._show_children()
-            self._interlude.follow(running.step)
 
     def _show_children(self) -> None:
         self.children = [running.behaviour for running in self._running if running.behaviour is not None]
@@ -602,6 +551,5 @@ class PlanExecutor(Behaviour):
         self._plan = self._found_valid = self._expected = None
         self._replanning.forget()
         self._release(self._running)
-        self._interlude.end()
         self.children = []
         self._is_midway = False

@@ -3,7 +3,6 @@
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pddl_world import World
-from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from rosa_pddl import Planner, ReplanningPolicy
@@ -54,35 +53,15 @@ def happen(world, kind, what):
 def check(world):
     executor = world.executor
     names = [child.name for child in executor.children]
-    assert names == [str(step) for step in executor.current_steps] or names == ["meanwhile"]
-    assert len(world.idling) <= 1
-    assert names != ["meanwhile"] or names == [idle.name for idle in world.idling]
+    assert names == [str(step) for step in executor.current_steps]
     assert all(child.status is Status.RUNNING and child.parent is executor for child in executor.children)
     assert not executor.children or executor.status is Status.RUNNING
     begun = sum(what == "begins" for _, _, what in world.log)
     assert begun - len(executor.current_steps) == sum(what != "begins" for _, _, what in world.log)
 
 
-class Idle(Behaviour):
-    """Does nothing for ever; the world knows which of them run."""
-
-    def __init__(self, world):
-        super().__init__("meanwhile")
-        self.world = world
-
-    def initialise(self):
-        self.world.idling.append(self)
-
-    def update(self):
-        return Status.RUNNING
-
-    def terminate(self, new_status):
-        self.world.idling.remove(self)
-
-
 def run(extended, policy, events):
-    world = World(extended, PLANNER, policy=policy, meanwhile=lambda step: Idle(world))
-    world.idling = []
+    world = World(extended, PLANNER, policy=policy)
     world.ticks = {"search_pipeline": 4, "recharge": 2, "inspect_pipeline": 3}
     for kind, what in events:
         happen(world, kind, what)
