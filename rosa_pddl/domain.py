@@ -129,7 +129,7 @@ class Domain:
         goals: the conditions of the problem file that shall hold in the end, as text.
         places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
-        oversights: what may be one in the files, in sentences, such as a misspelt requirement.
+        oversights: what may be one in the files, in sentences.
         derived: what derived predicates stand for, by their names in lower case; it is put in where they are met.
         axioms: the same of those that are derived from themselves, in each state.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
@@ -162,8 +162,8 @@ class Domain:
         """Assure that the knowledge base knows every ROSA action of the files.
 
         Returns:
-            What may be an oversight, in sentences: misspelt requirements, actions of the knowledge base that the files
-            lack, and those of the files that no PDDL action does.
+            What may be an oversight, in sentences, such as actions of the knowledge base that the files lack, and
+            those of the files that no PDDL action does.
 
         Raises:
             PddlError: it does not know one; the message points at the object and names the nearest actions.

@@ -4,7 +4,6 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ from rosa_pddl.syntax import (
     Source,
     body_of,
     check_frames,
-    doubtful_requirements,
     glued_types,
     listed,
     parse,
@@ -70,10 +68,7 @@ def parse_domain(
 def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
     """Make the domain of two PDDL files, as `load_domain` does."""
     check_frames(domain, problem)
-    try:
-        read = _Reader(domain, problem, actions or {}, has_object=False).domain()
-    except _ObjectNeeded:
-        read = _Reader(domain, problem, actions or {}, has_object=True).domain()
+    read = _Reader(domain, problem, actions or {}).domain()
     # what cannot be planned for is refused here, not at the first planning
     Problem(read, frozenset()).build()
     return read
@@ -92,14 +87,10 @@ def _rosa_action_of(
     return actions[0] if len(actions) == 1 else None
 
 
-class _ObjectNeeded(Exception):
-    """Something has no type, or is just an object: all types are below that then."""
-
-
 class _Reader:
     """Builds unified-planning's problem, in names of which no two are the same, as it wants it."""
 
-    def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str], *, has_object: bool) -> None:
+    def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str]) -> None:
         from unified_planning.model import Problem as UpProblem
 
         from rosa_pddl.engines.environment import LateEnvironment
@@ -108,7 +99,7 @@ class _Reader:
         self._types = environment.type_manager
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
-        self._actions, self._has_object = actions, has_object
+        self._actions = actions
         self._again: list[str] = []
         self._inside: dict[tuple[str, str], str] = {}
         self._outside = {"object": "object"}
@@ -131,9 +122,7 @@ class _Reader:
             places=self._places,
             types=self._lineages,
         )
-        self._domain, self._problem = (
-            Formulas(self._draft, source, partial(self._unknown, source)) for source in (domain, problem)
-        )
+        self._domain, self._problem = Formulas(self._draft, domain), Formulas(self._draft, problem)
         self._has_cost = any(node.head == _COST for node in section(domain, ":functions"))
 
     def domain(self) -> Domain:
@@ -181,15 +170,11 @@ class _Reader:
             computed=frozenset(self._outside[one.name] for one in uses.computed),
             metric=metric,
             oversights=(
-                *(note for one in (domain, problem) for note in (*doubtful_requirements(one), *glued_types(one))),
+                *(note for one in (domain, problem) for note in glued_types(one)),
                 *self._again,
             ),
             limits=tuple(uses.limits),
         )
-
-    def _unknown(self, source: Source, node: Node, message: str) -> Exception:
-        is_object = node.lower == "object" and not self._has_object
-        return _ObjectNeeded() if is_object else source.error(node, message)
 
     def _declare(self, source: Source, kind: str, node: Node) -> str:
         """Note a name, and return what it is called in the model."""
@@ -213,10 +198,8 @@ class _Reader:
             pairs.append((replace(ANY, word=ACTION_TYPE), None))
         names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
         above = dict.fromkeys(names) | {name.lower: up for name, up in pairs}
-        kinds: dict[str, UpThing] = {}
-        if self._has_object or "object" in [name.lower for name, _ in pairs]:
-            kinds["object"] = self._types.UserType("object")
-            self._up_problem.user_types.append(kinds["object"])
+        kinds = {"object": self._types.UserType("object")}
+        self._up_problem.user_types.append(kinds["object"])
 
         def make(word: str, below: tuple[str, ...]) -> UpThing:
             up = above[word]
@@ -226,7 +209,7 @@ class _Reader:
                 raise source.error(up or names[word], message)
             if word not in kinds:
                 is_top = up is None or up.lower in ("object", word)
-                father = kinds.get("object") if is_top or up is None else make(up.lower, (*below, word))
+                father = kinds["object"] if is_top or up is None else make(up.lower, (*below, word))
                 kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), father)
                 self._up_problem.user_types.append(kinds[word])
             return kinds[word]

@@ -30,15 +30,6 @@ _UNSUPPORTED = {
     ":utility": "no installed engine takes utilities. Leave them out and add soft goals: goals.add(TEXT, worth=COST)",
     ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
 }
-# Those of PDDL 2.1 to 3.1, and of its extensions for hierarchies and chance.
-_REQUIREMENTS = (
-    *(":strips", ":typing", ":equality", ":adl", ":fluents", ":numeric-fluents", ":object-fluents", ":action-costs"),
-    *(":negative-preconditions", ":disjunctive-preconditions", ":existential-preconditions", ":time", ":constraints"),
-    *(":universal-preconditions", ":quantified-preconditions", ":conditional-effects", ":derived-predicates", ":htn"),
-    *(":durative-actions", ":duration-inequalities", ":continuous-effects", ":timed-initial-literals", ":preferences"),
-    *(":goal-utilities", ":hierarchy", ":method-preconditions", ":multi-agent", ":non-deterministic", ":rewards"),
-    *(":probabilistic-effects", ":contingent", ":partial-observability", ":processes", ":events", ":timed-effects"),
-)
 
 
 @dataclass(frozen=True)
@@ -245,14 +236,6 @@ def body_of(source: Source, schema: Node) -> dict[str, Node]:
     if schema.head == ":durative-action" and ":duration" not in parts:
         raise source.error(schema, f"(:durative-action {name} has no ':duration'")
     return parts
-
-
-def doubtful_requirements(source: Source) -> Iterator[str]:
-    """Yield sentences about requirements that PDDL does not have; they do no harm, but may be misspelt."""
-    for node in section(source, ":requirements"):
-        if str(node).lower() not in _REQUIREMENTS:
-            place = f"{source.file}:{node.line}:{node.column}"
-            yield f"{place}: PDDL has no requirement {str(node)!r}; {nearest(str(node), _REQUIREMENTS)}"
 
 
 def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
