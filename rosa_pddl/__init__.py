@@ -16,8 +16,9 @@ from rosa_pddl.exceptions import (
     UnsupportedPddlError,
 )
 from rosa_pddl.executor import PlanExecutor
+from rosa_pddl.formulas import Goal
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
-from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.goals import Goals
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult
 from rosa_pddl.planner import Planner, awaited
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state

@@ -19,17 +19,29 @@ Scope = Mapping[str, UpThing]
 
 
 @dataclass(frozen=True)
-class Condition:
-    """A condition that is no conjunction, as the files spell it, and as unified-planning's expression."""
+class Goal:
+    """A condition that is no conjunction, such as one thing that shall hold in the end.
+
+    Args:
+        text: the condition as PDDL, as the files spell it.
+        expression: the same as unified-planning's expression.
+        worth: how much a plan may cost more for it; None if it must be reached.
+    """
 
     text: str
     expression: UpThing
+    worth: float | None = None
+
+    @property
+    def is_soft(self) -> bool:
+        """Whether it may be given up when it costs more than it is worth."""
+        return self.worth is not None
 
     def __str__(self) -> str:
-        return self.text
+        return self.text if self.worth is None else f"{self.text} worth {self.worth:g}"
 
 
-def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
+def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[Goal, ...]:
     """Read a condition; a conjunction gives its parts."""
     where = f"condition {text.strip()!r}"
     source = parse(text, where, "(predicate object)")
@@ -37,7 +49,7 @@ def conditions(domain: Domain, text: str) -> tuple[Condition, ...]:
         raise PddlError("found (), expected a list such as '(predicate object)'", where)
     formulas = Formulas(domain, source, lambda _, message: UnknownNameError(f"{where}: {message}"))
     parts = conjuncts([formulas.condition(source.root, {}, "a goal")])
-    return tuple(Condition(text_of(domain, part, {}), part) for part in parts)
+    return tuple(Goal(text_of(domain, part, {}), part, worth) for part in parts)
 
 
 class Formulas:

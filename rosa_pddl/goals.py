@@ -6,38 +6,15 @@ the one with the best net benefit, so that any planner that heeds costs will do.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Real
 
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
-from rosa_pddl.formulas import Condition, conditions
+from rosa_pddl.formulas import Goal, conditions
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem, lock_of
-
-
-@dataclass(frozen=True)
-class Goal:
-    """One thing that shall hold in the end.
-
-    Args:
-        text: the condition as PDDL.
-        expression: the same as unified-planning's expression.
-        worth: how much a plan may cost more for it; None if it must be reached.
-    """
-
-    text: str
-    expression: UpThing
-    worth: float | None = None
-
-    @property
-    def is_soft(self) -> bool:
-        """Whether it may be given up when it costs more than it is worth."""
-        return self.worth is not None
-
-    def __str__(self) -> str:
-        return self.text if self.worth is None else f"{self.text} worth {self.worth:g}"
 
 
 class Goals:
@@ -109,7 +86,7 @@ class Goals:
             As `add` does.
         """
         read = [part for text in texts for part in self._read(text)]
-        before, self._goals = self._goals, {part.text: Goal(part.text, part.expression) for part in read}
+        before, self._goals = self._goals, {part.text: part for part in read}
         self.version += before != self._goals
 
     def use(self, domain: Domain) -> None:
@@ -130,15 +107,14 @@ class Goals:
         return f"Goals({', '.join(str(goal) for goal in self)})"
 
     def _put(self, text: str, worth: float | None) -> None:
-        for part in self._read(text):
-            self._goals[part.text] = Goal(part.text, part.expression, worth)
+        self._goals |= {part.text: part for part in self._read(text, worth)}
 
-    def _read(self, text: str) -> tuple[Condition, ...]:
+    def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
         if not isinstance(text, str):
             raise GoalError(f"{text!r} is no goal, expected a condition as text such as '(inspected north)'")
         # a planner may be reading the same environment of unified-planning, in a thread of its own
         with lock_of(self._domain):
-            return conditions(self._domain, text)
+            return conditions(self._domain, text, worth)
 
 
 class Relevance:

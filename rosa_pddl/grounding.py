@@ -594,8 +594,7 @@ class Groundings:
     once they did. What a task fits depends on what was asked for and named before, never on how long anything takes.
     """
 
-    def __init__(self, limit_s: float) -> None:
-        self._limit_s = limit_s
+    def __init__(self) -> None:
         self._made: dict[Domain, Grounded] = {}
         self._making = Lock()
 
@@ -606,7 +605,7 @@ class Groundings:
 
     def ask(self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()) -> Grounded:
         """Return a task that fits, made in so much wall-clock time [s] if need be; raises as `grounded` does."""
-        deadline, domain = time.monotonic() + min(limit_s, self._limit_s), problem.domain
+        deadline, domain = time.monotonic() + limit_s, problem.domain
         while not self._making.acquire(timeout=_LOOKS_S):
             process.check()
             if time.monotonic() > deadline:

@@ -12,7 +12,8 @@ from kb.forecasts import FeasibleUntil
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
-from rosa_pddl.goals import Goal, Goals
+from rosa_pddl.formulas import Goal
+from rosa_pddl.goals import Goals
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import usage_of

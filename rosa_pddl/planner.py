@@ -44,6 +44,8 @@ _MOVES_FOR_AN_OPERATOR = 5
 # A state of a large domain has tens of thousands of atoms: their number counts too.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
+# So long a task may be grounded before it is asked for [s].
+_PREPARED_S = 60.0
 CERTIFIED = "certificate"
 """The way by which an answer was made before the mission."""
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
@@ -78,8 +80,6 @@ class Planner:
         warm: whether a task is tried that was translated before.
         moves: how many moves the search in this process may look at; 0 to leave it to other programs.
         memory_mb: how much data each program may hold [MB].
-        translate_s: wall-clock time for the translation that the warm way needs once [s]. It goes on in the
-            background when a planning that waited for it is out of time.
         cached: how many answers are remembered; 0 for none.
         certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
             the tick of the question.
@@ -100,7 +100,6 @@ class Planner:
         warm: bool = True,
         moves: int = 50_000,
         memory_mb: int = 4096,
-        translate_s: float = 60.0,
         cached: int = 256,
         certificate: Certificate | None = None,
     ) -> None:
@@ -108,12 +107,12 @@ class Planner:
         self.engine, self.ways, self.timeout_s = engine, (*own, *fallback), timeout_s
         self.budgets_s, self.overlapping, self.safe_step = dict(budgets_s or {}), overlapping, safe_step
         self.moves, self.memory_bytes, self.certificate = moves, memory_mb << 20, certificate
-        self._check(translate_s)
-        self.groundings = Groundings(translate_s)
+        self._check()
+        self.groundings = Groundings()
         self.cache = PlanCache(cached)
         self.processes: set[ProcessHandle] = set()
 
-    def _check(self, translate_s: float) -> None:
+    def _check(self) -> None:
         sequential = [name for name in (self.engine, *self.ways) if name in TRANSLATED]
         if self.overlapping and sequential:
             message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
@@ -124,9 +123,8 @@ class Planner:
                 raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
             if not budget_s > 0.0:
                 raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
-        for name, limit_s in {"timeout_s": self.timeout_s, "translate_s": translate_s}.items():
-            if not 0.0 < limit_s < inf:
-                raise PlannerSettingError(f"{name} is {limit_s:g}, expected more than 0, and finite")
+        if not 0.0 < self.timeout_s < inf:
+            raise PlannerSettingError(f"timeout_s is {self.timeout_s:g}, expected more than 0, and finite")
         if self.moves < 0:
             raise PlannerSettingError(f"moves is {self.moves}, expected 0 or more")
 
@@ -151,17 +149,10 @@ class Planner:
 
         def work() -> None:
             with suppress(Cancelled, Trouble, UnsupportedPddlError):  # who plans is told
-                self.groundings.ask(problem, process, inf, named)
+                self.groundings.ask(problem, process, _PREPARED_S, named)
             self.processes.discard(process)
 
         threading.Thread(target=work, name=f"grounding of {problem.domain.name}", daemon=True).start()
-
-    def plan_now(self, problem: Problem) -> PlanningResult | None:
-        """Return the answer if it is remembered, or found within a tick on the translated task; None else. Never waits.
-
-        What is found is what `plan` would find.
-        """
-        return self._portfolio(problem).at_once()
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
         """Return the plan that the certificate has for it, or the rest of that, if it works. Never waits."""

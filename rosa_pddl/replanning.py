@@ -11,8 +11,8 @@ from typing import Literal, Protocol, TypeAlias
 from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
-from rosa_pddl.formulas import Condition
-from rosa_pddl.goals import Goal, Goals, PlanningTask, Relevance
+from rosa_pddl.formulas import Goal
+from rosa_pddl.goals import Goals, PlanningTask, Relevance
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import CERTIFIED, Planner, awaited
@@ -269,11 +269,10 @@ Diagnosis: TypeAlias = Generator[Problem, PlanningResult, list[str]]
 """Yields what to ask a planner next, is sent the answer, and returns sentences in the end."""
 
 
-def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thorough: bool = False) -> Diagnosis:
+def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
     """Ask on after there was no plan for goals, and return why, as far as the planner knows.
 
-    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited. A
-    thorough one asks of which actions alone that would be enough, or which of them cannot be spared.
+    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
     """
     domain, found = problem.domain, list[str]()
     answered = [(str(goals[0]), Outcome.UNSOLVABLE_PROVEN)] if len(goals) == 1 else []
@@ -285,8 +284,7 @@ def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thoroug
     if out:
         outcome = (yield replace(problem, state=problem.state.union(out.values()))).outcome
         if outcome.is_solved:
-            needed = (yield from _needed(problem, out)) if is_thorough else ""
-            found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if {needed or 'they'} were feasible")
+            found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if they were feasible")
         elif not outcome.is_trouble:
             found.append("there would be no plan even if every action were feasible")
     others = dict[str, Problem]()
@@ -300,20 +298,6 @@ def diagnosis(problem: Problem, goals: Sequence[Condition | Goal], *, is_thoroug
             would = "would" if outcome.is_solved else "would not"
             found.append(f"there {would} be a plan without {what}")
     return found
-
-
-def _needed(problem: Problem, out: Mapping[str, str]) -> Generator[Problem, PlanningResult, str]:
-    """Find the actions, given with their atoms, of which one is enough, or else several that are all needed."""
-    single = []
-    for name, atom in out.items():
-        if (yield replace(problem, state=problem.state | {atom})).outcome.is_solved:
-            single.append(name)
-    needed = dict(out)
-    for name in out if not single else ():
-        fewer = {other: atom for other, atom in needed.items() if other != name}
-        if (yield replace(problem, state=problem.state.union(fewer.values()))).outcome.is_solved:
-            needed = fewer
-    return " or ".join(single) or " and ".join(needed)
 
 
 def _of_singles(answered: Sequence[tuple[str, Outcome]]) -> Iterator[str]:

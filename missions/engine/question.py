@@ -13,6 +13,7 @@ from missions.engine.mission import Mission, MissionError, Percepts
 from rosa_pddl import (
     Certificate,
     Domain,
+    Goal,
     Planner,
     PlanningResult,
     Problem,
@@ -23,7 +24,7 @@ from rosa_pddl import (
     load_domain,
 )
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.formulas import Condition, conditions
+from rosa_pddl.formulas import conditions
 from rosa_pddl.problem import without_feasibility
 from rosa_pddl.replanning import diagnosis
 
@@ -47,7 +48,7 @@ class Question:
     domain: Domain
     kb: KnowledgeBase
     state: State
-    goals: tuple[Condition, ...]
+    goals: tuple[Goal, ...]
     oversights: tuple[str, ...] = ()
     """What may be one in the domain or the model, in sentences."""
     numbers: Mapping[str, float] = field(default_factory=dict)
@@ -213,7 +214,7 @@ def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
 
 def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
     """Return why there is no plan; what the planner cannot answer in its time is not told."""
-    asking = diagnosis(question.problem, question.goals, is_thorough=True)
+    asking = diagnosis(question.problem, question.goals)
     try:
         asked = next(asking)
         while True:

@@ -121,15 +121,14 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
             ["--mission", "suave", "--feasible", "search_pipeline"],
             [
                 "out of reach: (pipeline_inspected pipeline)",
-                "unfeasible now: inspect_pipeline; there would be a plan if inspect_pipeline were feasible",
+                "unfeasible now: inspect_pipeline; there would be a plan if they were feasible",
             ],
         ),
         (
             ["--mission", "suave", "--feasible", "", "--goal", "(pipeline_inspected pipeline)"],
             [
                 "out of reach: (pipeline_inspected pipeline)",
-                "unfeasible now: search_pipeline, inspect_pipeline; "
-                "there would be a plan if search_pipeline and inspect_pipeline were feasible",
+                "unfeasible now: search_pipeline, inspect_pipeline; there would be a plan if they were feasible",
             ],
         ),
         (
@@ -137,7 +136,7 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
             [
                 "out of reach: (pipeline_inspected pipeline)",
                 "unfeasible now: search_pipeline, inspect_pipeline, recharge; "
-                "there would be a plan if recharge were feasible",
+                "there would be a plan if they were feasible",
             ],
         ),
         (
@@ -153,7 +152,7 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
         ),
     ],
 )
-def test_unsolvable_says_which_goal_and_which_action_would_have_to_be_feasible(rosa, arguments, told):
+def test_unsolvable_says_which_goal_and_whether_it_is_for_want_of_feasible_actions(rosa, arguments, told):
     code, out, _ = rosa(*arguments)
     lines = [line.strip() for line in out.splitlines() if not line.startswith("out: ")]
     assert (code, lines) == (1, ["no plan: fast-downward-opt: unsolvable proven", *told])

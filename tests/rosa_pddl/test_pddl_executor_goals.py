@@ -121,7 +121,7 @@ def test_a_goal_may_be_any_condition(world):
         ("(visited nort)", UnknownNameError, "unknown object 'nort'.*nearest: north"),
         ("(visited ?s)", UnknownNameError, r"\?s"),
         ("(forall (?s - sit) (visited ?s))", UnknownNameError, "unknown type 'sit'.*nearest: site"),
-        ("(forall (?s) (visited ?s))", UnknownNameError, "unknown type 'object'.*known: site"),
+        ("(forall (?s) (visited ?s))", UnknownNameError, r"are of other types than declared: \(visited \?s - site\)"),
         ("(not (home) (home))", PddlError, "2 parts .* expected 1"),
         ("visited north", PddlError, "expected"),
         ("(visited north", PddlError, "not closed"),

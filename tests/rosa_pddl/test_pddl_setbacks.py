@@ -189,11 +189,11 @@ def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
 
 
 def test_after_a_grounding_that_was_late_the_warm_way_comes_back(ways):
-    planner = Planner(cached=0, translate_s=1e-9)
+    planner = Planner(cached=0, budgets_s={"warm": 1e-9})
     problem = Problem(ways, initial_state(ways) - {"(damp)"})
     tried = [[str(one) for one in planner.plan(problem).attempts] for _ in range(2)]
     assert all(attempts[0].startswith("warm: out of time") for attempts in tried)
-    planner.groundings._limit_s = 60.0
+    planner.budgets_s.clear()
     assert ["warm"] in [[one.way for one in planner.plan(problem).attempts] for _ in range(9)]
 
 
@@ -339,8 +339,6 @@ def test_what_is_sensed_of_an_unknown_object_is_passed_over_and_told(ways):
 def test_what_is_no_finite_number_is_refused_by_its_name(ways, bad):
     with pytest.raises(PlannerSettingError, match="timeout_s is"):
         Planner(timeout_s=bad)
-    with pytest.raises(PlannerSettingError, match="translate_s is"):
-        Planner(translate_s=bad)
     with pytest.raises(PlannerSettingError, match="delay_s is"):
         World(ways, delay_s=bad)
     with pytest.raises(PlannerSettingError, match="at_most_every_s is"):

@@ -256,23 +256,23 @@ def test_what_takes_no_longer_than_a_tick_is_answered_at_once(extended):
     planner = Planner(cached=0)
     problem = Problem(extended, initial_state(extended) | {"(action_feasible recharge)", "(pipeline_found pipeline)"})
     first = planner.plan(problem)
-    at_once, future = planner.plan_now(problem), planner.start(problem)
-    assert future.done()
-    assert at_once == future.result() == first
-    none = planner.plan_now(Problem(extended, initial_state(extended)))
-    assert none is not None
-    assert none.outcome is Outcome.UNSOLVABLE_PROVEN
+    at_once, future = planner.start(problem), planner.start(problem)
+    assert at_once.done()
+    assert at_once.result() == future.result() == first
+    none = planner.start(Problem(extended, initial_state(extended)))
+    assert none.done()
+    assert none.result().outcome is Outcome.UNSOLVABLE_PROVEN
 
 
 def test_what_takes_longer_is_not(extended, world):
     planner = Planner(cached=0)
-    assert Planner("fast-downward").plan_now(Problem(extended, initial_state(extended))) is None
+    assert Planner("fast-downward")._portfolio(Problem(extended, initial_state(extended))).at_once() is None
     state, costs = world.situation()
     problem = Problem(world.domain, state, costs=costs)
     assert planner.plan(problem).outcome is Outcome.SOLVED_OPTIMALLY
     left_out = Planner(cached=0, moves=0)
     assert left_out.plan(problem).cost == planner.plan(problem).cost
-    assert left_out.plan_now(problem) is None
+    assert left_out._portfolio(problem).at_once() is None
 
 
 def test_beyond_its_cap_the_search_is_left_to_fast_downward(world):
