@@ -6,9 +6,10 @@ from typing import Final
 
 from numpy.random import Generator
 
-from missions.agv.building import Building, BuildingError, Corridor
+from missions.agv.building import Building, Corridor
 from missions.agv.joint import Place, Task
 from missions.agv.pddl import SWITCH, PddlNames, cross_schema, switch_schema
+from missions.engine.mission import MissionError
 from rosa_pddl import Planner, PlanningResult
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import Declarations
@@ -25,7 +26,7 @@ def generated_building(rng: Generator, places: int = 58, corridors: int = 70) ->
     A quarter of the corridors are obstructed, a quarter have a few obstacles, and a quarter are dark.
 
     Raises:
-        BuildingError: too few corridors to connect the places, or more than a grid has.
+        MissionError: too few corridors to connect the places, or more than a grid has.
     """
     columns = math.ceil(math.sqrt(places))
     cells = [(number % columns, number // columns) for number in range(places)]
@@ -33,7 +34,7 @@ def generated_building(rng: Generator, places: int = 58, corridors: int = 70) ->
     steps = [((x, y), (x + dx, y + dy)) for x, y in cells for dx, dy in ((1, 0), (0, 1))]
     pairs = [(index[one], index[two]) for one, two in steps if two in index]
     if not places - 1 <= corridors <= len(pairs) or places < 2:
-        raise BuildingError(f"{places} places take {places - 1} to {len(pairs)} corridors, not {corridors}")
+        raise MissionError(f"{places} places take {places - 1} to {len(pairs)} corridors, not {corridors}")
     chosen = sorted(_chosen([pairs[number] for number in rng.permutation(len(pairs))], places, corridors))
     points = [tuple(_GRID_M * (axis + rng.uniform(-0.25, 0.25)) for axis in cell) for cell in cells]
     made = {}
@@ -71,7 +72,7 @@ def declarations_of_task(task: Task) -> Declarations:
     """Return a question as PDDL by itself, with its limits."""
     start = task.start[0]
     places = [*map(Place, task.building.places), *([start] if start.corridor else [])]
-    modes = {mode.name: mode for place in places for _, mode, *_ in task.crossings(place)}
+    modes = {leg.mode.name: leg.mode for place in places for leg, _ in task.crossings(place)}
     pddl = PddlNames(task.building, modes.values(), task.limited)
     facts = [fact for fact, is_so in pddl.facts(task).items() if is_so]
     facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *pddl.actions.values())]

@@ -4,7 +4,6 @@ What the corridors allow, and what that takes, is asked of the knowledge base; n
 """
 
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
@@ -12,15 +11,13 @@ from operator import add
 from typing import Final, NamedTuple
 
 from kb import KnowledgeBase
-from missions.agv.building import Building, Corridor
-from missions.agv.modes import GOALS, Amounts, Costs, Mode, Modes, check_number, running_mode, weighing
+from missions.agv.building import Building, Corridor, check_number
+from missions.agv.modes import GOALS, Amounts, Mode, Modes, crossing, running_mode, switching, weighing
 from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
 
 DEMANDS: Final = ("light", "obstacles")
 """What corridors demand, as attributes: light from 0 to 1, and obstacles [1/m]."""
-
-_UNITS: Final = {"time": (" s", 1e3), "energy": (" J", 1e3), "collisions": ("", 1e6)}  # and how many are counted as one
 
 
 class Place(NamedTuple):
@@ -49,13 +46,13 @@ class Question:
     light: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.start, Place | None):
-            raise MissionError(f"the start is {self.start!r}; it must be a Place, such as Place('hall')")
         for what, given in (("weight", self.weights), ("limit", self.limits)):
             for name, value in given.items():
                 if name not in GOALS:
                     raise MissionError(f"there is no {what} {name!r}; there are {', '.join(GOALS)}")
                 check_number(f"the {what} of {name}", value)
+        for name, light in self.light.items():
+            check_number(f"light of corridor {name}", light, most=1.0)
         if not any(self.weights.values()):
             raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
 
@@ -73,7 +70,7 @@ class Leg:
     mode: Mode
     conditions: Mapping[str, float]
     takes: Amounts
-    why: str
+    why: str = ""
 
     def __str__(self) -> str:
         return f"{self.corridor} from {self.origin} to {self.to}: {self.mode.name} ({self.why})"
@@ -99,21 +96,8 @@ class Answer:
     expanded: int = 0
 
 
-class _Way(NamedTuple):
-    """A corridor as it can be driven: where it leads, how far, past how many obstacles, under which conditions."""
-
-    corridor: Corridor
-    origin: str
-    to: str
-    length_m: float
-    passed: float
-    conditions: Mapping[str, float]
-
-
 State = tuple[Place, Mode]
-_Priced = tuple[Mode, Amounts, int]
-_Crossing = tuple[_Way, Mode, Amounts, int]
-_Taken = tuple[_Way, Amounts, Amounts]  # a way, what switching to the mode for it takes, and what driving it takes
+_Way = tuple[Corridor, str, str, float, float, Mapping[str, float]]  # from, to, how far, past how many, under what
 
 
 class Task:
@@ -127,35 +111,29 @@ class Task:
         self.goal = question.goal or building.goal
         building.check_place(place.name, "start")
         building.check_place(self.goal, "goal")
-        for corridor in (*question.light, *([place.corridor] if place.corridor else [])):
+        for corridor in (*question.light, *filter(None, [place.corridor])):
             building.check_corridor(corridor)
-        for name, light in question.light.items():
-            check_number(f"light of corridor {name}", light, most=1.0)
         if place.corridor and place.name not in building.corridors[place.corridor].ends:
             raise MissionError(f"corridor {place.corridor} does not begin at {place.name}, from where the robot came")
-        if place.corridor and not math.isfinite(place.driven_m):
-            raise MissionError(f"driven_m is {place.driven_m!r}; a finite number of metres is needed")
+        check_number("driven_m", place.driven_m, -math.inf)
         self.limited = tuple(name for name in GOALS if name in question.limits)
-        self.limits = tuple(
-            # a hair more, as amounts are rounded
-            math.floor(min(question.limits[name] * _UNITS[name][1] + 1e-6, sys.float_info.max))
-            for name in self.limited
-        )
-        self._indices = tuple(GOALS.index(name) for name in self.limited)
-        self._crossing, self._costs, self._weighed = planner.crossing, planner.costs, weighing(question.weights)
-        self._whole = {one.name: self._priced(self.way(one, one.ends[0])) for one in building.corridors.values()}
-        self._steps: dict[Place, list[_Crossing]] = {}
+        # a hair more, as amounts are rounded
+        self.limits = tuple(math.floor(question.limits[name] * GOALS[name] + 1e-6) for name in self.limited)
+        self._indices = tuple(list(GOALS).index(name) for name in self.limited)
+        self._crossing, self._weighed = planner.crossing, weighing(question.weights)
+        self._whole = {name: self._priced(*self._way(one, one.ends[0])[3:]) for name, one in building.corridors.items()}
+        self._steps: dict[Place, list[tuple[Leg, int]]] = {}
         self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
 
-    def moves(self, state: State) -> Iterator[Move[State, _Taken]]:
+    def moves(self, state: State) -> Iterator[Move[State, Leg]]:
         """Yield each corridor from here in each mode that is possible in it."""
         place, before = state
         if place not in self._steps:
             self._steps[place] = self.crossings(place)
-        for way, mode, crossing, cost in self._steps[place]:
-            switching, more = self.switching(before, mode)
-            uses = tuple([switching[number] + crossing[number] for number in self._indices])
-            yield Move((Place(way.to), mode), cost + more, uses, (way, switching, crossing))
+        for leg, cost in self._steps[place]:
+            switched, more = self.switching(before, leg.mode)
+            uses = tuple([switched[number] + leg.takes[number] for number in self._indices])
+            yield Move((Place(leg.to), leg.mode), cost + more, uses, leg)
 
     def is_goal(self, state: State) -> bool:
         return state[0] == Place(self.goal)
@@ -163,50 +141,54 @@ class Task:
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
         return self._least.get(state[0], (math.inf, (math.inf,) * len(self.limited)))
 
-    def crossings(self, place: Place) -> list[_Crossing]:
-        """Return each way from a place, in each mode that is possible, with what that takes and costs."""
+    def crossings(self, place: Place) -> list[tuple[Leg, int]]:
+        """Return each way from a place, in each mode that is possible, without switching to it, and what it costs."""
         return [
-            (way, *priced)
-            for way in self.ways(place)
-            for priced in (self._priced(way) if place.corridor else self._whole[way.corridor.name])
+            (Leg(corridor.name, origin, to, mode, conditions, takes), cost)
+            for corridor, origin, to, length_m, passed, conditions in self._ways(place)
+            for mode, takes, cost in (
+                self._priced(length_m, passed, conditions) if place.corridor else self._whole[corridor.name]
+            )
         ]
 
     def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
         """Return what it takes, and costs, to change modes."""
         if (before, after) not in self._switching:
-            takes = self._costs.switching(before, after)
+            takes = switching(before, after)
             self._switching[before, after] = takes, self._weighed(takes)
         return self._switching[before, after]
 
-    def ways(self, place: Place) -> Iterator[_Way]:
+    def demands(self, corridor: Corridor) -> Mapping[str, float]:
+        """Return under which conditions a corridor is driven."""
+        return {"light": self.question.light.get(corridor.name, corridor.light), "obstacles": corridor.obstacles}
+
+    def _ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
         if not place.corridor:
-            yield from (self.way(corridor, place.name) for corridor in self.building.exits[place.name])
+            yield from (self._way(corridor, place.name) for corridor in self.building.exits[place.name])
             return
         inside = self.building.corridors[place.corridor]
         back_m = min(max(place.driven_m, 0.0), inside.length_m)
-        ahead, light = self.way(inside, place.name, inside.length_m - back_m), self._light(inside)
+        ahead, light = self._way(inside, place.name, inside.length_m - back_m), self.demands(inside)["light"]
         yield ahead
         if place.name == self.goal:
-            yield _Way(inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
+            yield inside, ahead[2], place.name, back_m, 0.0, {"light": light, "obstacles": 0.0}
         for other in self.building.exits[place.name]:
             if other is not inside:  # what was passed on the way here is known, so the way back is free
-                way = self.way(other, place.name)
-                both = {**way.conditions, "light": min(light, way.conditions["light"])}
-                yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
+                _, origin, to, length_m, passed, conditions = self._way(other, place.name)
+                both = {**conditions, "light": min(light, conditions["light"])}
+                yield other, origin, to, length_m + back_m, passed, both
 
-    def way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
+    def _way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
         """Return a corridor from one of its ends: all of it, or what is left of it."""
         left_m = corridor.length_m if length_m is None else length_m
-        demands = {"light": self._light(corridor), "obstacles": corridor.obstacles}
-        return _Way(corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, demands)
+        return corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, self.demands(corridor)
 
-    def _light(self, corridor: Corridor) -> float:
-        return self.question.light.get(corridor.name, corridor.light)
-
-    def _priced(self, way: _Way) -> list[_Priced]:
-        crossed = [(mode, self._crossing(mode, way.length_m, way.passed)) for mode in self.modes.under(way.conditions)]
-        return [(mode, takes, self._weighed(takes)) for mode, takes in crossed]
+    def _priced(
+        self, length_m: float, passed: float, conditions: Mapping[str, float]
+    ) -> list[tuple[Mode, Amounts, int]]:
+        taken = [(mode, self._crossing(mode, length_m, passed)) for mode in self.modes.under(conditions)]
+        return [(mode, takes, self._weighed(takes)) for mode, takes in taken]
 
     @cached_property
     def _least(self) -> dict[Place, tuple[float, tuple[float, ...]]]:
@@ -222,9 +204,9 @@ class Task:
         found = {Place(name): (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()}
         if self.start[0].corridor:
             ways = [
-                [amount + each[way.to] for amount, each in zip(self._counted(takes, cost), far, strict=True)]
-                for way, _, takes, cost in self.crossings(self.start[0])
-                if way.to in far[0]
+                [amount + each[leg.to] for amount, each in zip(self._counted(leg.takes, cost), far, strict=True)]
+                for leg, cost in self.crossings(self.start[0])
+                if leg.to in far[0]
             ]
             costs, *uses = map(min, *ways, ways[0]) if ways else [math.inf] * len(far)
             found[self.start[0]] = (costs, tuple(uses))
@@ -245,18 +227,16 @@ class JointPlanner:
         UnknownName: it has no such function.
     """
 
-    def __init__(
-        self, building: Building, kb: KnowledgeBase, function: str = "navigate", costs: Costs | None = None
-    ) -> None:
+    def __init__(self, building: Building, kb: KnowledgeBase, function: str = "navigate") -> None:
         if lacking := [name for name in DEMANDS if name not in kb.attributes]:
             raise MissionError(
                 f"corridors demand {' and '.join(DEMANDS)}, but model {kb.model.name} has no attribute "
                 f"{' nor '.join(lacking)}; declare it as environmental, even if nothing is constrained by it"
             )
         self.building, self._kb, self._function = building, kb, function
-        self.modes, self.costs = Modes(kb, function), costs or Costs()
+        self.modes = Modes(kb, function)
         # what whole corridors take is asked again and again, and what is left of one never again
-        self.crossing = lru_cache(maxsize=100_000)(self.costs.crossing)
+        self.crossing = lru_cache(maxsize=100_000)(crossing)
 
     @property
     def running(self) -> Mode:
@@ -264,7 +244,7 @@ class JointPlanner:
         return running_mode(self._kb, self._function)
 
     def task(self, question: Question) -> Task:
-        """Return a question as a graph; raises BuildingError if it names a place or corridor that there is not."""
+        """Return a question as a graph; raises MissionError if it names a place or corridor that there is not."""
         return Task(self, question)
 
     def plan(self, question: Question) -> Answer:
@@ -273,19 +253,18 @@ class JointPlanner:
         found = cheapest(task, task.start, task.limits)
         if found is None:
             return Answer((), False, 0, Amounts(0, 0, 0), self._why_not(task))
-        legs = tuple(self._leg(task, move) for move in found.moves)
-        takes = Amounts(*(sum(leg.takes[number] for leg in legs) for number in range(len(GOALS))))
+        modes = [task.start[1], *(move.to[1] for move in found.moves)]
+        legs = tuple(self._leg(task, before, move.what) for before, move in zip(modes, found.moves, strict=False))
+        takes = Amounts(*map(sum, zip(*(leg.takes for leg in legs), strict=True))) if legs else Amounts(0, 0, 0)
         return Answer(legs, True, found.cost, takes, self._why(task, legs, takes), found.expanded)
 
-    def _leg(self, task: Task, move: Move[State, _Taken]) -> Leg:
-        way, switching, crossing = move.what
-        takes = Amounts(*map(add, switching, crossing))
-        possible = self.modes.under(way.conditions)
+    def _leg(self, task: Task, before: Mode, leg: Leg) -> Leg:
+        takes = Amounts(*map(add, task.switching(before, leg.mode)[0], leg.takes))
+        possible = self.modes.under(leg.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}
-        demands = f"light {way.conditions['light']:g} and {way.conditions['obstacles']:g} obstacles/m"
+        demands = f"light {leg.conditions['light']:g} and {leg.conditions['obstacles']:g} obstacles/m"
         choice = "the only design that is" if len(designs) == 1 else f"of {len(possible)} that are"
-        why = f"{choice} feasible with {demands}"
-        return Leg(way.corridor.name, way.origin, way.to, move.to[1], way.conditions, takes, why)
+        return replace(leg, takes=takes, why=f"{choice} feasible with {demands}")
 
     def _why(self, task: Task, legs: tuple[Leg, ...], takes: Amounts) -> str:
         if not legs:
@@ -299,28 +278,17 @@ class JointPlanner:
         return f"{route}: of all ways the best for {goal}{limits} ({amounts})"
 
     def _why_not(self, task: Task) -> str:
-        ways = [task.way(corridor, corridor.ends[0]) for corridor in self.building.corridors.values()]
-        blocked = [way for way in ways if not self.modes.under(way.conditions)]
-        if len(blocked) == len(ways):
-            why = self.modes.why_none(blocked[0].conditions)
+        blocked = [one for one in self.building.corridors.values() if not self.modes.under(task.demands(one))]
+        why = self.modes.why_none(task.demands(blocked[0])) if blocked else ""
+        if len(blocked) == len(self.building.corridors):
             wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
             faults = "".join(wrong[:1])
-            return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].corridor.name}, {why}"
+            return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].name}, {why}"
         if not task.limited or task.least(task.start)[0] == math.inf:
-            named = ", ".join(way.corridor.name for way in blocked[:5])
-            why = f"{named} cannot be crossed: {self.modes.why_none(blocked[0].conditions)}" if blocked else "no way"
-            return f"{task.goal} cannot be reached from {task.start[0].name}; {why}"
-        return self._broken_limits(task)
-
-    def _broken_limits(self, task: Task) -> str:
-        """Say which limits are less than the least that there is of each alone."""
-        least_of_each, broken = [], []
-        for name, limit in zip(task.limited, task.limits, strict=True):
-            unit, scale = _UNITS[name]
-            alone = self.plan(replace(task.question, weights={name: 1e3}, limits={}))
-            least = alone.takes[GOALS.index(name)]
-            said = f"{name} would be {least / scale:.6g}{unit} at least"
-            least_of_each.append(said)
-            broken += [f"{said}, the limit is {task.question.limits[name]:g}{unit}"] if least > limit else []
-        together = f"each alone can be kept, but not all together ({'; '.join(least_of_each)})"
-        return f"no way keeps within the limits: {'; '.join(broken) or together}"
+            named = ", ".join(one.name for one in blocked[:5])
+            because = f"{named} cannot be crossed: {why}" if blocked else "no way"
+            return f"{task.goal} cannot be reached from {task.start[0].name}; {because}"
+        alone = {name: self.plan(replace(task.question, weights={name: 1e3}, limits={})) for name in task.limited}
+        least = {name: getattr(one.takes, name) / GOALS[name] for name, one in alone.items()}
+        limits = [f"{name} {limit:g} (alone {least[name]:.6g} or more)" for name, limit in task.question.limits.items()]
+        return f"no way keeps within all limits: {', '.join(limits)}"

@@ -5,21 +5,27 @@ All amounts are whole: milliseconds, millijoules and millionths of a collision, 
 """
 
 import math
-import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import product
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from kb import Choice, KnowledgeBase, Model, Situation
 from kb.elements import Constraint, EstimationKind
 from kb.status import OPERATORS
 from missions.engine.mission import MissionError
 
-GOALS: Final = ("time", "energy", "collisions")
-"""What can be weighed: seconds, joules, and collisions expected."""
+GOALS: Final = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
+"""What can be weighed: seconds, joules, and collisions expected; and how many of its amounts each is."""
 
-_THOUSANDTHS: Final = (1.0, 1.0, 1e-3)  # of a goal in one of its amounts
+COLLISION_S: Final = 30.0
+"""For how long a collision keeps the robot [s]; as the next three own choice."""
+SWITCH_S: Final = 0.5
+"""To start or stop a component [s]."""
+SET_S: Final = 0.1
+"""To give a component another configuration [s]."""
+STANDING_W: Final = 10.0
+"""What the robot draws while it switches [W]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +52,7 @@ class Modes:
     """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.
 
     Conditions that violate the same constraints of the model allow the same modes, so that one situation serves all.
-    What was answered is forgotten as soon as a fact or the model has changed.
+    What was answered is forgotten, modes included, as soon as a fact or the model has changed.
 
     Raises:
         UnknownName: no such function.
@@ -76,7 +82,7 @@ class Modes:
     def _key(self, conditions: Mapping[str, float]) -> tuple[object, ...]:
         """Return which constraints hold; for one with hysteresis, which depends on more than the value, the value."""
         if self._revision != self._kb.revision:
-            self._revision, self._found, self._constraints = self._kb.revision, {}, {}
+            self._revision, self._found, self._made, self._constraints = self._kb.revision, {}, {}, {}
             for one in self._kb.model.constraints:
                 self._constraints.setdefault(one.attribute, []).append(one)
         return tuple(
@@ -94,9 +100,9 @@ class Modes:
             configured = [part for part in parts if situation.components[part].configurations]
             for chosen in product(*(situation.selectable_configurations(part) for part in configured)):
                 choice = Choice({self._function: design}, dict(zip(configured, chosen, strict=True)))
-                made = _mode(model, choice, frozenset(parts))
-                held = (tuple(made.parameters.items()), tuple(made.estimates.items()))
-                yield self._made.setdefault((design, chosen, made.components, held), made)
+                if (design, chosen) not in self._made:
+                    self._made[design, chosen] = _mode(model, choice, frozenset(parts))
+                yield self._made[design, chosen]
 
 
 def running_mode(kb: KnowledgeBase, function: str) -> Mode:
@@ -149,85 +155,39 @@ class Amounts(NamedTuple):
         return self.collisions / 1e6
 
 
-@dataclass(frozen=True)
-class Costs:
-    """What the estimations of the knowledge base come to.
+def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
+    """Return what it takes to drive a length [m] past obstacles; raises MissionError if the model does not say.
 
     A collision is a matter of chance; what it costs, it costs as often as it is expected: the robot stands for a while.
-    Whatever is switched, is switched one after the other while the robot stands.
-
-    Attributes:
-        collision_s: for how long a collision keeps the robot [s]; own choice.
-        switch_s: to start or stop a component [s]; own choice.
-        set_s: to give a component another configuration [s]; own choice.
-        standing_w: what the robot draws while it switches [W]; own choice.
     """
+    speed = mode.parameters.get("speed", math.nan)
+    if not speed > 0.0:
+        given = f"sets speed to {speed:g}" if "speed" in mode.parameters else "sets no speed"
+        raise MissionError(f"{mode.name or 'a mode'} {given}; give its configurations a speed above 0 [m/s]")
+    collisions = passed * _taken(mode, "safety")
+    time_s = length_m / speed + collisions * COLLISION_S
+    return Amounts(round(time_s * 1e3), round(time_s * _taken(mode, "energy") * 1e3), round(collisions * 1e6))
 
-    collision_s: float = 30.0
-    switch_s: float = 0.5
-    set_s: float = 0.1
-    standing_w: float = 10.0
 
-    def __post_init__(self) -> None:
-        for one in fields(self):
-            check_number(one.name, getattr(self, one.name))
-
-    def crossing(self, mode: Mode, length_m: float, passed: float) -> Amounts:
-        """Return what it takes to drive a length [m] past obstacles; raises MissionError if the model does not say."""
-        speed = mode.parameters.get("speed", math.nan)
-        if not speed > 0.0:
-            given = f"sets speed to {speed:g}" if "speed" in mode.parameters else "sets no speed"
-            raise MissionError(f"{mode.name or 'a mode'} {given}; give its configurations a speed above 0 [m/s]")
-        collisions = passed * _taken(mode, "safety")
-        time_s = length_m / speed + collisions * self.collision_s
-        energy_j = time_s * _taken(mode, "energy")
-        try:
-            return Amounts(round(time_s * 1e3), round(energy_j * 1e3), round(collisions * 1e6))
-        except (OverflowError, ValueError):
-            problem = f"{length_m:g} m and {passed:g} obstacles take {mode.name} {time_s:g} s, {energy_j:g} J"
-            raise MissionError(f"{problem}, {collisions:g} collisions; finite numbers are needed") from None
-
-    def switching(self, before: Mode, after: Mode) -> Amounts:
-        """Return what it takes to change from one mode to another."""
-        had, has = before.choice.configurations, after.choice.configurations
-        time_s = self.switch_s * len(before.components ^ after.components)
-        time_s += self.set_s * sum(had.get(part) != name for part, name in has.items())
-        return Amounts(round(time_s * 1e3), round(time_s * self.standing_w * 1e3), 0)
+def switching(before: Mode, after: Mode) -> Amounts:
+    """Return what it takes to change from one mode to another: one thing after the other, while the robot stands."""
+    had, has = before.choice.configurations, after.choice.configurations
+    time_s = SWITCH_S * len(before.components ^ after.components)
+    time_s += SET_S * sum(had.get(part) != name for part, name in has.items())
+    return Amounts(round(time_s * 1e3), round(time_s * STANDING_W * 1e3), 0)
 
 
 def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
-    """Return what makes a weighted sum of amounts, in whole thousandths; raises MissionError if that is infinite."""
-    worth = [weights.get(goal, 0.0) * each for goal, each in zip(GOALS, _THOUSANDTHS, strict=True)]
-    per_ms, per_mj, per_millionth = worth
-
-    def weighed(amounts: Amounts) -> int:
-        time, energy, collisions = amounts
-        try:
-            return round(per_ms * time + per_mj * energy + per_millionth * collisions)
-        except OverflowError:
-            raise MissionError(f"weights {dict(weights)} are too great to count with; give smaller ones") from None
-
-    return weighed
-
-
-def check_number(what: str, value: Any, most: float = math.inf) -> None:  # noqa: ANN401  # whatever a question gives
-    """Raise MissionError unless a value is a finite number from 0, and no more than the most there may be."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not 0.0 <= value <= min(most, sys.float_info.max):
-        allowed = "a finite number from 0" + (f" to {most:g}" if most < math.inf else "")
-        raise MissionError(f"{what} is {value!r}; it must be {allowed}")
+    """Return what makes a weighted sum of amounts, in whole thousandths."""
+    per_ms, per_mj, per_millionth = (weights.get(one, 0.0) * (1e3 / scale) for one, scale in GOALS.items())
+    return lambda takes: round(per_ms * takes.time + per_mj * takes.energy + per_millionth * takes.collisions)
 
 
 def _taken(mode: Mode, attribute: str) -> float:
     """Return how much a mode is estimated to take from an attribute."""
-    adds = mode.estimates.get(attribute)
-    if adds is None:
-        known = ", ".join(mode.estimates) or "nothing"
-        raise MissionError(
-            f"nothing estimates what {mode.name} takes from {attribute}; estimated is {known}; give its "
-            f"designs, components or configurations an estimation of {attribute}, 0 if it takes nothing"
-        )
-    if adds > 0.0:
-        advice = "what is planned with takes from it: estimate a number from 0 of the kind 'negative'"
-        raise MissionError(f"{mode.name} is estimated to add {adds:g} to {attribute}; {advice}")
+    adds = mode.estimates.get(attribute, math.nan)
+    if not adds <= 0.0:
+        said = f"adds {adds:g} to" if attribute in mode.estimates else "takes what from"
+        advice = "its designs, components or configurations, of the kind 'negative', 0 if it takes nothing"
+        raise MissionError(f"{mode.name} {said} {attribute}? give an estimation from 0 to {advice}")
     return 0.0 - adds

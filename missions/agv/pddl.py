@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 from missions.agv.building import Building
 from missions.agv.joint import Place, Task
-from missions.agv.modes import GOALS, Amounts, Mode
+from missions.agv.modes import Amounts, Mode
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
@@ -147,20 +147,18 @@ class PddlNames:
         return numbers
 
     def _told(self, kind: str, things: str, takes: Amounts, cost: int) -> dict[str, float]:
-        uses = {f"({kind}_{name} {things})": float(takes[GOALS.index(name)]) for name in self.limited}
+        uses = {f"({kind}_{name} {things})": float(getattr(takes, name)) for name in self.limited}
         return {f"({kind} {things})": cost, **uses}
 
     def _crossings(self, task: Task) -> Iterator[tuple[str, str, Amounts, int]]:
         start = task.start[0]
         for place in [*map(Place, task.building.places), *([start] if start.corridor else [])]:
-            for way, mode, takes, cost in task.crossings(place):
-                if mode.name not in self.modes:
-                    continue  # the model has got it since the problem was made
-                via = Via(way.corridor.name, way.to, not place.corridor)
-                yield self.vias[via], self.modes[mode.name], takes, cost
-                if not start.corridor:
+            for leg, cost in task.crossings(place):
+                if leg.mode.name in self.modes:  # else the model has got it since the problem was made
                     # what was begun within a corridor goes on when the robot is in none any more, as it soon will be
-                    yield self.vias[Via(via.corridor, via.to, False)], self.modes[mode.name], takes, cost
+                    for is_whole in (not place.corridor, False)[: 1 if start.corridor else 2]:
+                        way = self.vias[Via(leg.corridor, leg.to, is_whole)]
+                        yield way, self.modes[leg.mode.name], leg.takes, cost
 
     def _mode(self, mode: Mode) -> str:
         """Return the object for how the robot is configured."""

@@ -9,7 +9,7 @@ Planned step by step, it switches modes before it crosses.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from py_trees.behaviour import Behaviour
@@ -207,10 +207,9 @@ class PlanningState:
     def leg(self, way: str, mode: str) -> Leg | None:
         """Return a way in a mode as what to do now; None if it cannot be done from here."""
         via, task = self.pddl.by_way[way], self.route.task
-        for one, possible, takes, _ in task.crossings(task.start[0]):
-            if (one.corridor.name, one.to, self.pddl.modes[possible.name]) == (via.corridor, via.to, mode):
-                why = "planned together with all that comes after it"
-                return Leg(one.corridor.name, one.origin, one.to, possible, one.conditions, takes, why)
+        for leg, _ in task.crossings(task.start[0]):
+            if (leg.corridor, leg.to, self.pddl.modes[leg.mode.name]) == (via.corridor, via.to, mode):
+                return replace(leg, why="planned together with all that comes after it")
         return None
 
 

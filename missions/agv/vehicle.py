@@ -11,8 +11,9 @@ import mujoco
 import numpy as np
 from numpy.random import Generator
 
-from missions.agv.building import Building, BuildingError, Corridor
+from missions.agv.building import Building, Corridor
 from missions.agv.steering import Aim, Array, wheel_speeds
+from missions.engine.mission import MissionError
 
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
@@ -39,12 +40,12 @@ def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float)
 
 
 def check_walls(building: Building) -> None:
-    """Raise BuildingError if two corridors cross: each would be closed by the walls of the other."""
+    """Raise MissionError if two corridors cross: each would be closed by the walls of the other."""
     lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
     for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
         if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
             problem = f"corridors {one.name} and {two.name} cross one another: the walls of each close the other"
-            raise BuildingError(f"{problem}; let them meet at a place, or move one of their places")
+            raise MissionError(f"{problem}; let them meet at a place, or move one of their places")
 
 
 def _side(a: complex, b: complex, point: complex) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
-from missions.agv.building import Building, BuildingError
+from missions.agv.building import Building
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
 from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.agv.tree import Route
@@ -77,7 +77,7 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
             raise MissionError(f"incidents name the component {component!r}; there are {', '.join(DRAW_W)}")
         try:
             building.check_corridor(corridor)
-        except BuildingError as error:
+        except MissionError as error:
             advice = "name others, or none by --set incidents="
             raise MissionError(f"incidents cannot be {text!r}: {error}; {advice}") from error
         found.append(Incident(change or light, component, corridor))
@@ -87,7 +87,7 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
 class BuildingWorld(World):
     """A vehicle that drives where its navigator says, as long as it knows where it is.
 
-    The generator is of all chance; raises BuildingError if corridors cross one another.
+    The generator is of all chance; raises MissionError if corridors cross one another.
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:

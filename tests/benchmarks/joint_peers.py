@@ -213,9 +213,10 @@ def generate_and_test(task: Task, count: int = 10) -> int | None:
         front, place = {task.start[1]: 0}, task.start[0]
         for one in corridors:
             after = {}
-            for way, mode, _, cost in task.crossings(place):
-                if way.corridor is one:
-                    after[mode] = cost + min(spent + task.switching(was, mode)[1] for was, spent in front.items())
+            for leg, cost in task.crossings(place):
+                if leg.corridor == one.name:
+                    switched = min(spent + task.switching(was, leg.mode)[1] for was, spent in front.items())
+                    after[leg.mode] = cost + switched
             front, place = after, Place(one.other(place.name))
             if not front:
                 break

@@ -138,7 +138,7 @@ def test_robot_without_a_way_says_why_and_requests_nothing():
 def test_battery_that_cannot_last_is_no_reason_to_set_out():
     verdict, run = driven(straight(), capacity_j=20.0)
     assert not verdict.success
-    assert "energy would be" in verdict.reason
+    assert "within all limits: energy " in verdict.reason
     assert run.world.results()["driven_m"] < 3.0
 
 
@@ -303,7 +303,7 @@ def test_map_without_a_way_has_no_plan_of_steps_and_is_asked_no_more_than_things
 
 def test_energy_that_cannot_last_is_no_reason_for_a_plan_of_steps():
     verdict, run = driven(straight(), "pddl", capacity_j=20.0)
-    assert "energy would be" in verdict.reason
+    assert "within all limits: energy " in verdict.reason
     assert not any(plan.outcome.is_solved for plan in run.plans)
     assert run.world.results()["driven_m"] < 1.0
 

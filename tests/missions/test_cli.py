@@ -124,7 +124,7 @@ def test_tree_that_plans_tells_its_plans_as_they_are_made(quick):
     text = " ".join(out.split())
     assert "0.0 s plan (c1: of all ways the best for time" in text
     assert "amcl_kinect fast (the only design that is feasible" in text
-    assert "plan (no way keeps within the limits: energy would be" in text
+    assert "plan (no way keeps within all limits: energy" in text
     assert "): none, unsolvable proven (joint plan)" in text
 
 
