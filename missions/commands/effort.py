@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from missions.experiments.effort import as_data, lines_of, survey
+from missions.experiments.effort import lines_of, survey
 from missions.views.output import as_json, open_files
 
 
@@ -29,4 +29,4 @@ def effort(
         found = survey(models or ())
         typer.echo("\n".join(lines_of(found)))
         if "json" in files:
-            files["json"].finish(as_json(as_data(found)))
+            files["json"].finish(as_json(found))

@@ -5,10 +5,10 @@ a model has a statement for each.
 """
 
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
 
@@ -16,15 +16,13 @@ from kb import KnowledgeBase, Model
 from kb.elements import Attribute, Component, Function
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
-from missions.baselines import modes as modes_module
 from missions.baselines.bt import TreeManager
 from missions.baselines.controller import BaselineController
+from missions.baselines.modes import MODES_FILE
 from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA
-
-MODES_FILE: Final = Path(modes_module.__file__).with_name("modes.toml")
 
 RULE: Final = (
     "entities: actions, functions, components, attributes, parameter values (each key of each configuration)",
@@ -36,25 +34,10 @@ RULE: Final = (
 MOST_ADAPTATIONS: Final = 6
 """Generated models have up to that many adaptations of each kind."""
 
-
-class Parts(NamedTuple):
-    """A number that is counted in two parts."""
-
-    first: int
-    second: int
-
-    @property
-    def total(self) -> int:
-        return self.first + self.second
-
-    def __str__(self) -> str:
-        return f"{self.first} + {self.second} = {self.total}"
-
-
-MODELS: Final = {"suave": Parts(18, 12), "suave_extended": Parts(22, 16), "agv": Parts(18, 36), "uav": Parts(24, 16)}
+MODELS: Final = {"suave": (18, 12), "suave_extended": (22, 16), "agv": (18, 36), "uav": (24, 16)}
 """Published: entities and relations of each model."""
 
-TREES: Final = {"suave": Parts(27, 30), "suave_extended": Parts(34, 38)}
+TREES: Final = {"suave": (27, 30), "suave_extended": (34, 38)}
 """Published, for the tree that manages: nodes without those of the task, and modes with their parameters."""
 
 TASK_NODES: Final = {"suave": 10, "suave_extended": 16}
@@ -69,30 +52,8 @@ def law(structural: int, parameter: int) -> int:
     return 10 + 6 * structural + 3 * parameter
 
 
-class Count(NamedTuple):
-    """How many elements of each kind of entity and of relation a model has."""
-
-    of_entities: Mapping[str, int]
-    of_relations: Mapping[str, int]
-
-    @property
-    def entities(self) -> int:
-        return sum(self.of_entities.values())
-
-    @property
-    def relations(self) -> int:
-        return sum(self.of_relations.values())
-
-    @property
-    def total(self) -> int:
-        return self.entities + self.relations
-
-    def __str__(self) -> str:
-        return f"{self.entities} entities + {self.relations} relations = {self.total}"
-
-
-def count(model: Model) -> Count:
-    """Count the entities and relations of a model; what is stated to be so from the start is not counted."""
+def count(model: Model) -> dict[str, Any]:
+    """Count the entities and relations of a model, each kind and all; what is so from the start is not counted."""
     entities = {
         "actions": len(model.actions),
         "functions": len(model.functions),
@@ -107,7 +68,9 @@ def count(model: Model) -> Count:
         "constraints": len(model.constraints),
         "estimations": len(model.estimations),
     }
-    return Count(entities, relations)
+    first, second = sum(entities.values()), sum(relations.values())
+    totals = {"entities": first, "relations": second, "total": first + second}
+    return {**totals, "of_entities": entities, "of_relations": relations}
 
 
 def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
@@ -148,50 +111,15 @@ def _configuration(component: Component, quality: Attribute, number: int) -> Non
     component.configuration(name, {"value": number}, priority=number, constraints=[quality >= 1 / number])
 
 
-class ModelEffort(NamedTuple):
-    """What is counted of a model, beside the paper's entities and relations: None where it has none."""
-
-    name: str
-    counted: Count
-    published: Parts | None
-
-
-class TreeEffort(NamedTuple):
-    """How large the tree of the manager `bt` is, beside the paper's counts: None where it has none."""
-
-    name: str
-    nodes: int  # of the whole tree, task and adaptation
-    task_nodes: int  # of the mission's own tree, which has the task only
-    modes: int  # modes and the values in them, of the functions whose component the mission has
-    published: Parts | None
-    published_task: int | None
-
-    @property
-    def adaptation_nodes(self) -> int:
-        return self.nodes - self.task_nodes
-
-    @property
-    def total(self) -> int:
-        return self.adaptation_nodes + self.modes
-
-
-class Survey(NamedTuple):
-    """All that is counted: models as asked for, trees of those that the manager `bt` can run, generated models.
-
-    Of a generated model of one action: its adaptations, and its elements as counted and as the published law says.
-    """
-
-    models: tuple[ModelEffort, ...]
-    trees: tuple[TreeEffort, ...]
-    points: tuple[Mapping[str, int], ...]
-
-
-def survey(names: Iterable[str] = ()) -> Survey:
-    """Count missions and model files.
+def survey(names: Iterable[str] = ()) -> dict[str, Any]:
+    """Count missions and model files, trees of missions that the manager `bt` can run, and generated models.
 
     Args:
         names: missions of the registry or given as module:NAME, and files of models (.tql, .owl), those of one model
             joined by commas; by default all missions of the registry.
+
+    Returns:
+        Plain data; `published` is None for what the paper does not have.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: one is unknown, or cannot be read or built.
@@ -199,17 +127,39 @@ def survey(names: Iterable[str] = ()) -> Survey:
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else find_mission(name) for name in asked}
     made = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
-    models = [ModelEffort(name, count(model), MODELS.get(name)) for name, model in made.items()]
-    trees = [count_tree(one, name) for name, one in found.items() if one is not None and one.world is SEA]
+    models = [{"name": name, **count(model), **_published(MODELS, name, _MODEL)} for name, model in made.items()]
+    trees = [
+        {
+            "name": name,
+            **count_tree(one),
+            "published_task_nodes": TASK_NODES.get(name),
+            **_published(TREES, name, _TREE),
+        }
+        for name, one in found.items()
+        if one is not None and one.world is SEA
+    ]
     points = [
-        {"structural": one, "parameter": two, "total": count(generated_model(one, two)).total, "law": law(one, two)}
+        {"structural": one, "parameter": two, "total": count(generated_model(one, two))["total"], "law": law(one, two)}
         for one, two in product(range(MOST_ADAPTATIONS + 1), repeat=2)
     ]
-    return Survey(tuple(models), tuple(trees), tuple(points))
+    return {"rule": RULE, "models": models, "trees": trees, "generated": points}
 
 
-def count_tree(mission: Mission, name: str) -> TreeEffort:
-    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes."""
+_MODEL: Final = ("entities", "relations")
+_TREE: Final = ("nodes", "modes")
+
+
+def _published(table: Mapping[str, tuple[int, int]], name: str, keys: tuple[str, str]) -> dict[str, Any]:
+    parts = table.get(name)
+    return {"published": parts and {**dict(zip(keys, parts, strict=True)), "total": sum(parts)}}
+
+
+def count_tree(mission: Mission) -> dict[str, int]:
+    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes.
+
+    `nodes` are those of the whole tree, `task_nodes` those of the mission's own, which has the task only; `modes` are
+    modes and the values in them, of the functions whose component the mission has; `total` is all without the task.
+    """
     run = open_run(mission, manager=TreeManager)
     assert isinstance(run.controller, BaselineController)
     try:
@@ -224,26 +174,7 @@ def count_tree(mission: Mission, name: str) -> TreeEffort:
     needed = [one for one in functions if one["component"] in model.components]
     modes = sum(1 + len(values) for one in needed for values in one["modes"].values())
     nodes, task_nodes = (sum(1 for _ in root.iterate()) for root in (tree, task))
-    return TreeEffort(name, nodes, task_nodes, modes, TREES.get(name), TASK_NODES.get(name))
-
-
-def as_data(found: Survey) -> dict[str, Any]:
-    counts = "entities", "relations", "total", "of_entities", "of_relations"
-    models = [
-        {"name": one.name, **{name: getattr(one.counted, name) for name in counts}}
-        | {"published": _parts_data(one.published, "entities", "relations")}
-        for one in found.models
-    ]
-    trees = [
-        {name: getattr(one, name) for name in ("name", "nodes", "task_nodes", "modes", "total")}
-        | {"published_task_nodes": one.published_task, "published": _parts_data(one.published, "nodes", "modes")}
-        for one in found.trees
-    ]
-    return {"rule": RULE, "models": models, "trees": trees, "generated": list(found.points)}
-
-
-def _parts_data(parts: Parts | None, first: str, second: str) -> dict[str, int] | None:
-    return None if parts is None else {first: parts.first, second: parts.second, "total": parts.total}
+    return {"nodes": nodes, "task_nodes": task_nodes, "modes": modes, "total": nodes - task_nodes + modes}
 
 
 def _model(name: str, mission: Mission) -> Model:
@@ -265,46 +196,41 @@ TREES_DIFFER: Final = (
 )
 
 
-def lines_of(found: Survey) -> Iterator[str]:
-    about = [*RULE, *([AGV] if any(one.name == "agv" for one in found.models) else [])]
-    yield from _table(_models(found.models), about, DIFFERS)
-    if found.trees:
-        yield from _table(_trees(found.trees), [TREE_RULE], TREES_DIFFER)
-    on_it = sum(one["total"] == one["law"] for one in found.points)
+def lines_of(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what a survey found as lines for people: a table of models, one of trees, and the law."""
+    about = [*RULE, *([AGV] if any(one["name"] == "agv" for one in found["models"]) else [])]
+    rows = [["model", "entities", "relations", "total", "published"]]
+    for one in found["models"]:
+        rows.append([_short(one["name"]), *_numbers(one, one["entities"], one["relations"])])
+    yield from _table(rows, about, DIFFERS)
+    rows = [["managed by a tree", "nodes", "of the task", "left", "modes", "total", "published"]]
+    for one in found["trees"]:
+        published = "" if one["published_task_nodes"] is None else f" ({one['published_task_nodes']})"
+        numbers = _numbers(one, one["nodes"] - one["task_nodes"], one["modes"])
+        rows.append([_short(one["name"]), str(one["nodes"]), f"{one['task_nodes']}{published}", *numbers])
+    if found["trees"]:
+        yield from _table(rows, [TREE_RULE], TREES_DIFFER)
+    points = found["generated"]
+    on_it = sum(one["total"] == one["law"] for one in points)
     law_in_words = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
-    yield f"{law_in_words}; of {len(found.points)} generated models, {on_it} have just that\n"
+    yield f"{law_in_words}; of {len(points)} generated models, {on_it} have just that\n"
 
 
-def _table(rows: list[list[str]], about: list[str], differs: str) -> Iterator[str]:
+def _numbers(one: Mapping[str, Any], *parts: int) -> list[str]:
+    """Return two parts, their sum, and what is published of them, with a star if that differs."""
+    shown = "-"
+    if published := one["published"]:
+        *theirs, total = published.values()
+        shown = f"{theirs[0]} + {theirs[1]} = {total}{'' if theirs == [*parts] else ' *'}"
+    return [*map(str, (*parts, one["total"])), shown]
+
+
+def _table(rows: Sequence[Sequence[str]], about: Sequence[str], differs: str) -> Iterator[str]:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for name, *numbers, published in rows:
         shown = [number.rjust(width) for number, width in zip(numbers, widths[1:-1], strict=True)]
         yield "  ".join([name.ljust(widths[0]), *shown, published])
     yield from (*about, *([differs] if any(row[-1].endswith("*") for row in rows) else []), "")
-
-
-def _models(models: tuple[ModelEffort, ...]) -> list[list[str]]:
-    rows = [["model", "entities", "relations", "total", "published"]]
-    for one in models:
-        numbers = one.counted.entities, one.counted.relations
-        rows.append([_short(one.name), *map(str, (*numbers, one.counted.total)), _published(one, numbers)])
-    return rows
-
-
-def _trees(trees: tuple[TreeEffort, ...]) -> list[list[str]]:
-    rows = [["managed by a tree", "nodes", "of the task", "left", "modes", "total", "published"]]
-    for one in trees:
-        numbers = one.adaptation_nodes, one.modes
-        task = f"{one.task_nodes}" + ("" if one.published_task is None else f" ({one.published_task})")
-        left = map(str, (*numbers, one.total))
-        rows.append([_short(one.name), str(one.nodes), task, *left, _published(one, numbers)])
-    return rows
-
-
-def _published(one: ModelEffort | TreeEffort, counted: tuple[int, int]) -> str:
-    if one.published is None:
-        return "-"
-    return str(one.published) if one.published == counted else f"{one.published} *"
 
 
 def _short(name: str) -> str:

@@ -54,12 +54,12 @@ def inserted(model):
 
 @given(models())
 def test_count_is_the_number_of_typeql_statements(model):
-    assert count(model).total == len(inserted(model))
+    assert count(model)["total"] == len(inserted(model))
 
 
 @given(models())
 def test_relations_are_the_statements_with_players(model):
-    assert count(model).relations == sum(") isa " in line for line in inserted(model))
+    assert count(model)["relations"] == sum(") isa " in line for line in inserted(model))
 
 
 @given(models())
@@ -73,15 +73,15 @@ def test_model_that_was_saved_and_loaded_counts_the_same(tmp_path_factory, model
 def test_one_rule_gives_the_published_counts(name):
     model = BUILDERS[name]()
     counted = count(model)
-    assert (counted.entities, counted.relations) == MODELS[name]
-    assert str(counted) == f"{MODELS[name].first} entities + {MODELS[name].second} relations = {MODELS[name].total}"
+    assert (counted["entities"], counted["relations"]) == MODELS[name]
+    assert counted["total"] == sum(MODELS[name])
     assert model.check() == ()
 
 
 def test_constraint_that_several_elements_share_counts_once():
     model = agv_model()
     assert max(len(one.constrained) for one in model.constraints) == 5
-    assert count(model).of_relations["constraints"] == len(model.constraints) == 2
+    assert count(model)["of_relations"]["constraints"] == len(model.constraints) == 2
 
 
 def test_what_is_so_from_the_start_is_not_counted():
@@ -92,19 +92,19 @@ def test_what_is_so_from_the_start_is_not_counted():
 
 
 def test_empty_model_has_no_elements():
-    assert count(Model("empty")).total == 0
+    assert count(Model("empty"))["total"] == 0
 
 
 @given(MANY, MANY)
 def test_generated_model_of_one_action_is_on_the_published_law(structural, parameter):
-    assert count(generated_model(structural, parameter)).total == law(structural, parameter)
+    assert count(generated_model(structural, parameter))["total"] == law(structural, parameter)
 
 
 @given(MANY, MANY, st.integers(1, 5))
 def test_actions_are_each_on_the_law_but_share_the_quality_attribute(structural, parameter, actions):
     shared = actions - 1
     counted = count(generated_model(structural, parameter, actions))
-    assert counted.total == actions * law(structural, parameter) - shared
+    assert counted["total"] == actions * law(structural, parameter) - shared
 
 
 @given(MANY, MANY)
@@ -112,8 +112,8 @@ def test_adaptation_adds_the_published_entities_and_relations(structural, parame
     base = count(generated_model(structural, parameter))
     one_structural = count(generated_model(structural + 1, parameter))
     one_parameter = count(generated_model(structural, parameter + 1))
-    assert (one_structural.entities - base.entities, one_structural.relations - base.relations) == (2, 4)
-    assert (one_parameter.entities - base.entities, one_parameter.relations - base.relations) == (1, 2)
+    assert (one_structural["entities"] - base["entities"], one_structural["relations"] - base["relations"]) == (2, 4)
+    assert (one_parameter["entities"] - base["entities"], one_parameter["relations"] - base["relations"]) == (1, 2)
 
 
 @given(FEW, FEW, st.integers(1, 3))

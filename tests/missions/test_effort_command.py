@@ -16,7 +16,7 @@ from missions.baselines.modes import MODES_FILE, SystemModes
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
-from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, as_data, count, count_tree, survey
+from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, count, count_tree, survey
 from missions.suave.model import suave_model
 
 OWN = """
@@ -55,12 +55,16 @@ def row(text, name, *, table):
     return next(line.split() for line in lines if line.split()[:1] == [name])
 
 
+def published(parts):
+    return f"{parts[0]} + {parts[1]} = {sum(parts)}"
+
+
 def test_every_mission_is_counted_beside_what_is_published(rosa):
     code, out, _ = rosa()
     assert code == 0
     assert set(MODELS) == set(MISSIONS)
     for name, parts in MODELS.items():
-        assert row(out, name, table="model") == [name, *map(str, (*parts, parts.total)), *str(parts).split()]
+        assert row(out, name, table="model") == [name, *map(str, (*parts, sum(parts))), *published(parts).split()]
     assert "entities: actions, functions" in out
     assert "relations: functional requirements" in out
     assert "agv: the vehicle's model, as in the paper" in out
@@ -73,14 +77,14 @@ def test_counts_of_trees_that_differ_are_marked_and_explained(rosa):
     for name, parts in TREES.items():
         cells = row(out, name, table="managed by")
         assert cells[3] == f"({TASK_NODES[name]})"
-        assert " ".join(cells[7:12]) == str(parts)
-        assert (cells[12:] == ["*"]) == (cells[4:6] != [str(parts.first), str(parts.second)])
+        assert " ".join(cells[7:12]) == published(parts)
+        assert (cells[12:] == ["*"]) == (cells[4:6] != [*map(str, parts)])
     assert "* nodes: the published tree" in out
     assert "* modes: recharging adds 8" in out
 
 
 def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
-    monkeypatch.setattr(effort, "MODELS", {"uav": effort.Parts(24, 15)})
+    monkeypatch.setattr(effort, "MODELS", {"uav": (24, 15)})
     code, out, _ = rosa("uav")
     assert code == 0
     assert "24 + 15 = 39 *" in out
@@ -88,24 +92,24 @@ def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
 
 
 def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
-    for one in everything.trees:
-        mission = MISSIONS[one.name]
+    for one in everything["trees"]:
+        mission = MISSIONS[one["name"]]
         task = mission.tree(KnowledgeBase(mission.model()), Percepts())
-        assert one == count_tree(mission, one.name)
-        assert one.task_nodes == len(ascii_tree(task).splitlines())
-        assert one.adaptation_nodes + one.task_nodes == one.nodes
-    assert [one.nodes for one in everything.trees] == [32, 32]
-    assert [one.task_nodes for one in everything.trees] == [10, 14]
+        assert one.items() >= count_tree(mission).items()
+        assert one["task_nodes"] == len(ascii_tree(task).splitlines())
+        assert one["total"] == one["nodes"] - one["task_nodes"] + one["modes"]
+    assert [one["nodes"] for one in everything["trees"]] == [32, 32]
+    assert [one["task_nodes"] for one in everything["trees"]] == [10, 14]
 
 
 def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
     modes = SystemModes(None)  # only asked which modes there are
-    base, extended = (one.modes for one in everything.trees)
+    base, extended = (one["modes"] for one in everything["trees"])
     altitudes = 4  # only searching has a value beside `active`
     names = sum(len(modes.of(function)) for function in tomllib.loads(MODES_FILE.read_text()))
     assert extended == 2 * names + altitudes
     assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
-    first, second = (TREES[one.name].second for one in everything.trees)
+    first, second = (TREES[one["name"]][1] for one in everything["trees"])
     assert extended - base == second - first
 
 
@@ -119,7 +123,7 @@ def test_json_says_what_is_counted(rosa, everything):
     code, _, _ = rosa("--json", "effort.json")
     assert code == 0
     data = json.loads(Path("effort.json").read_text())
-    assert data == json.loads(json.dumps(as_data(everything)))
+    assert data == json.loads(json.dumps(everything))
     assert [one["name"] for one in data["models"]] == list(MISSIONS)
     for one in data["models"]:
         assert sum(one["of_entities"].values()) == one["entities"] == one["published"]["entities"]
@@ -157,7 +161,7 @@ def test_files_of_one_model_are_joined_by_commas(rosa):
 
 
 def test_model_asked_for_twice_is_counted_once(everything):
-    assert survey(["uav", "uav"]).models == tuple(one for one in everything.models if one.name == "uav")
+    assert survey(["uav", "uav"])["models"] == [one for one in everything["models"] if one["name"] == "uav"]
 
 
 @pytest.mark.parametrize(
@@ -188,10 +192,10 @@ def test_nothing_is_written_when_a_model_cannot_be_read(rosa, tmp_path):
 
 def test_mission_that_the_sea_cannot_open_is_a_clear_error():
     with pytest.raises(MissionError, match="unknown setting 'no_such_setting'"):
-        count_tree(replace(suave.MISSION, fixed={"no_such_setting": "1"}), "suave")
+        count_tree(replace(suave.MISSION, fixed={"no_such_setting": "1"}))
 
 
 def test_empty_model_is_counted(tmp_path):
     Model("empty").save(tmp_path / "empty.tql")
     found = survey([str(tmp_path / "empty.tql")])
-    assert count(Model("empty")) == found.models[0].counted
+    assert found["models"][0].items() >= count(Model("empty")).items()
