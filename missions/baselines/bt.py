@@ -38,7 +38,7 @@ class TreeManager(Manager):
 
     @property
     def is_done(self) -> bool:
-        return "pipeline_inspected" in self.robot.noticed
+        return self.robot.percepts.count("pipeline_inspected") > 0
 
     def update(self) -> None:
         self._root.tick_once()
@@ -66,10 +66,10 @@ class _DoTask(Behaviour):
 
     def initialise(self) -> None:
         self._robot.begin(self._task)
-        self._before = self._robot.noticed.get(self._until, 0)
+        self._before = self._robot.percepts.count(self._until)
 
     def update(self) -> Status:
-        return Status.SUCCESS if self._robot.noticed.get(self._until, 0) > self._before else Status.RUNNING
+        return Status.SUCCESS if self._robot.percepts.count(self._until) > self._before else Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
         if self.status is Status.RUNNING or new_status is Status.SUCCESS:
@@ -117,7 +117,7 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
     work = sequence(
         "work",
         Condition("battery ok?", lambda: bool(np.float32(robot.measured.get("battery_level", 1.0)) >= LOW_LEVEL)),
-        selector("find", Condition("found?", lambda: "pipeline_found" in robot.noticed), search, memory=True),
+        selector("find", Condition("found?", lambda: robot.percepts.count("pipeline_found") > 0), search, memory=True),
         sequence(
             "inspect", request(FOLLOW, "fd_follow_pipeline"), do("inspect_pipeline", "pipeline_inspected", FOLLOW)
         ),

@@ -1,13 +1,13 @@
 """Who decides in a run of a baseline: SUAVE's mission node, or the manager itself, and the manager."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from math import inf
 from time import perf_counter
 from typing import TYPE_CHECKING, TypeVar
 
 from kb import DiagnosticProblem, RequiredAction
 from missions.baselines.manager import Manager, Robot
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
+from missions.engine.mission import Message, Mission, MissionError, Verdict
 from missions.engine.runner import Controller, Seen
 from missions.suave.world import SEA, Sea
 from rosa_bt.exceptions import in_words
@@ -39,7 +39,7 @@ class _Timer:
 
 
 class BaselineController(Controller):
-    """Has a manager of the sea's vehicle decide; of its options, the `inputs` show among the results.
+    """Has a manager of the sea's vehicle decide; of its options, those that were published show among the results.
 
     Raises:
         MissionError: whatever the manager raises, here or later, with its name, the moment and the line.
@@ -53,16 +53,14 @@ class BaselineController(Controller):
         world: Sea,
         rng: "Generator",
         options: Mapping[str, float],
-        inputs: Iterable[str] = (),
-        deadline_s: float = inf,
+        deadline_s: float,
     ) -> None:
         super().__init__(name, "tree of the manager" if manager.decides_tasks else "mission node")
-        self.inputs = {f"input_from_paper_{name}": options[name] for name in inputs}
-        self._world, self._percepts = world, Percepts()
+        published = [one.name for one in manager.options if one.is_published]
+        self.inputs = {f"input_from_paper_{name}": options[name] for name in published}
+        self._world = world
         phases = rng.random(2).tolist()
-        self.robot = Robot(
-            mission, world.managed, world.settings, rng, lambda: world.now, options, deadline_s, world.way_m
-        )
+        self.robot = Robot(mission, world, rng, options, deadline_s)
         self._manager = self._ask(manager, self.robot)
         self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
         self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
@@ -89,7 +87,6 @@ class BaselineController(Controller):
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
         self.robot.receive(message)
-        self._percepts.receive(message)
         self._ask(self._manager.receive, message)
         self.compute_s["manager"] += perf_counter() - started
         return ()
@@ -121,7 +118,7 @@ class BaselineController(Controller):
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
         is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL
         recharges = is_low or any(task.action == "recharge" for task in self.robot.tasks)
-        return SEA.judge(self._percepts, results, recharges)
+        return SEA.judge(self.robot.percepts, results, recharges)
 
     def _ask(self, what: Callable[..., T], *args: object) -> T:
         try:
@@ -135,10 +132,10 @@ class BaselineController(Controller):
         task = self.robot.task
         if task is None:
             self._begin(SEARCH)
-        elif task == SEARCH and self._percepts.holds("pipeline_found"):
+        elif task == SEARCH and self.robot.percepts.holds("pipeline_found"):
             self._end(SEARCH)
             self._begin(INSPECT)
-        elif task == INSPECT and self._percepts.holds("pipeline_inspected"):
+        elif task == INSPECT and self.robot.percepts.holds("pipeline_inspected"):
             self._end(INSPECT)
 
     def _begin(self, task: str) -> None:

@@ -3,17 +3,16 @@
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from kb import RequiredAction
-from missions.engine.components import Operation, SimulatedComponents
-from missions.engine.mission import Message, Mission, MissionError
+from missions.engine.mission import Message, Mission, MissionError, Percepts
 from missions.engine.settings import Setting
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from suave_env import Settings
+    from missions.suave.world import Sea
 
 MEASUREMENTS = ("ea measurement", "qa status")
 COMPONENT_STATUS = "component status"
@@ -23,7 +22,7 @@ class Robot:
     """What a manager knows of the vehicle, and how it acts on it.
 
     Components are asked to become active, inactive or to take parameters; that takes as long as the settings of the
-    sea say, whoever asks for it. `is_active` and `parameters` say what is in force by now.
+    sea say, whoever asks for it. `is_active` and `parameters` say what is in force by now: see `kb.ManagedSystem`.
 
     Attributes:
         mission: what is to be done: its model, its tree.
@@ -32,56 +31,36 @@ class Robot:
         options: values of the manager's options by name.
         measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
-        noticed: how often something else was published, by key, e.g. {"pipeline_found": 1}.
+        percepts: what else was published, e.g. whether it `holds("pipeline_found")`.
         deadline_s: when the mission ends at the latest [s].
         way_m: says how far it is from the station, by its own odometry [m].
         tasks: every task that was begun, in order.
     """
 
     def __init__(
-        self,
-        mission: Mission,
-        managed: SimulatedComponents,
-        settings: "Settings",
-        rng: "Generator",
-        clock: Callable[[], float],
-        options: Mapping[str, float] | None = None,
-        deadline_s: float = inf,
-        way_m: Callable[[], float] = lambda: 0.0,
+        self, mission: Mission, world: "Sea", rng: "Generator", options: Mapping[str, float], deadline_s: float
     ) -> None:
         from suave_env.components import Agenda
 
-        self.mission, self.settings, self.rng, self.options = mission, settings, rng, options or {}
-        self.deadline_s, self.way_m = deadline_s, way_m
+        self.mission, self.settings, self.rng, self.options = mission, world.settings, rng, options
+        self.deadline_s, self.way_m = deadline_s, world.way_m
         self.measured: dict[str, float] = {}
         self.reported: dict[str, str] = {}
-        self.noticed: dict[str, int] = {}
+        self.percepts = Percepts()
         self.tasks: list[RequiredAction] = []
-        self._managed, self._clock, self._later = managed, clock, Agenda()
+        managed = world.managed
+        self.activate, self.deactivate, self.is_active = managed.activate, managed.deactivate, managed.is_active
+        self.set_parameters, self.parameters = managed.set_parameters, managed.parameters
+        self._world, self._later = world, Agenda()
 
     @property
     def now(self) -> float:
-        return self._clock()
+        return self._world.now
 
     @property
     def task(self) -> str | None:
         """The task that is being done."""
         return self.tasks[-1].action if self.tasks and self.tasks[-1].end is None else None
-
-    def activate(self, component: str) -> Operation:
-        return self._managed.activate(component)
-
-    def deactivate(self, component: str) -> Operation:
-        return self._managed.deactivate(component)
-
-    def set_parameters(self, component: str, parameters: Mapping[str, Any]) -> Operation:
-        return self._managed.set_parameters(component, parameters)
-
-    def is_active(self, component: str) -> bool:
-        return self._managed.is_active(component)
-
-    def parameters(self, component: str) -> Mapping[str, Any]:
-        return self._managed.parameters(component)
 
     def later(self, delay_s: float, what: Callable[[], None]) -> None:
         """Have something called after a delay [s]: how a manager takes time without waiting.
@@ -122,8 +101,7 @@ class Robot:
                     self.measured[key] = float(value)
                 elif text == COMPONENT_STATUS:
                     self.reported[key] = value
-                else:
-                    self.noticed[key] = self.noticed.get(key, 0) + 1
+        self.percepts.receive(message)
 
 
 class Manager:

@@ -112,12 +112,9 @@ class NoManager(Manager):
         self._modes.request(*MODES[task])
 
     def end(self, task: str) -> None:
-        function, _ = MODES[task]
-        self._modes.unground(function)
+        self._modes.unground(MODES[task][0])
 
 
-FUNCTIONS = {"search_pipeline": "f_generate_search_path", "inspect_pipeline": "f_follow_pipeline"}
-"""Function of each task; kas-lab/suave v1.3.0."""
 PERIODS_S = {"2024": 15.0, "2025": 30.0}
 """From one choice to the next [s], by the rules. 30 s were meant from the first; v1.3.0 reads another parameter."""
 
@@ -132,9 +129,9 @@ class RandomManager(Manager):
 
     def update(self) -> None:
         if self.robot.task is not None:
-            function = FUNCTIONS[self.robot.task]
+            function, _ = MODES[self.robot.task]
             modes = self._modes.of(function)
             self._modes.request(function, modes[self.robot.rng.integers(len(modes))])
 
     def end(self, task: str) -> None:
-        self._modes.unground(FUNCTIONS[task])
+        self._modes.unground(MODES[task][0])

@@ -124,9 +124,8 @@ def open_run(
     else:
         from missions.baselines.controller import BaselineController
 
-        published = [one.name for one in options if one.is_published]
         deadline_s = run_settings.duration_s
-        controller = BaselineController(mission, name, managed_by, world, chance, chosen, published, deadline_s)  # type: ignore[arg-type]  # a Manager's world is the Sea
+        controller = BaselineController(mission, name, managed_by, world, chance, chosen, deadline_s)  # type: ignore[arg-type]  # a Manager's world is the Sea
     return MissionRun(mission, controller, world, run_settings, listeners)
 
 

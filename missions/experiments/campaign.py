@@ -3,20 +3,18 @@
 import sqlite3
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Final
 
-from missions.baselines import MANAGERS, OURS
-from missions.baselines.registry import check_run
+from missions.baselines import MANAGERS, OURS, open_run
 from missions.engine.controller import check_task
-from missions.engine.mission import Mission, MissionError, split_settings
+from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
-from missions.engine.settings import near, own_values, read_values
-from missions.extras import needs
+from missions.engine.settings import near
 
 Settings = Mapping[str, str]
 
@@ -155,39 +153,78 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
         raise MissionError(f"cannot {what}: {why}{advice}") from error
 
 
+def _is_value(value: object) -> bool:
+    return isinstance(value, str | int | float)
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict) and all(map(_is_value, value.values()))
+
+
+def _is_words(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(word, str) and word for word in value)
+
+
+def _is_folder(value: object) -> bool:
+    return isinstance(value, str) and bool(value) and "/" not in value and not value.startswith(".")
+
+
+def _is_sweep(value: object) -> bool:
+    tried = value.values() if isinstance(value, dict) else [None]
+    return all(isinstance(values, list) and values and all(map(_is_value, values)) for values in tried)
+
+
+_WORDS: Final = (_is_words, "a list of one name or more")
+_KEYS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
+    "name": (_is_folder, "a word that can be the name of a folder"),
+    "missions": _WORDS,
+    "managers": _WORDS,
+    "tasks": _WORDS,
+    "runs": (lambda value: type(value) is int and value >= 1, "a whole number from 1"),
+    "first_seed": (lambda value: type(value) is int and value >= 0, "a whole number from 0"),
+    "settings": (_is_table, "a table of names, each with a number, a word, true or false"),
+    "cases": (
+        lambda value: isinstance(value, list) and all(map(_is_table, value)),
+        "a list of tables as settings",
+    ),
+    "sweep": (_is_sweep, "a table of names, each with a list of numbers, words, true or false"),
+    "rules": (_is_value, "a year"),
+}
+"""What a file may say, and what each value has to be."""
+
+
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
     """Make a campaign of plain data: its fields, and `rules` as short for that setting.
 
     Raises:
         MissionError: a key or value is not what is expected; the message names the source.
     """
-    known = [*(one.name for one in fields(Campaign)), "rules"]
-    for key in data:
-        if key not in known:
-            close = near(key, known)
-            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(known)}"
+    for key, value in data.items():
+        if key not in _KEYS:
+            close = near(key, _KEYS)
+            hint = f"did you mean {close[0]}?" if close else f"there are {', '.join(_KEYS)}"
             raise MissionError(f"{source}: unknown key {key!r}; {hint}")
+        holds, expected = _KEYS[key]
+        if not holds(value):
+            raise MissionError(f"{source}: {key} is {value!r}; expected is {expected}")
     if "missions" not in data:
         raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
-
-    def given(key: str, default: object, rule: _Rule) -> Any:  # noqa: ANN401  # plain data
-        return rule.checked(data.get(key, default), f"{source}: {key}")
-
-    lists = {"missions": [], "managers": [OURS], "tasks": ["bt"]}
-    settings = dict(given("settings", {}, _TABLE)) | ({"rules": data["rules"]} if "rules" in data else {})
-    sweep = given("sweep", {}, _TABLE)
-    values = {name: _VALUES.checked(tried, f"{source}: sweep: {name}") for name, tried in sweep.items()}
-    campaign = Campaign(
-        name=given("name", "", _FOLDER),
-        **{key: tuple(given(key, default, _WORDS)) for key, default in lists.items()},
-        runs=given("runs", 10, _COUNT),
-        first_seed=given("first_seed", 0, _FROM_0),
-        settings=_settings(settings, f"{source}: settings"),
-        cases=tuple(_settings(one, f"{source}: cases") for one in given("cases", [], _LIST)),
-        sweep={name: tuple(_text(one, f"{source}: sweep: {name}") for one in tried) for name, tried in values.items()},
-    )
+    given: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in data.items()}
+    rules = {"rules": given.pop("rules")} if "rules" in given else {}
+    given["settings"] = _texts({**data.get("settings", {}), **rules})
+    given["cases"] = tuple(map(_texts, data.get("cases", ())))
+    given["sweep"] = {name: tuple(map(_text, values)) for name, values in data.get("sweep", {}).items()}
+    campaign = Campaign(**given)
     _check_once(campaign, source)
     return campaign
+
+
+def _texts(values: Mapping[str, object]) -> dict[str, str]:
+    return {name: _text(value) for name, value in values.items()}
+
+
+def _text(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def check_campaign(campaign: Campaign) -> None:
@@ -197,20 +234,9 @@ def check_campaign(campaign: Campaign) -> None:
     if campaign.runs < 1:
         raise MissionError(f"a campaign of {campaign.runs} runs does nothing; ask for 1 at least")
     for name, settings, (manager, layer) in product(campaign.missions, campaign.variants, campaign.layers):
-        _check_settings(find_mission(name), manager, layer, dict(settings))
-
-
-def _check_settings(mission: Mission, manager: str, task: str | None, settings: Settings) -> None:
-    import numpy
-
-    managed_by, _ = check_run(mission, manager, task)
-    options = () if managed_by is None else managed_by.options
-    given, values = own_values(options, settings)
-    read_values(options, given)
-    _, world = split_settings(mission, values)
-    with needs("sim", f"the world of {mission.name}"):
-        opened = mission.world.open(world, numpy.random.default_rng(0))
-    opened.close()
+        run = open_run(find_mission(name), manager=manager, task=layer, settings=dict(settings))
+        with closing(run.world):
+            run.controller.end()
 
 
 def _check_once(campaign: Campaign, source: str) -> None:
@@ -224,42 +250,3 @@ def _check_once(campaign: Campaign, source: str) -> None:
     for (one, names), (other, others) in product(places, places):
         if one != other and (both := set(names) & set(others)):
             raise MissionError(f"{source}: {min(both)} is given in {one} and in {other}; give it once")
-
-
-class _Rule(NamedTuple):
-    """What a value of a file has to be, in words and as a test."""
-
-    expected: str
-    holds: Callable[[Any], bool]
-
-    def checked(self, value: Any, where: str) -> Any:  # noqa: ANN401  # plain data
-        if not self.holds(value):
-            raise MissionError(f"{where} is {value!r}; expected is {self.expected}")
-        return value
-
-
-_TABLE = _Rule("a table of names and values", lambda value: isinstance(value, dict))
-_LIST = _Rule("a list", lambda value: isinstance(value, list))
-_VALUES = _Rule("a list of one value or more", lambda value: isinstance(value, list) and bool(value))
-_WORDS = _Rule(
-    "a list of one name or more",
-    lambda value: _VALUES.holds(value) and all(isinstance(word, str) and word for word in value),
-)
-_FOLDER = _Rule(
-    "a word that can be the name of a folder",
-    lambda value: isinstance(value, str) and bool(value) and "/" not in value and not value.startswith("."),
-)
-_COUNT = _Rule("a whole number from 1", lambda value: type(value) is int and value >= 1)
-_FROM_0 = _Rule("a whole number from 0", lambda value: type(value) is int and value >= 0)
-
-
-def _settings(value: object, where: str) -> dict[str, str]:
-    return {name: _text(one, f"{where}: {name}") for name, one in _TABLE.checked(value, where).items()}
-
-
-def _text(value: object, where: str) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, str | int | float):
-        return str(value)
-    raise MissionError(f"{where} is {value!r}; expected is a number, a word, true or false")

@@ -9,7 +9,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missions.baselines import MANAGERS, Manager, find_manager, open_run
-from missions.baselines.manager import Robot
 from missions.baselines.modes import SystemModes
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
@@ -240,10 +239,6 @@ class Nodes:
         return self.values.get(name, {})
 
 
-def modes_of(nodes):
-    return SystemModes(Robot(find_mission("suave"), nodes, settings=None, rng=None, clock=lambda: 0.0))
-
-
 def inferred_of(modes, function):
     return next(mode for mode in modes.of(function) if modes.is_in(function, mode))
 
@@ -254,7 +249,7 @@ COMPONENTS = {
     "f_maintain_motion": "recover_thrusters",
     "f_generate_recharge_path": "recharge",
 }
-FUNCTIONS = {function: modes_of(Nodes()).of(function) for function in COMPONENTS}
+FUNCTIONS = {function: SystemModes(Nodes()).of(function) for function in COMPONENTS}
 REQUESTS = st.sampled_from([(function, mode) for function, modes in FUNCTIONS.items() for mode in modes])
 
 
@@ -262,13 +257,13 @@ REQUESTS = st.sampled_from([(function, mode) for function, modes in FUNCTIONS.it
 @given(st.lists(REQUESTS, min_size=1, max_size=12))
 def test_mode_asked_for_last_is_the_one_inferred_or_means_the_same(requests):
     nodes = Nodes()
-    modes = modes_of(nodes)
+    modes = SystemModes(nodes)
     for function, mode in requests:
         modes.request(function, mode)
     for function, mode in dict(requests).items():
         inferred = inferred_of(modes, function)
         again = Nodes()
-        twin = modes_of(again)
+        twin = SystemModes(again)
         twin.request(function, inferred)
         assert inferred_of(twin, function) == inferred
         assert FUNCTIONS[function].index(inferred) <= FUNCTIONS[function].index(mode)
@@ -278,7 +273,7 @@ def test_mode_asked_for_last_is_the_one_inferred_or_means_the_same(requests):
 @given(REQUESTS)
 def test_mode_asked_for_twice_is_asked_for_once(request_):
     nodes = Nodes()
-    modes = modes_of(nodes)
+    modes = SystemModes(nodes)
     modes.request(*request_)
     asked = nodes.asked
     modes.request(*request_)
@@ -286,7 +281,7 @@ def test_mode_asked_for_twice_is_asked_for_once(request_):
 
 
 def test_unknown_functions_and_modes_are_named_and_a_bad_file_says_what_is_expected(tmp_path):
-    modes = modes_of(Nodes())
+    modes = SystemModes(Nodes())
     with pytest.raises(MissionError, match="there is no function 'fly'; there are f_generate_search_path"):
         modes.request("fly", "high")
     with pytest.raises(MissionError, match="has no mode 'high'; there are __DEFAULT__, fd_spiral_high"):
@@ -295,7 +290,7 @@ def test_unknown_functions_and_modes_are_named_and_a_bad_file_says_what_is_expec
     for content in ("[f]\n", "not toml", '[f]\ncomponent = "x"\n[f.modes]\nm = { active = 1 }\n'):
         bad.write_text(content)
         with pytest.raises(MissionError, match="expected is, for each function, a component and modes"):
-            SystemModes(Robot(find_mission("suave"), Nodes(), settings=None, rng=None, clock=lambda: 0.0), bad)
+            SystemModes(Nodes(), bad)
 
 
 class Faulty(Manager):
