@@ -170,11 +170,6 @@ class FollowPipeline(Component):
         self._waits = 0
         self._published = (-math.inf, math.nan)
 
-    @property
-    def remaining(self) -> tuple[tuple[float, float], ...]:
-        """Points (x, y) [m] that are left of the path, the one under way not among them."""
-        return tuple(self._path or ())
-
     def take_path(self, path: tuple[tuple[float, float], ...]) -> None:
         """Take over the path of a pipeline that was found: points (x, y) [m], world frame ENU."""
         self._path = deque(path)
@@ -327,12 +322,6 @@ class Components:
         self.history: list[Change] = []
         self._components = {component.name: component for component in components}
         self._clock, self._hold, self._switched = clock, hold, switched
-        self._is_closed = False
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The names of the components."""
-        return tuple(self._components)
 
     @property
     def active(self) -> tuple[str, ...]:
@@ -349,14 +338,10 @@ class Components:
 
     def check(self, name: str, values: Mapping[str, object]) -> None:
         """Raise `SuaveEnvError` if a component cannot be switched or given these values by parameter name."""
-        component = self._component(name)
-        if self._is_closed:
-            raise SuaveEnvError(f"component {name} cannot be changed: the environment is closed")
-        _taken(component, values)
+        _taken(self._component(name), values)
 
     def activate(self, name: str) -> None:
         """Make a component active; one that is active already stays as it is."""
-        self.check(name, {})
         component, time = self._component(name), self._clock()
         if not component.active:
             component.active = True
@@ -365,7 +350,6 @@ class Components:
 
     def deactivate(self, name: str) -> None:
         """Make a component inactive; one that is inactive already stays as it is."""
-        self.check(name, {})
         component, time = self._component(name), self._clock()
         if component.active:
             component.active = False
@@ -376,16 +360,11 @@ class Components:
 
     def set_parameters(self, name: str, values: Mapping[str, object]) -> None:
         """Set parameters of a component by name, all at the same time; as allowed by `check`."""
-        self.check(name, values)
         component = self._component(name)
         taken = {**component.parameters, **_taken(component, values)}
         if taken != component.parameters:
             component.parameters = taken
             self._note(self._clock(), component)
-
-    def close(self) -> None:
-        """Refuse further changes."""
-        self._is_closed = True
 
     def _component(self, name: str) -> Component:
         if name not in self._components:

@@ -9,12 +9,12 @@ import numpy as np
 from suave_env.autopilot import Autopilot, Vector
 from suave_env.battery import LOW_LEVEL, Battery
 from suave_env.components import Agenda, Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
-from suave_env.metrics import Disturbance, Metrics, Reaction, Reactions, Violations
+from suave_env.metrics import Metrics, Reaction, Reactions, Violations
 from suave_env.monitors import MISSION_STATUS, QA_STATUS, Message, Outbox, ThrusterMonitor, VisibilityMonitor
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, SuaveEnvError, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
-from suave_env.vehicle import Vehicle, floated, yaw_of
+from suave_env.vehicle import Vehicle, floated
 from suave_env.water import THRESHOLDS_M, Water, expected_altitude
 
 
@@ -26,13 +26,11 @@ class Observation:
         time: Time since GUIDED [s].
         x, y, z: Position [m], world frame ENU, z up from the surface.
         altitude: Height above the seabed [m].
-        yaw: Heading from east to the left [rad].
         speed: Speed [m/s].
         water_visibility: How far one can see [m].
         battery_level: Charge, 1.0 full to 0.0 empty.
         spiral_altitude: Altitude that the spiral search is set to [m].
         recharged: How often the battery was recharged.
-        distance_inspected_m: As in `Metrics` [m].
     """
 
     time: float
@@ -40,16 +38,13 @@ class Observation:
     y: float
     z: float
     altitude: float
-    yaw: float
     speed: float
     water_visibility: float
     battery_level: float
     thrusters_failed: tuple[int, ...]
     active: tuple[str, ...]
     spiral_altitude: float
-    pipeline_found: bool
     recharged: int
-    distance_inspected_m: float
 
 
 class SuaveEnv:
@@ -74,10 +69,9 @@ class SuaveEnv:
         x = settings.start_x_m + settings.start_x_sd_m * east
         y = settings.start_y_m + settings.start_y_sd_m * north
         self.now = 0.0
-        self._closed = False
         self._search_time: float | None = None
         self._guided = phases[7] * settings.guided_period_s
-        self._disturbances: list[Disturbance] = []
+        self._disturbances: list[tuple[float, str]] = []
         self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
         self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
         self._water, self._battery, self._thrusters = Water(settings), Battery(settings), Thrusters(settings)
@@ -143,8 +137,8 @@ class SuaveEnv:
         return list(self._reactions.found)
 
     @property
-    def disturbances(self) -> list[Disturbance]:
-        """What has happened to the vehicle and the sea up to now, in order of time: the truth."""
+    def disturbances(self) -> list[tuple[float, str]]:
+        """What has happened to the vehicle and the sea, and when [s], up to now, in order of time: the truth."""
         return list(self._disturbances)
 
     def advance(self, until: float, *, pause: bool = False) -> list[Message]:
@@ -158,10 +152,8 @@ class SuaveEnv:
             What was published in `(now, until]`, in order of time.
 
         Raises:
-            SuaveEnvError: If the time is not a number from now on, or the environment is closed.
+            SuaveEnvError: If the time is not a number from now on.
         """
-        if self._closed:
-            raise SuaveEnvError("the environment is closed and cannot advance")
         if not self.now <= until < math.inf:
             raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on")
         agenda = self._agenda
@@ -178,29 +170,21 @@ class SuaveEnv:
 
     def observe(self) -> Observation:
         """Return the truth now; between two control periods, the vehicle is where the earlier left it."""
-        x, y, z, *quaternion = self._vehicle.pose
+        x, y, z = self._vehicle.position
         return Observation(
             time=self.now,
             x=x,
             y=y,
             z=z,
             altitude=z - SEABED_Z_M,
-            yaw=yaw_of(quaternion),
             speed=math.hypot(*self._vehicle.velocity),
             water_visibility=self._water.visibility(self.now),
             battery_level=self._battery.level,
             thrusters_failed=self._thrusters.failed,
             active=self.components.active,
             spiral_altitude=self._spiral.parameters["spiral_altitude"],
-            pipeline_found=self._search_time is not None,
             recharged=self._battery.recharges,
-            distance_inspected_m=self._follower.distance_m,
         )
-
-    def close(self) -> None:
-        """End the simulation; time stands still."""
-        self._closed = True
-        self.components.close()
 
     def _look(self, time: float) -> None:
         """Look for the pipeline, whichever component is active, and again a period later until it is found."""
@@ -218,7 +202,7 @@ class SuaveEnv:
         before = self._battery.level
         self._battery.drain(self.settings.battery_period_s)
         if before >= LOW_LEVEL > self._battery.level:
-            self._disturb(time, "battery", f"battery level fell below {LOW_LEVEL}")
+            self._disturbances.append((time, f"battery level fell below {LOW_LEVEL}"))
             self._judge(time, corrected=False)
         self._publish_battery(time)
 
@@ -236,7 +220,7 @@ class SuaveEnv:
         change(event.thruster)
         self._judge(time, corrected=False)
         self._thruster_monitor.notice(event.thruster, event.fails)
-        self._disturb(time, "thruster", f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}")
+        self._disturbances.append((time, f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}"))
 
     def _await_crossing(self, threshold: float, after: float) -> None:
         crossing = self._water.next_crossing(threshold, after)
@@ -246,7 +230,7 @@ class SuaveEnv:
         text = f"water visibility {'fell below' if falls else 'rose to'} {threshold} m"
 
         def cross(time: float) -> None:
-            self._disturb(time, "visibility", text)
+            self._disturbances.append((time, text))
             self._judge(time + 1e-6, corrected=False)  # a moment later, when the threshold is passed for certain
             self._await_crossing(threshold, time)
 
@@ -269,6 +253,3 @@ class SuaveEnv:
         note(time, "thruster", bool(self._thrusters.failed), corrected)
         low = self._battery.level < LOW_LEVEL and not self.components.is_active(Recharge.name)
         note(time, "battery", low, corrected=True)
-
-    def _disturb(self, time: float, kind: str, text: str) -> None:
-        self._disturbances.append(Disturbance(time, kind, text))

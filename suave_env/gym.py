@@ -72,7 +72,6 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin an episode; the same seed gives the same one. There are no options."""
         super().reset(seed=seed)
-        self.close()
         self._env = SuaveEnv(self._settings, self.np_random)
         self._known = dict(zip(OBSERVED, _UNKNOWN, strict=True))
         self._wanted: tuple[int, ...] = (0,) * len(COMPONENTS)
@@ -89,11 +88,6 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         before, self._inspected_m = self._inspected_m, self._env.metrics.total_inspected_m
         is_late = self._env.now >= self._duration_s
         return self._observation(), self._inspected_m - before, self._done, is_late, self._info(self._env)
-
-    def close(self) -> None:
-        """End the episode."""
-        if self._env is not None:
-            self._env.close()
 
     def _switch(self, env: SuaveEnv, action: list[int]) -> None:
         *wanted, altitude = action

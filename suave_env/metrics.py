@@ -38,18 +38,6 @@ class Metrics:
     energy_j: float
 
 
-@dataclass(frozen=True)
-class Disturbance:
-    """What happened to the vehicle or the sea, and when [s]: the truth, which no monitor reports.
-
-    Its kind is "thruster", "visibility" or "battery".
-    """
-
-    time: float
-    kind: str
-    text: str
-
-
 class Violations:
     """Keeps account of what is not as it should be, by the truth and not by what the monitors tell.
 

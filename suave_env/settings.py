@@ -3,10 +3,10 @@
 import dataclasses
 import difflib
 import math
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
-from itertools import accumulate
-from typing import Final, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 T = TypeVar("T", float, int, bool, str)
 
@@ -66,8 +66,7 @@ def _setting(default: T, unit: str, meaning: str, source: str, low: float = -mat
     return field(default=default, metadata=metadata)
 
 
-@dataclass(frozen=True)
-class ThrusterEvent:
+class ThrusterEvent(NamedTuple):
     """A thruster, 1 to 6, that fails or else recovers by itself, at a time since GUIDED [s]."""
 
     thruster: int
@@ -224,18 +223,16 @@ class Settings:
         for name in changes:
             if name not in known:
                 raise unknown_name("setting", name, known)
-        values = {**_ruled(str(changes["rules"])), **changes} if "rules" in changes else changes
+        values = dict(changes)
+        if (rules := changes.get("rules")) in RULES:
+            differing = dict.fromkeys(name for said in RULES.values() for name in said)
+            values = {**{name: RULES[str(rules)].get(name, getattr(Settings(), name)) for name in differing}, **changes}
         exact = {spread: 0.0 for name, spread in _SPREADS.items() if name in changes and spread not in changes}
         return dataclasses.replace(self, **{**values, **exact})  # type: ignore[arg-type]  # checked by __post_init__, not by its type
 
 
-_SPREADS = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": "bias_sd_m"}
-
-
-def _ruled(rules: str) -> dict[str, float | int | bool | str]:
-    """Return what some rules say of every setting in which rules differ; nothing for unknown ones."""
-    defaults, differing = Settings(), dict.fromkeys(name for said in RULES.values() for name in said)
-    return {name: RULES[rules].get(name, getattr(defaults, name)) for name in differing} if rules in RULES else {}
+_EVENT: Final = re.compile(r"([1-6]) (failure|recovery) ([0-9]+\.?[0-9]*)")
+_SPREADS: Final = {"start_x_m": "start_x_sd_m", "start_y_m": "start_y_sd_m", "bias_m": "bias_sd_m"}
 
 
 def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEvent, ...]:
@@ -248,44 +245,26 @@ def parse_thruster_events(text: str, chained: bool = False) -> tuple[ThrusterEve
     Returns:
         The events in order of time.
     """
-    events = [_thruster_event(part.split(), text) for part in text.split(",") if part.strip()]
-    if chained:
-        times = accumulate(event.time for event in events)
-        events = [dataclasses.replace(event, time=time) for event, time in zip(events, times, strict=True)]
+    events, time = list[ThrusterEvent](), 0.0
+    for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
+        read = _EVENT.fullmatch(part)
+        if read is None:
+            allowed = 'events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s]'
+            raise SuaveEnvError(f"thruster_events cannot be {text!r}; allowed are {allowed}")
+        time = float(read[3]) + (time if chained else 0.0)
+        events.append(ThrusterEvent(int(read[1]), read[2] == "failure", time))
     return tuple(sorted(events, key=lambda event: event.time))
-
-
-def _thruster_event(words: list[str], text: str) -> ThrusterEvent:
-    allowed = 'allowed are events such as "1 failure 35, 1 recovery 90": thruster 1 to 6, what happens, time [s] from 0'
-    try:
-        number, kind, time = int(words[0]), words[1], float(words[2])
-    except (ValueError, IndexError):
-        raise SuaveEnvError(f"thruster_events cannot be {text!r}; {allowed}") from None
-    if len(words) != 3 or not 1 <= number <= 6 or kind not in ("failure", "recovery") or not 0 <= time < math.inf:
-        raise SuaveEnvError(f"thruster_events cannot be {text!r}; {allowed}")
-    return ThrusterEvent(number, kind == "failure", time)
-
-
-def _allowed(info: "dataclasses.Field[float]") -> str:
-    """Say what a setting may be."""
-    if isinstance(info.default, bool):
-        return "true or false"
-    if isinstance(info.default, str):
-        return "text"
-    kind = "a whole number" if isinstance(info.default, int) else "a number"
-    low, high = info.metadata["low"], info.metadata["high"]
-    bounds = [f"{word} {bound:g}" for word, bound in (("from", low), ("to", high)) if math.isfinite(bound)]
-    return " ".join([kind, *bounds])
 
 
 def _checked(info: "dataclasses.Field[float]", value: float | int | bool | str) -> float | int | bool | str:
     """Return the value in the type of the setting, or refuse it."""
-    kind = type(info.default)
+    kind, low, high = type(info.default), info.metadata["low"], info.metadata["high"]
     if kind is float and type(value) is int:
         value = float(value)
-    low, high = info.metadata["low"], info.metadata["high"]
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    is_number = kind in (int, float)
     if type(value) is not kind or (is_number and not (math.isfinite(value) and low <= value <= high)):
-        allowed = f"{_allowed(info)} [{info.metadata['unit']}]"
+        words = {bool: "true or false", str: "text", int: "a whole number", float: "a number"}
+        bounds = [f" {word} {bound:g}" for word, bound in (("from", low), ("to", high)) if math.isfinite(bound)]
+        allowed = f"{words[kind]}{''.join(bounds if is_number else [])} [{info.metadata['unit']}]"
         raise SuaveEnvError(f"setting {info.name} cannot be {value!r}; allowed is {allowed}")
     return value

@@ -2,7 +2,7 @@
 
 import math
 
-from suave_env.settings import Settings, SuaveEnvError
+from suave_env.settings import Settings
 
 COUNT = 6
 """Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left vertical."""
@@ -38,11 +38,11 @@ class Thrusters:
 
     def fail(self, number: int) -> None:
         """Freeze a thruster, 1 to 6, at its last output."""
-        self._stuck.setdefault(_checked(number), self.outputs[number - 1])
+        self._stuck.setdefault(number, self.outputs[number - 1])
 
     def recover(self, number: int) -> None:
         """Let a thruster, 1 to 6, obey again."""
-        self._stuck.pop(_checked(number), None)
+        self._stuck.pop(number, None)
 
     def allocate(
         self, forward: float, left: float, up: float, roll: float, turn: float, duration: float = 0.0
@@ -75,9 +75,3 @@ class Thrusters:
         thrusts = abs(one) ** 1.5 + abs(two) ** 1.5 + abs(three) ** 1.5 + abs(four) ** 1.5
         self.energy_j += (thrusts + abs(five) ** 1.5 + abs(six) ** 1.5) * self._power * duration
         return outputs
-
-
-def _checked(number: int) -> int:
-    if number not in range(1, COUNT + 1):
-        raise SuaveEnvError(f"there is no thruster {number!r}; known are 1 to {COUNT}")
-    return number

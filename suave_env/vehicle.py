@@ -35,8 +35,9 @@ class Vehicle:
         x, y, z: Start position [m], world frame ENU, z up.
 
     Attributes:
-        state: What gives `pose`, and what gives velocity [m/s], world frame ENU, z up, and angular velocity [rad/s],
-            body frame, (6,); for loops in which an attribute costs too much.
+        state: Two functions: of position [m] and quaternion (w, x, y, z), (7,), and of velocity [m/s] and angular
+            velocity [rad/s], (6,), the last in the body frame, x forward, y left, all others in the world frame ENU, z
+            up; for loops in which an attribute costs too much.
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
@@ -53,11 +54,6 @@ class Vehicle:
         mujoco.mj_forward(self.model, self.data)
 
     @property
-    def pose(self) -> list[float]:
-        """Position [m], world frame ENU, z up, and quaternion (w, x, y, z) of the body x forward, y left; (7,)."""
-        return self._qpos.tolist()  # type: ignore[no-any-return]  # MuJoCo ships no types
-
-    @property
     def position(self) -> tuple[float, float, float]:
         """Position [m], world frame ENU, z up."""
         x, y, z, *_ = self._qpos.tolist()
@@ -68,14 +64,6 @@ class Vehicle:
         """Velocity [m/s], world frame ENU, z up."""
         x, y, z, *_ = self._qvel.tolist()
         return x, y, z
-
-    @property
-    def energy(self) -> float:
-        """Kinetic and potential energy [J]: of the moving bodies, of their weight and of their buoyancy."""
-        mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_energyVel(self.model, self.data)
-        pull = -self.model.opt.gravity[2] * self.model.body_mass * (1 - self.model.body_gravcomp)
-        return float(self.data.energy[1] + pull @ self.data.xipos[:, 2])
 
     def push(self, thrusts: list[float]) -> None:
         """Advance by one control period under constant thrusts [N]; (6,)."""
@@ -92,12 +80,6 @@ def floated(settings: Settings) -> float:
     surplus = (settings.displaced_mass_kg - settings.mass_kg) * settings.gravity_m_s2
     speed = math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus) if settings.drag_heave else 0.0
     return speed * settings.boot_s
-
-
-def yaw_of(quaternion: list[float]) -> float:
-    """Return the heading [rad] of a quaternion (w, x, y, z), from east to the left."""
-    w, x, y, z = quaternion
-    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def _compiled(settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types

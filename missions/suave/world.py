@@ -89,13 +89,10 @@ class Sea(World):
         return math.dist((seen.x, seen.y), self._env.station[:2])
 
     def disturbances(self) -> list[tuple[float, str]]:
-        return [(one.time, one.text) for one in self._env.disturbances]
+        return self._env.disturbances
 
     def scenery(self) -> Mapping[str, Any]:
         return {"pipeline": self._env.pipeline.points[:, :2], "recharge station": [self._env.station[:2]]}
-
-    def close(self) -> None:
-        self._env.close()
 
 
 class _SeaKind(WorldKind):

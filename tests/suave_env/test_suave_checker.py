@@ -56,7 +56,7 @@ class TellsMore(SuaveEnv):
 
 class SeesNothing(SuaveEnv):
     def observe(self):
-        return dataclasses.replace(super().observe(), yaw=math.nan)
+        return dataclasses.replace(super().observe(), speed=math.nan)
 
 
 class SeesTheStart(SuaveEnv):
@@ -116,12 +116,7 @@ class KnowsEveryComponent(SuaveEnv):
     def __init__(self, settings, rng):
         super().__init__(settings, rng)
         known = self.components.is_active
-        self.components.is_active = lambda name: name in self.components.names and known(name)
-
-
-class NeverEnds(SuaveEnv):
-    def close(self):
-        pass
+        self.components.is_active = lambda name: name != "no such component" and known(name)
 
 
 BROKEN = {
@@ -131,17 +126,16 @@ BROKEN = {
     TellsNothing: "nothing was heard",
     TellsNumbers: "a status holds strings only",
     TellsMore: "a message has a time and a status",
-    SeesNothing: "yaw is nan",
+    SeesNothing: "speed is nan",
     SeesTheStart: "the time observed is now",
     Overcharged: "a battery level is from 0 to 1",
-    LendsItsMessages: "what is done with the messages",
-    LendsItsDisturbances: "what is done with the disturbances",
+    LendsItsMessages: "what is done with what was returned",
+    LendsItsDisturbances: "what is done with what was returned",
     RollsItsOwnDice: "the same seed gives the same run",
     KnowsNoChance: "another seed gives another run",
     CountsItsCalls: "how time is sliced",
     Disobeys: "spiral_search is active when it was asked to be",
     KnowsEveryComponent: "an unknown component is refused",
-    NeverEnds: "a closed environment refuses to advance",
 }
 
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from suave_env import Settings, SuaveEnvError
+from suave_env import Settings
 from suave_env.autopilot import Guidance, SCurve
 from suave_env.thrusters import Thrusters
 from suave_env.vehicle import Vehicle
@@ -137,9 +137,3 @@ def test_failing_twice_changes_nothing():
     thrusters.allocate(-10.0, 0.0, 0.0, 0.0, 0.0)
     thrusters.fail(3)
     assert thrusters.allocate(0.0, 0.0, 0.0, 0.0, 0.0)[2] == frozen
-
-
-@pytest.mark.parametrize("number", [0, 7, -1])
-def test_a_thruster_that_does_not_exist_is_refused(number):
-    with pytest.raises(SuaveEnvError, match="known are 1 to 6"):
-        Thrusters(Settings()).fail(number)

@@ -10,8 +10,9 @@ def env():
 
 
 def test_the_components_are_the_four_of_the_mission(env):
-    assert env.components.names == ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge")
     assert env.components.active == ()
+    for name in ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge"):
+        assert not env.components.is_active(name)
 
 
 def test_activating_what_is_active_changes_nothing(env):
