@@ -14,7 +14,6 @@ from kb.exceptions import (
     UnknownName,
 )
 from kb.execution.executor import StagedExecutor
-from kb.execution.safeguards import Quarantined
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
@@ -74,7 +73,6 @@ __all__ = [
     "ProcessComponents",
     "Program",
     "ProtocolError",
-    "Quarantined",
     "ReconfigurationPlan",
     "Reply",
     "RequiredAction",

@@ -4,10 +4,11 @@ import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
-from kb.elements import ComponentKind, Configuration, choice, is_number
+from kb.elements import ComponentKind, Configuration, is_number
 from kb.exceptions import InvalidValue, ProtocolError
-from kb.execution.safeguards import Budgets, Quarantine, Quarantined
+from kb.execution.safeguards import Budgets, Quarantine
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
 from kb.network import Node
@@ -18,21 +19,12 @@ from kb.status import Status
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class RetryPolicy:
+class RetryPolicy(NamedTuple):
     """How often a command is given, how long an attempt may take [s] and how long it is put off after a failure [s]."""
 
     attempts: int
     timeout: float
     back_off: float
-
-    def __post_init__(self) -> None:
-        if type(self.attempts) is not int or self.attempts < 1:
-            raise InvalidValue(f"a command is given a whole number of times, once at least, not {self.attempts!r}")
-        if not is_number(self.timeout) or not self.timeout > 0:
-            raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {self.timeout!r}")
-        if not is_number(self.back_off) or not 0 <= self.back_off < math.inf:
-            raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {self.back_off!r}")
 
 
 class StagedExecutor:
@@ -52,8 +44,7 @@ class StagedExecutor:
         managed: what is commanded; plain components are never switched, only booked.
         attempts: how often a command is given before it counts as failed.
         timeout: how long an attempt may take, in the time of the knowledge base's clock [s].
-        timeout_by_kind: the same for all components of a kind.
-        timeout_by_component: the same for single components; goes before that of their kind.
+        timeout_by_component: the same for single components.
         back_off: how long after a failure the command is given again [s]; twice as long after each further one.
         hold: how long a configuration that could not be set counts as unfeasible [s].
         budgets: the most that all that is chosen and runs may be estimated to use, by name of attribute, also on the
@@ -67,7 +58,6 @@ class StagedExecutor:
         *,
         attempts: int = 3,
         timeout: float = 60.0,
-        timeout_by_kind: Mapping[str, float] | None = None,
         timeout_by_component: Mapping[str, float] | None = None,
         back_off: float = 0.5,
         hold: float = 300.0,
@@ -75,11 +65,16 @@ class StagedExecutor:
     ) -> None:
         check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
         self._managed = managed
-        self._policy = RetryPolicy(attempts, timeout, back_off)
-        by_kind = {choice("kind of component", ComponentKind, one): s for one, s in (timeout_by_kind or {}).items()}
-        self._of_kind = {kind: RetryPolicy(attempts, lasts, back_off) for kind, lasts in by_kind.items()}
         by_name = timeout_by_component or {}
-        self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
+        if type(attempts) is not int or attempts < 1:
+            raise InvalidValue(f"a command is given a whole number of times, once at least, not {attempts!r}")
+        for lasts in (timeout, *by_name.values()):
+            if not is_number(lasts) or not lasts > 0:
+                raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {lasts!r}")
+        if not is_number(back_off) or not 0 <= back_off < math.inf:
+            raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {back_off!r}")
+        self._policy = RetryPolicy(attempts, timeout, back_off)
+        self._of_component = {name: self._policy._replace(timeout=lasts) for name, lasts in by_name.items()}
         self._quarantine = Quarantine(hold)
         self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
@@ -90,11 +85,6 @@ class StagedExecutor:
         self._commanded: set[str] = set()
         self._paused: list[str] = []
         self._is_under_way = False
-
-    @property
-    def quarantined(self) -> tuple[Quarantined, ...]:
-        """The configurations that count as unfeasible now because they could not be set."""
-        return tuple(self._quarantine.held.values())
 
     def execute(self, kb: KnowledgeBase) -> None:
         """Do what can be done of the pending plan without waiting.
@@ -239,9 +229,9 @@ class StagedExecutor:
             configuration = next(selected, None) if operation == "configure" else None
             if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
                 continue
-            kind = component.element.kind
-            policy = self._of_component.get(name, self._of_kind.get(kind, self._policy))
-            managed = None if configuration is None and kind is ComponentKind.PLAIN else self._managed
+            is_plain = component.element.kind is ComponentKind.PLAIN
+            policy = self._of_component.get(name, self._policy)
+            managed = None if configuration is None and is_plain else self._managed
             commands.append(_Command(kb, plan, policy, managed, name, operation, configuration))
         return commands
 

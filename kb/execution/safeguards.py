@@ -1,11 +1,9 @@
 """What keeps a plan, or a part of one, from being carried out: a veto, budgets, and the quarantine of what failed."""
 
 import logging
-import math
 from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from decimal import Decimal
-from typing import NamedTuple
 
 from kb.elements import EstimationKind, finite_number, is_number
 from kb.exceptions import InvalidValue, UnknownName
@@ -115,61 +113,43 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
     return state.selected[causer.index]
 
 
-class Quarantined(NamedTuple):
-    """A configuration that counts as unfeasible, from start until at most `until` [s], since it could not be set."""
-
-    configuration: str
-    component: str
-    reason: str
-    start: float
-    until: float
-
-    def __str__(self) -> str:
-        return f"{self.configuration} is not used for {self.component} because {self.reason}"
-
-
 class Quarantine:
     """The configurations that count as unfeasible, by an asserted status that lapses by itself after a hold [s].
 
     Attributes:
-        held: those in quarantine now, by name; up to date after `review`.
+        held: the component of each that is in quarantine now, by name; up to date after `review`.
     """
 
     def __init__(self, hold: float) -> None:
         if not is_number(hold) or not hold >= 0:
             raise InvalidValue(f"a configuration is held back for 0 s or longer, math.inf for ever, not {hold!r}")
         self._hold = hold
-        self.held: dict[str, Quarantined] = {}
+        self.held: dict[str, str] = {}
         self._failed: set[str] = set()
 
     def put(self, kb: KnowledgeBase, configuration: str, reason: str) -> None:
         """Have a configuration count as unfeasible from now on, and no longer as selected: it is not in force."""
-        view, now = kb.configurations[configuration], kb.now
+        view = kb.configurations[configuration]
         kb.assert_selected(view, False)
         with suppress(InvalidValue):  # the hold is over already
-            kb.assert_status(view, Status.UNFEASIBLE, reason, now + self._hold)
-        self.held[configuration] = Quarantined(configuration, view.component, reason, now, now + self._hold)
+            kb.assert_status(view, Status.UNFEASIBLE, reason, kb.now + self._hold)
+        self.held[configuration] = view.component
 
     def adopt(self, kb: KnowledgeBase) -> None:
         """Take up what was in quarantine before the knowledge base was opened again."""
-        failed = {one.configuration: one for one in kb.history.attempts if one.configuration is not None}
-        with kb.reading() as state:
-            for name, attempt in failed.items():
-                if attempt.result == "failed" and attempt.end is not None and _stands(state, name):
-                    said = state.reason("asserted", state.network.configurations[name])
-                    until = math.inf if said.until is None else said.until
-                    self.held[name] = Quarantined(name, attempt.component, said.text, attempt.end, until)
+        last = {one.configuration: one for one in kb.history.attempts if one.configuration is not None}
+        self.held |= {name: one.component for name, one in last.items() if one.result == "failed"}
+        self.review(kb)
 
     def review(self, kb: KnowledgeBase) -> None:
         """Release those whose component has recovered from a failure, and forget those released otherwise."""
         with kb.reading() as state:
             components = state.network.components
             self.held = {name: one for name, one in self.held.items() if _stands(state, name)}
-            concerned = {one.component for one in self.held.values()}
-            failed = {name for name in concerned if state.status[components[name].index] is Status.FAILURE}
-        for one in [one for one in self.held.values() if one.component in self._failed - failed]:
-            kb.retract_status(kb.configurations[one.configuration])
-            del self.held[one.configuration]
+            failed = {one for one in self.held.values() if state.status[components[one].index] is Status.FAILURE}
+        for name in [name for name, one in self.held.items() if one in self._failed - failed]:
+            kb.retract_status(kb.configurations[name])
+            del self.held[name]
         self._failed = failed
 
 
