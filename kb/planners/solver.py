@@ -4,9 +4,8 @@ The only file that imports OR-tools; import it late, as that takes a while. One 
 is counted in work done instead of seconds make the answer the same on every machine.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import accumulate
 from typing import Any, Final
 
 from kb.exceptions import KnowledgeBaseError
@@ -21,9 +20,6 @@ except ImportError as error:
 
 EFFORT: Final = 0.3
 """How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""
-
-LARGEST_RANK: Final = 2**40
-"""Ranks of several choices are weighed into one number below this, so that the first of all is found at once."""
 
 _SETTINGS: Final = {
     "num_workers": 1,
@@ -62,14 +58,6 @@ class _Program:
 
     def load(self, place: int) -> Untyped:
         return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
-
-    def rank(self, places: Iterable[int]) -> Untyped:
-        """Return a number that is lower if what is picked at these places comes earlier, the first place first."""
-        weight, terms = 1, []
-        for place in reversed(list(places)):
-            terms += [literal * (weight * rank) for rank, literal in enumerate(self.picks[place]) if rank]
-            weight *= max(1, len(self.picks[place]))
-        return cp_model.LinearExpr.sum(terms)
 
     def hint(self, picks: Picks) -> None:
         self.model.clear_hints()
@@ -217,19 +205,14 @@ class _Search:
     def _first_of_the_best(self, program: _Program, picks: Picks, value: int) -> tuple[Picks, bool]:
         """Return the first choice of this value, and whether it is proven to be the first."""
         program.model.add(program.gain >= value)
-        kept = done = 0
-        while (later := next((place for place in range(done, len(picks)) if picks[place]), None)) is not None:
-            for place in range(kept, later):
-                program.model.add(program.rank([place]) == picks[place])
-            kept, done = later, _chunk_end(program.picks, later)
-            program.model.clear_objective()
-            program.model.minimize(program.rank(range(kept, done)))
-            status = self._run(program, picks)
-            if status in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-                picks = program.read(self._solver)
-            if status != cp_model.OPTIMAL:
-                return picks, False
-        return picks, True
+        program.model.clear_objective()
+        program.model.clear_hints()
+        for literals in program.picks:
+            program.model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
+        self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
+        self._solver.parameters.keep_all_feasible_solutions_in_presolve = True
+        is_first = self._run(program) in (cp_model.OPTIMAL, cp_model.FEASIBLE)
+        return (program.read(self._solver) if is_first else picks), is_first
 
     def _why_nothing_fits(self) -> str:
         """Say which budget is too small for any choice, as far as the effort that is left allows."""
@@ -241,9 +224,3 @@ class _Search:
                 least_said, limit_said = number(float(least * unit)), number(float(limit * unit))
                 reasons.append(f"{name} would be {least_said} at least, more than {limit_said}")
         return " and ".join(reasons) or f"no choice keeps within {problem.criterion.limits}"
-
-
-def _chunk_end(picks: Sequence[Literals], start: int) -> int:
-    """Return where the choices end whose ranks fit into one number."""
-    sizes = accumulate((max(1, len(literals)) for literals in picks[start:]), lambda one, two: one * two)
-    return start + sum(1 for size in sizes if size <= LARGEST_RANK)
