@@ -278,7 +278,7 @@ class Model:
             others = ", ".join(str(file) for file in files if file not in owl)
             raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(owl[0]))
         if owl:
-            from kb.owl.owlready import load_owl
+            from kb.owl.files import load_owl
 
             return load_owl(cls, files, name)
         from kb.typeql.reader import load_typeql
@@ -289,7 +289,7 @@ class Model:
         """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
         file = Path(path)
         if _suffix(file, is_read=False) == ".owl":
-            from kb.owl.rdfxml import owl_text as written
+            from kb.owl.files import owl_text as written
         else:
             from kb.typeql.writer import typeql_text as written
         write_text(file, written(self))

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from functools import cache
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import quote
 
@@ -38,6 +39,8 @@ class Individual(NamedTuple):
     values: Mapping[str, tuple[Value, ...]]
 
 
+ROSA: Final = "http://rosa-taca/rosa#"  # what the names of classes and properties begin with
+BASE: Final = "http://rosa-taca/model/"  # what the names of individuals begin with; the id of the model and `#` follow
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
 CLASSES: Final[Mapping[type, str]] = {cls: word.title().replace(" ", "") for cls, word in facts.ROSA.items()}
@@ -106,6 +109,10 @@ class Serials:
     def give(self, one: elements.Changeable, number: int) -> None:
         self._given[one] = number
         self._next = max(self._next, number + 1)
+
+
+def metamodel() -> str:
+    return Path(__file__).with_name("rosa.owl").read_text(encoding="utf-8")
 
 
 def element_id(element: elements.Changeable, serials: Serials) -> str:

@@ -6,16 +6,15 @@ from collections.abc import Iterable, Iterator
 from multiprocessing.connection import Connection
 from typing import Final
 
-from pyoxigraph import BlankNode, Literal, NamedNode, Quad, QueryBoolean, RdfFormat, Store, Triple, parse
+from pyoxigraph import NamedNode, Quad, QueryBoolean, RdfFormat, Store, parse
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
-from kb.owl.individuals import Individual, Ref
-from kb.owl.rdfxml import PREFIXES, ROSA, statements
+from kb.owl.files import PREFIXES, XSD, answer_of, described
+from kb.owl.individuals import ROSA, Individual
 from kb.owl.worker import Answer, answer, stopped
 
 _MOST_ROWS: Final = 1_000_000
-_XSD: Final = "http://www.w3.org/2001/XMLSchema#"
-_PREFIXES: Final = {**PREFIXES, "rosa": ROSA, "xsd": _XSD}
+_PREFIXES: Final = {**PREFIXES, "rosa": ROSA, "xsd": XSD}
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
@@ -87,33 +86,16 @@ class Book:
                 raise UnknownName("word of ROSA", found["rosa"], self._words)
 
     def _quads(self, one: Individual, graph: NamedNode) -> Iterator[Quad]:
-        subject = self._iri(one.id)
-        for name, value in statements(one, self._base):
-            if isinstance(value, str):  # without halves of characters
-                value = value.encode("utf-8", "backslashreplace").decode()
-            written = NamedNode(value.id) if isinstance(value, Ref) else Literal(value)
-            yield Quad(subject, NamedNode(name), written, graph)
+        for terms in described(one, self._base, _whole):
+            yield Quad(self._iri(one.id), *terms, graph)
 
     def _iri(self, own: str) -> NamedNode:
         return NamedNode(f"{self._base}#{own}")
 
 
-def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
-    if isinstance(term, NamedNode):
-        return term.value
-    return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)
-
-
-def value_of(literal: Literal) -> str | bool | int | float:
-    sort, text = literal.datatype.value.removeprefix(_XSD), literal.value
-    try:
-        if sort in ("double", "float", "decimal"):
-            return float(text)
-        if sort == "boolean":
-            return text in ("true", "1")
-        return int(text) if sort in ("integer", "int", "long") else text
-    except ValueError:
-        return text
+def _whole(text: str) -> str:
+    """Write a text without halves of characters."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _complaint(query: str, told: str) -> InvalidValue:

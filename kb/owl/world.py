@@ -20,6 +20,7 @@ from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import TABLES, ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
 from kb.owl.individuals import (
+    BASE,
     CLASSES,
     STATED,
     Individual,
@@ -28,9 +29,9 @@ from kb.owl.individuals import (
     described,
     element_id,
     individuals,
+    metamodel,
     named_id,
 )
-from kb.owl.rdfxml import BASE, metamodel
 from kb.owl.worker import Answer, Worker, give_back, stopped, take
 from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State

@@ -13,7 +13,6 @@ from rich.markup import escape
 from kb import KnowledgeBase, Model
 from kb.checks.findings import Finding, found, rules
 from kb.files import read_text
-from kb.owl.rdfxml import owl_text
 from missions.commands import FAILED, complain, open_console
 from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, MissionError
@@ -122,7 +121,7 @@ def _placed(findings: Iterable[Finding], places: Mapping[str, Sequence[str]], is
 
 def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[str]:
     """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes."""
-    from kb.owl.owlready import inconsistency
+    from kb.owl.files import inconsistency, owl_text
 
     model = model_of(files, mission)
     texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}

@@ -76,7 +76,7 @@ LATE = {
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
     "kb/planners/solver.py",
-    "kb/owl/owlready.py",
+    "kb/owl/files.py",
     "kb/owl/queries.py",
     "kb/typeql/syntax.py",
     "missions/views/picture.py",

@@ -13,8 +13,19 @@ from test_files import odd_models
 
 from kb import KnowledgeBase, Model, ModelError
 from kb.files import ModelFileError
-from kb.owl.individuals import CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Ref, individuals, property_of
-from kb.owl.rdfxml import ROSA, metamodel, owl_text, plain_text
+from kb.owl.files import owl_text, plain_text
+from kb.owl.individuals import (
+    CLASSES,
+    GENERAL,
+    MODEL,
+    PARAMETER,
+    PREFERENCE,
+    ROSA,
+    Ref,
+    individuals,
+    metamodel,
+    property_of,
+)
 from missions.engine.registry import MISSIONS
 from missions.suave_extended.model import suave_extended_model
 
@@ -274,7 +285,7 @@ def test_formats_are_not_mixed(tmp_path):
 @pytest.mark.skipif(shutil.which("java") is None, reason="HermiT needs Java")
 class TestReasoner:
     def test_models_are_consistent(self):
-        from kb.owl.owlready import inconsistency
+        from kb.owl.files import inconsistency
 
         assert inconsistency(metamodel()) is None
         assert inconsistency(owl_text(suave_extended_model())) is None
@@ -282,12 +293,12 @@ class TestReasoner:
     @given(model=odd_models())
     @settings(max_examples=3)
     def test_odd_models_are_consistent(self, model):
-        from kb.owl.owlready import inconsistency
+        from kb.owl.files import inconsistency
 
         assert inconsistency(owl_text(model)) is None
 
     def test_contradiction_is_found(self):
-        from kb.owl.owlready import inconsistency
+        from kb.owl.files import inconsistency
 
         wrong = f'<owl:NamedIndividual rdf:about="http://x#a"><rdf:type rdf:resource="{ROSA}Action"/>'
         wrong += f'<rdf:type rdf:resource="{ROSA}Component"/></owl:NamedIndividual></rdf:RDF>'

@@ -13,8 +13,8 @@ from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status, UnknownName
 from kb.facts import StatusFact
-from kb.owl.owlready import inconsistency
-from kb.owl.rdfxml import BASE, ROSA, metamodel
+from kb.owl.files import inconsistency
+from kb.owl.individuals import BASE, ROSA, metamodel
 
 CLASSES = {
     "action": "Action",

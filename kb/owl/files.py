@@ -1,0 +1,212 @@
+"""Models in OWL files in RDF/XML, and HermiT through owlready2, which looks for contradictions in them; imported late.
+
+A file holds the words of `rosa.owl`, and the individuals of the model in them, so that any reader of OWL understands it
+without a second file.
+"""
+
+import re
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from html import escape
+from io import BytesIO
+from pathlib import Path
+from typing import Final, TypeVar
+from xml.parsers import expat
+
+from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse, serialize
+
+from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
+from kb.facts import Contents
+from kb.files import ModelFileError, read_text
+from kb.owl.individuals import (
+    BASE,
+    CLASSES,
+    GENERAL,
+    MODEL,
+    PARAMETER,
+    PREFERENCE,
+    ROSA,
+    Declarer,
+    Individual,
+    Ref,
+    Value,
+    individuals,
+    metamodel,
+)
+from kb.owl.worker import Answer
+
+XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+PREFIXES: Final = {
+    "": ROSA,
+    "owl": "http://www.w3.org/2002/07/owl#",
+    "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
+    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
+}
+_TYPE, _LABEL = NamedNode(f"{PREFIXES['rdf']}type"), NamedNode(f"{PREFIXES['rdfs']}label")
+_ONTOLOGY: Final = re.compile(r"  <owl:Ontology.*?</owl:Ontology>\n", re.DOTALL)
+_UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})")
+_FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
+_KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
+_ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
+_RELATIVE: Final = "http://rosa-taca/file"  # what names that a file leaves relative begin with
+
+ModelT = TypeVar("ModelT", bound=Contents)
+Term = NamedNode | Literal
+
+
+def owl_text(model: Contents) -> str:
+    """Write a model as an ontology; see `Model.save`."""
+    own, *others = individuals(model)
+    base, told = f"{BASE}{own.id}", list[Triple]()
+    for one in (own, *others):
+        subject = NamedNode(f"{base}#{one.id}")
+        told.append(Triple(subject, _TYPE, NamedNode(f"{PREFIXES['owl']}NamedIndividual")))
+        told += [Triple(subject, *terms) for terms in described(one, base, _fit)]
+        told += [Triple(subject, _LABEL, Literal(_fit(str(name)))) for name in one.values.get("name", ())]
+    written = (serialize(told, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
+    label = escape(_fit(model.name), quote=False)
+    head = (
+        f'  <owl:Ontology rdf:about="{base}">\n    <rdfs:label>{label}</rdfs:label>\n'
+        "    <rdfs:comment>The model of a robot, with the words of ROSA that it is written in.</rdfs:comment>\n"
+        "  </owl:Ontology>\n"
+    )
+    words = _ONTOLOGY.sub(lambda _: head, metamodel(), count=1)
+    individuals_of_it = written[written.index("\t<owl:NamedIndividual") :].rstrip()
+    return words.replace("</rdf:RDF>", f"  <!-- the model -->\n\n{individuals_of_it}")
+
+
+def described(one: Individual, base: str, text: Callable[[str], str]) -> Iterator[tuple[NamedNode, Term]]:
+    """Yield the properties of an individual and their values; a text as a function writes it."""
+    for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
+        yield _TYPE, NamedNode(f"{ROSA}{kind}")
+    several = {name: values for name, values in one.values.items() if len(values) > 1}
+    order = "; ".join(
+        " ".join((name, *(one.id for one in each if isinstance(one, Ref)))) for name, each in several.items()
+    )
+    for name, values in {**one.values, **({"order": (order,)} if order else {})}.items():
+        for value in dict.fromkeys(values):
+            if isinstance(value, Ref):
+                yield NamedNode(f"{ROSA}{name}"), NamedNode(f"{base}#{value.id}")
+            else:
+                yield NamedNode(f"{ROSA}{name}"), Literal(text(value) if isinstance(value, str) else value)
+
+
+def _fit(text: str) -> str:
+    """Write what XML has no characters for so that `plain_text` reads it."""
+    return _UNFIT.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def plain_text(text: str) -> str:
+    return _FITTED.sub(lambda found: chr(int(found[1], 16)), text)
+
+
+def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | None) -> ModelT:
+    """Read a model from OWL files in RDF/XML, as they are taken together; see `Model.load`."""
+    told: dict[str, dict[str, list[Value]]] = {}
+    for path in paths:
+        read = list(_triples(path))
+        if not any(predicate == _TYPE.value and _local(value) for _, predicate, value in read):
+            raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
+        for subject, predicate, value in read:
+            told.setdefault(subject, {}).setdefault(predicate, []).append(value)
+    try:
+        found = [_individual(subject, values) for subject, values in told.items()]
+        given = [one for one in found if one is not None]
+        for one in given:
+            if one.kind not in _KINDS:
+                raise ModelError(f"{one.id}: {UnknownName('class', one.kind, sorted(_KINDS))}")
+        names = [str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())]
+        model = cls(name or next(iter(names), paths[0].stem))
+        Declarer(model).declare(given)
+    except KnowledgeBaseError as error:
+        raise ModelFileError(str(error), ", ".join(map(str, paths))) from None
+    return model
+
+
+def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
+    """Yield subject, predicate and value of all that a file says."""
+    content = read_text(path)
+    if not content.strip():
+        raise ModelFileError("the file is empty", str(path))
+    try:
+        expat.ParserCreate().Parse(content, True)  # says where it is no XML, and expands no entity without end
+        for one in parse(content.encode(), format=RdfFormat.RDF_XML, base_iri=_RELATIVE):
+            about = one.subject.value if isinstance(one.subject, NamedNode) else str(one.subject)
+            value = value_of(one.object) if isinstance(one.object, Literal) else Ref(str(answer_of(one.object)))
+            yield about, one.predicate.value, plain_text(value) if isinstance(value, str) else value
+    except expat.ExpatError as error:
+        said = expat.ErrorString(error.code)
+        raise ModelFileError(f"this is no RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
+    except SyntaxError as error:
+        raise ModelFileError(f"this is no RDF/XML: {' '.join(str(error).split())}", str(path)) from None
+
+
+def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual | None:
+    types = [_local(one) for one in told.get(_TYPE.value, ())]
+    ours = [one for one in types if one and one not in _ABSTRACT]
+    if not ours:
+        return None
+    kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
+    if len(kinds) > 1:
+        raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
+    values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != _TYPE.value}
+    listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
+    places = {name: players for name, *players in listed}
+    ordered = {name: _ordered(each, places.get(name, [])) for name, each in values.items() if name}
+    return Individual(kinds[0], subject, ordered)
+
+
+def _ordered(values: Sequence[Value], places: Sequence[str]) -> tuple[Value, ...]:
+    """Return values in the order that is stated, with repetitions; what is not in it comes last."""
+    by_place: dict[str, Value] = {one.id.rpartition("#")[2]: one for one in values if isinstance(one, Ref)}
+    known = [by_place[place] for place in places if place in by_place]
+    return (*known, *sorted((one for one in values if one not in known), key=str))
+
+
+def _local(value: Value) -> str:
+    return value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
+
+
+def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
+    if isinstance(term, NamedNode):
+        return term.value
+    return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)
+
+
+def value_of(literal: Literal) -> str | bool | int | float:
+    sort, text = literal.datatype.value.removeprefix(XSD), literal.value
+    try:
+        if sort in ("double", "float", "decimal"):
+            return float(text)
+        if sort == "boolean":
+            return text in ("true", "1")
+        return int(text) if sort in ("integer", "int", "long") else text
+    except ValueError:
+        return text
+
+
+def inconsistency(text: str) -> str | None:
+    """Have HermiT look for a contradiction in an ontology; returns what it found, or None.
+
+    Raises:
+        KnowledgeBaseError: there is no Java to run it with, or it cannot read the ontology.
+    """
+    try:
+        import owlready2
+    except ImportError as error:
+        missing = "HermiT, the reasoner, comes with owlready2, which is not installed"
+        raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[reason]' brings it") from error
+    if shutil.which(owlready2.JAVA_EXE) is None:
+        raise KnowledgeBaseError("HermiT, the reasoner, needs Java, which is not found; install a Java runtime")
+    world = owlready2.World()
+    try:
+        world.get_ontology("http://rosa-taca/checked#").load(only_local=True, fileobj=BytesIO(text.encode()))
+        owlready2.sync_reasoner_hermit(world, debug=0, ignore_unsupported_datatypes=True)
+        empty = sorted(one.name for one in world.inconsistent_classes())
+    except owlready2.OwlReadyInconsistentOntologyError:
+        return "HermiT finds the ontology inconsistent: what it says cannot all be so"
+    except owlready2.OwlReadyJavaError as error:
+        raise KnowledgeBaseError(f"HermiT failed: {error}") from None
+    finally:
+        world.close()
+    return f"HermiT finds that nothing can be a {', '.join(empty)}" if empty else None
