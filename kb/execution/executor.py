@@ -74,7 +74,7 @@ class StagedExecutor:
         if not is_number(back_off) or not 0 <= back_off < math.inf:
             raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {back_off!r}")
         self._policy = RetryPolicy(attempts, timeout, back_off)
-        self._of_component = {name: self._policy._replace(timeout=lasts) for name, lasts in by_name.items()}
+        self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
         self._quarantine = Quarantine(hold)
         self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
