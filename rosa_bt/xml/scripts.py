@@ -2,12 +2,10 @@
 
 import math
 import operator
-import re
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Final
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any, Final
 
 from rosa_bt.xml.blackboard import (
     EMPTY,
@@ -23,8 +21,13 @@ from rosa_bt.xml.blackboard import (
     whole,
 )
 
+if TYPE_CHECKING:
+    from lark import Lark
+
 Script = Callable[[Blackboard], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
+_Parts = list[Any]
+"""The parts of an expression: scripts, with the signs between them."""
 
 
 _EPSILON: Final = 2.0**-23  # numbers that are nearer than this are equal, but not less or more
@@ -84,7 +87,8 @@ def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa:
     return _COMPARED[sign](*map(double, sides))
 
 
-def _assign(target: Script, sign: str, value: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
+def _assign(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
+    target, sign, value = parts
     if not isinstance(target, _Name):
         raise ScriptError("what is assigned to is no entry")
     name = target.name
@@ -106,6 +110,43 @@ def _assign(target: Script, sign: str, value: Script, board: Blackboard) -> Any:
     return new
 
 
+def _fold(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
+    value = parts[0](board)
+    for sign, right in zip(parts[1::2], parts[2::2], strict=True):
+        value = _joined(sign, value, right(board))
+    return value
+
+
+def _compare(parts: _Parts, board: Blackboard) -> float:
+    one = parts[0](board)
+    for sign, right in zip(parts[1::2], parts[2::2], strict=True):
+        other = right(board)
+        if not _is_so(sign, one, other, board):
+            return 0.0
+        one = other
+    return 1.0
+
+
+def _choose(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
+    asked, yes, no = parts
+    value = asked(board)
+    if isinstance(value, str):
+        value = begun(value)
+    if not is_number(value):
+        raise ScriptError(f"{value!r} is neither true nor false")
+    return yes(board) if double(value) else no(board)
+
+
+def _prefixed(parts: _Parts, board: Blackboard) -> float:
+    sign, operand = parts
+    value = operand(board)
+    if not is_number(value):
+        raise ScriptError(f"{sign!r} is not for {value!r}")
+    if sign == "~":  # of what is not whole, the whole part
+        return double(~whole(math.trunc(value) if math.isfinite(value) else value))
+    return -double(value) if sign == "-" else float(not double(value))
+
+
 @dataclass(frozen=True, slots=True)
 class _Name:
     """Reads an enum, or else an entry; what is assigned to is one."""
@@ -121,22 +162,11 @@ class _Name:
         return entry.value
 
 
-# -------------------------------------------------------------------- reading
+@cache
+def _parser() -> "Lark":
+    from lark import Lark
 
-
-_TOKEN: Final = re.compile(
-    r"""[ \t\r\n]*(?:
-    (?P<number>0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][+-]?\d+)?)(?![\w]|\.(?!\.))
-  | (?P<text>'[^']*')
-  | (?P<name>@?[A-Za-z_]\w*|@\w+)
-  | (?P<sign>:=|\+=|-=|\*=|/=|==|!=|<=|>=|&&|\|\||\.\.|[-<>=!();?:|^&+*/~])
-  | (?P<other>\S)
-)""",
-    re.VERBOSE | re.ASCII,
-)
-_ASSIGNING: Final = (":=", "=", "+=", "-=", "*=", "/=")
-_LEVELS: Final = (("||",), ("&&",), tuple(_COMPARED), ("|", "^"), ("&",), ("+", "-", ".."), ("*", "/"))
-"""Signs between two values, those that bind least first."""
+    return Lark.open("scripts.lark", rel_to=__file__, parser="lalr", lexer="basic")
 
 
 def parse_script(code: str) -> Script:
@@ -145,80 +175,35 @@ def parse_script(code: str) -> Script:
     Raises:
         ScriptError: it cannot be read; says where.
     """
-    parser, statements = _Parser(code), []
-    while not parser.is_at_end():
-        statements.append(parser.expression())
-        while parser.took(";"):
-            pass
-    if not statements:
+    from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+
+    if not code.strip(" \t\r\n"):
         raise ScriptError("the script is empty")
+    try:
+        statements = [_made(one, 0) for one in _parser().parse(code).children]
+    except (UnexpectedCharacters, UnexpectedToken) as error:
+        there = code[error.pos_in_stream or 0] if isinstance(error, UnexpectedCharacters) else error.token
+        problem = f"cannot be read at {str(there) or 'the end'!r}; texts stand in single quotes"
+        raise ScriptError(f"the script {code!r} {problem}") from None
     return lambda board: [statement(board) for statement in statements][-1]
 
 
-class _Parser:
-    """Reads expressions by descending from what binds least to what binds most."""
+def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of lark, which has no types for what is in it
+    """Return what a part of a script does; a sign is itself."""
+    if depth > _MAX_NESTED:
+        raise ScriptError(f"a script has at most {_MAX_NESTED} signs in each other")
+    if not isinstance(part, str):
+        return partial(_DOES.get(part.data, _fold), [_made(one, depth + 1) for one in part.children])
+    kind, text = getattr(part, "type", ""), str(part)
+    if kind == "NAME" and text not in ("true", "false"):
+        return _Name(text)
+    if kind not in ("NUMBER", "TEXT", "NAME"):
+        return text
+    constant = text[1:-1] if kind == "TEXT" else _number(text) if kind == "NUMBER" else float(text == "true")
+    return lambda board: constant
 
-    def __init__(self, code: str) -> None:
-        self._code = code
-        found = [(str(match.lastgroup), match[match.lastgroup]) for match in _TOKEN.finditer(code) if match.lastgroup]
-        self._left = deque([*found, ("end", "the end")])
-        self._depth = 0
-        for kind, text in found:
-            if kind == "other":
-                raise self._refused(text)
 
-    def is_at_end(self) -> bool:
-        return len(self._left) == 1
-
-    def took(self, *signs: str) -> str:
-        kind, text = self._left[0]
-        return self._left.popleft()[1] if kind == "sign" and text in signs else ""
-
-    def expression(self) -> Script:
-        left = self._choice()
-        sign = self.took(*_ASSIGNING)
-        return partial(_assign, left, sign, self._deeper(self.expression)) if sign else left
-
-    def _refused(self, text: str) -> ScriptError:
-        return ScriptError(f"the script {self._code!r} cannot be read at {text!r}; texts stand in single quotes")
-
-    def _deeper(self, read: Callable[[], Script], closing: str = "") -> Script:
-        self._depth += 1
-        if self._depth > _MAX_NESTED:
-            raise ScriptError(f"a script has at most {_MAX_NESTED} parentheses and signs in each other")
-        inner = read()
-        self._depth -= 1
-        if closing and not self.took(closing):
-            raise self._refused(self._left[0][1])
-        return inner
-
-    def _choice(self) -> Script:
-        asked = self._level(0)
-        if not self.took("?"):
-            return asked
-        return partial(_choose, asked, self._deeper(self.expression, ":"), self._deeper(self._choice))
-
-    def _level(self, level: int) -> Script:
-        """Read what binds at least as much as the signs of a level."""
-        if level == len(_LEVELS):
-            return self._operand()
-        left, chain = self._level(level + 1), []
-        while sign := self.took(*_LEVELS[level]):
-            chain.append((sign, self._level(level + 1)))
-        return partial(_compare if _LEVELS[level] == tuple(_COMPARED) else _fold, left, chain) if chain else left
-
-    def _operand(self) -> Script:
-        if sign := self.took("!", "-", "~"):
-            return partial(_prefixed, sign, self._deeper(self._operand))
-        if self.took("("):
-            return self._deeper(self.expression, ")")
-        kind, text = self._left.popleft()
-        if kind == "name" and text not in ("true", "false"):
-            return _Name(text)
-        if kind not in ("number", "text", "name"):
-            raise self._refused(text)
-        constant = text[1:-1] if kind == "text" else _number(text) if kind == "number" else float(text == "true")
-        return lambda board: constant
+_DOES: Final = {"assign": _assign, "choose": _choose, "compare": _compare, "prefixed": _prefixed}
 
 
 def _number(text: str) -> int | float:
@@ -226,38 +211,3 @@ def _number(text: str) -> int | float:
         number = int(text, 10 if text.isdigit() else 16)
         return number if number < 2**63 else 0
     return float(text)
-
-
-def _fold(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    value = left(board)
-    for sign, right in chain:
-        value = _joined(sign, value, right(board))
-    return value
-
-
-def _compare(left: Script, chain: list[tuple[str, Script]], board: Blackboard) -> float:
-    one = left(board)
-    for sign, right in chain:
-        other = right(board)
-        if not _is_so(sign, one, other, board):
-            return 0.0
-        one = other
-    return 1.0
-
-
-def _choose(asked: Script, yes: Script, no: Script, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
-    value = asked(board)
-    if isinstance(value, str):
-        value = begun(value)
-    if not is_number(value):
-        raise ScriptError(f"{value!r} is neither true nor false")
-    return yes(board) if double(value) else no(board)
-
-
-def _prefixed(sign: str, operand: Script, board: Blackboard) -> float:
-    value = operand(board)
-    if not is_number(value):
-        raise ScriptError(f"{sign!r} is not for {value!r}")
-    if sign == "~":  # of what is not whole, the whole part
-        return double(~whole(math.trunc(value) if math.isfinite(value) else value))
-    return -double(value) if sign == "-" else float(not double(value))

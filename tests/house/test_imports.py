@@ -9,7 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
     "kb": {"kb", "numpy", "lark", "ortools", "owlready2", "pyoxigraph"},
-    "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml"},
+    "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml", "lark"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
     "missions": {
