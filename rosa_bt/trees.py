@@ -34,19 +34,25 @@ class GuardedTree(BehaviourTree):
         self._guard_all()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
-        """Tick once; handlers and visitors as in py_trees, but visitors of ticked behaviours cost nobody else."""
-        for handler in [pre_tick_handler, *self.pre_tick_handlers]:
-            if handler is not None:
-                handler(self)
-        self._guard_all()
+        """Tick once, with handlers and visitors as in py_trees; what is raised halts the tree before it goes on."""
         try:
+            for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
+                handler(self)
+            self._guard_all()
             for visitor in self.visitors:
                 visitor.initialise()
             passing = [visitor for visitor in self.visitors if not visitor.full]
-            full = [visitor for visitor in self.visitors if visitor.full]
             for node in self.root.tick():
                 for visitor in passing:
                     node.visit(visitor)
+            full = [visitor for visitor in self.visitors if visitor.full]
+            for node in self.root.iterate() if full else ():
+                for visitor in full:
+                    node.visit(visitor)
+            for visitor in self.visitors:
+                visitor.finalise()
+            for handler in filter(None, [*self.post_tick_handlers, post_tick_handler]):
+                handler(self)
         except BaseException:
             try:
                 halt(self.root)
@@ -54,14 +60,6 @@ class GuardedTree(BehaviourTree):
                 for visitor in self.visitors:
                     getattr(visitor, "interrupt", visitor.finalise)()
             raise
-        for node in self.root.iterate() if full else ():
-            for visitor in full:
-                node.visit(visitor)
-        for visitor in self.visitors:
-            visitor.finalise()
-        for handler in [*self.post_tick_handlers, post_tick_handler]:
-            if handler is not None:
-                handler(self)
         self.count += 1
 
     def shutdown(self) -> None:
@@ -235,11 +233,7 @@ class TreeRunner:
             Exception: what a handler or visitor raised, or whatever interrupted the tick, after every running behaviour
                 was stopped, so that nothing stays open.
         """
-        try:
-            self.tree.tick()
-        except BaseException:
-            halt(self.tree.root)
-            raise
+        self.tree.tick()
         if self.status is Status.SUCCESS:
             self._forget_progress()
 
