@@ -29,14 +29,6 @@ _log = logging.getLogger(__name__)
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
 """The view of an element that has a status and a name."""
 
-_KINDS: Final[Mapping[type, str]] = {
-    ActionView: "an action",
-    FunctionView: "a function",
-    ComponentView: "a component",
-    DesignView: "a function design",
-    ConfigurationView: "a configuration",
-}
-
 
 def halt(root: Behaviour) -> None:
     """Stop every running behaviour of a subtree, children first; what one raises is its feedback and stops no other.
@@ -173,7 +165,8 @@ class ActionRequest:
         _ledger(self._kb).holders.setdefault(action, {})[self._token] = preference
         reply = self._kb.request_action(action, preference)
         if not reply:
-            self._let_go(action)
+            del _ledger(self._kb).holders[action][self._token]
+            self._held = None
         return reply
 
     def objection(self) -> str:
@@ -222,10 +215,6 @@ class ActionRequest:
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
             for preference in list(others.values()):  # of a thread that has joined meanwhile
                 kb.request_action(action, preference)
-        self._held = None
-
-    def _let_go(self, action: str) -> None:
-        _ledger(self._kb).holders[action].pop(self._token, None)
         self._held = None
 
 
@@ -410,11 +399,10 @@ def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
 
 
 def _check_status(element: StatusView, status: str) -> None:
-    kind = _KINDS[element.__class__]
-    possible = STATUSES[kind.partition(" ")[2]]
+    possible = STATUSES[element.node.kind]
     if status not in possible:
         known = ", ".join(repr(str(one)) for one in possible)
-        raise InvalidValue(f"{kind} is never {status!r}; it can be {known}")
+        raise InvalidValue(f"{element.node.kind} {element.name!r} is never {status!r}; it can be {known}")
 
 
 class Measurement(KbBehaviour):

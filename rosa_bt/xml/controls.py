@@ -1,9 +1,8 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import suppress
-from types import MappingProxyType
 from typing import Any, ClassVar, Final
 
 from py_trees.behaviour import Behaviour
@@ -83,9 +82,7 @@ class Reactive(Control):
 class Together(Control):
     """All children at each tick, but those that have finished."""
 
-    FORGETS = ("_ended",)
     is_side_by_side: ClassVar = True
-    _ended: Mapping[Slot, Status] = MappingProxyType({})
 
     def _number(self, port: str) -> int:
         """Return the number of children that a port says; a negative one counts from all of them: -1 is all."""
@@ -97,15 +94,10 @@ class Together(Control):
 
     def _go_on(self, slot: Slot) -> Generator[Behaviour, None, bool]:
         """Tick a child unless it has finished; return whether it was skipped."""
-        if slot in self._ended:
-            return False
-        verdict = yield from slot.tick()
-        if verdict in DONE:
-            self._ended = {**self._ended, slot: verdict}
-        return verdict is SKIPPED
+        return slot.status not in DONE and (yield from slot.tick()) is SKIPPED
 
     def _ended_with(self, verdict: Status) -> int:
-        return sum(self._ended.get(slot) is verdict for slot in self.slots)
+        return sum(slot.status is verdict for slot in self.slots)
 
 
 class Parallel(Together):

@@ -135,7 +135,7 @@ def test_status_condition_follows_the_element(kb):
     ("element", "status", "error", "message"),
     [
         ("camra", "failure", UnknownName, "unknown element 'camra'; did you mean 'camera'"),
-        ("camera", "broken", InvalidValue, "a component is never 'broken'; it can be 'failure'"),
+        ("camera", "broken", InvalidValue, "component 'camera' is never 'broken'; it can be 'failure'"),
     ],
 )
 def test_what_a_status_condition_cannot_mean_is_found_at_construction(kb, element, status, error, message):
