@@ -237,60 +237,45 @@ class NumberedTree:
         self._children = [(node, list(node.children)) for node in root.iterate() if node.children]
         self.numbers: dict[Behaviour, int] = {}
         self.subtrees: dict[str, SubTree | None] = {}
-        self._trees: list[Element] = []
         self._kinds: dict[str, str] = {}
-        whole = Element("root", BTCPP_format="4")
-        if isinstance(root, SubTree):
-            whole.set("main_tree_to_execute", root.tree)
-            self._tree(root, "")
-        else:
-            whole.set("main_tree_to_execute", MAIN)
-            self.subtrees[MAIN] = None
-            tree = self._begin(MAIN, "")
-            tree.append(self._element(slot_of(root), ""))
-        whole.extend(self._trees)
-        models = SubElement(whole, "TreeNodesModel")
+        subtree = root if isinstance(root, SubTree) else None
+        main = MAIN if subtree is None else subtree.tree
+        self._whole = Element("root", BTCPP_format="4", main_tree_to_execute=main)
+        self._tree(main, "", slot_of(root) if subtree is None else subtree.child, subtree)
+        models = SubElement(self._whole, "TreeNodesModel")
         for tag, kind in sorted(self._kinds.items()):
             SubElement(models, kind, ID=tag)
-        self.xml: Final = tostring(whole, encoding="unicode")
+        self.xml: Final = tostring(self._whole, encoding="unicode")
 
     def shows(self, root: Behaviour) -> bool:
         """Tell whether it still shows the tree below that root: no child has come, gone or moved."""
         return root is self._root and all(node.children == children for node, children in self._children)
 
-    def _begin(self, name: str, path: str) -> Element:
-        tree = Element("BehaviorTree", ID=name, _fullpath=path)
-        self._trees.append(tree)
-        return tree
-
-    def _tree(self, subtree: SubTree, path: str) -> None:
-        name, number = path or subtree.tree, 1
+    def _tree(self, tree: str, path: str, slot: Slot, subtree: SubTree | None) -> None:
+        name, number = path or tree, 1
         while name in self.subtrees:
             number += 1
-            name = f"{path or subtree.tree}_{number}"
+            name = f"{path or tree}_{number}"
         self.subtrees[name] = subtree
-        self._begin(subtree.tree, path).append(self._element(subtree.child, path))
+        SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path).append(self._element(slot, path))
 
     def _element(self, slot: Slot, path: str) -> Element:
         node = slot.node
-        if isinstance(node, Branch) and not isinstance(node, SubTree):
+        if type(node) is Branch:
             return self._element(node.child, path)  # it is there for py_trees only
         tag, attributes = slot.source or (_tag_of(node), _said(node, type(node)))
-        element = Element(tag, {**attributes, "name": node.name, "_uid": str(self._number(node))})
+        number = self.numbers.setdefault(node, len(self.numbers) + 1)
+        if number > MOST_NODES:
+            raise ExportError(f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits")
+        element = Element(tag, {**attributes, "name": node.name, "_uid": str(number)})
         if isinstance(node, SubTree):
             element.set("ID", node.tree)
-            self._tree(node, f"{path}/{node.name}" if path else node.name)
+            self._tree(node.tree, f"{path}/{node.name}" if path else node.name, node.child, node)
             return element
         if tag not in BUILT_IN:
             self._kinds[attributes.get("ID", tag)] = _kind_of(node)
         element.extend([self._element(child, path) for child in slots_of(node)])
         return element
-
-    def _number(self, node: Behaviour) -> int:
-        number = len(self.numbers) + 1
-        if number > MOST_NODES:
-            raise ExportError(f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits")
-        return self.numbers.setdefault(node, number)
 
 
 def _kind_of(node: Behaviour) -> str:
