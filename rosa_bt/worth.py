@@ -14,10 +14,11 @@ from typing import NamedTuple
 from py_trees.behaviour import Behaviour
 from py_trees.composites import Selector
 
-from kb import KnowledgeBase, ReconfigurationPlan, Status
+from kb import KnowledgeBase, Status
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
-from kb.planners.choice import Choice, choice_by_priority
+from kb.manager import PriorityPlanner
+from kb.planners.choice import Choice
 from kb.status import OPERATORS
 from kb.views import ConstraintView
 from rosa_bt.idioms import feasible_then_act
@@ -209,7 +210,7 @@ class WhatNext(Selector):
         yield from super().tick()
 
 
-class WorthPlanner:
+class WorthPlanner(PriorityPlanner):
     """Chooses the configuration that a lookahead has decided for, and all else by priority."""
 
     def __init__(self, lookahead: Lookahead) -> None:
@@ -217,8 +218,7 @@ class WorthPlanner:
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:
         """Choose as `PriorityPlanner` does, but for what was decided."""
-        with kb.reading() as state:
-            choice = choice_by_priority(state)
+        choice = super().choose(kb)
         decision = self._lookahead.update()
         if choice is None or decision.configuration is None:
             return choice
@@ -227,11 +227,6 @@ class WorthPlanner:
         if by_priority == wanted.name or wanted.status is Status.UNFEASIBLE:
             return choice
         return Choice(choice.designs, {**choice.configurations, wanted.component: wanted.name}, decision.reason)
-
-    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select that; None if there is nothing to choose."""
-        choice = self.choose(kb)
-        return None if choice is None else kb.select(*choice)
 
 
 def _check(kb: KnowledgeBase, worth: Worth) -> None:
