@@ -191,10 +191,8 @@ class SimulatedComponents:
     def deactivate(self, component: str, /) -> Operation:
         def stop(time: float) -> None:
             self._components.deactivate(component)
-            crash = self._crash.pop(component, None)
-            if crash is not None:
-                self._under_way = [one for one in self._under_way if one[2] is not crash]
-                heapq.heapify(self._under_way)
+            if component in self._crash:
+                self._crash.pop(component).cancel()
 
         return self._command("deactivate", component, {}, stop)
 

@@ -1,6 +1,6 @@
 """Who decides in a run of ours: knowledge base, configuration manager and task layer, a tree or a plan executor."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from inspect import signature
 from math import inf
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator, FailureIsRunning
-from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from kb import Planner as ConfigurationPlanner
@@ -27,7 +26,6 @@ OURS: Final = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
 
 TASK_KINDS: Final = ("bt", "pddl")
-_FAR: Final = 50  # times a threshold is what may be in another unit: a radian has 57 degrees
 
 
 class RosaController(Controller):
@@ -39,6 +37,7 @@ class RosaController(Controller):
 
     Attributes:
         percepts: what the task layer perceives beside what the knowledge base knows.
+        tree: what is ticked.
 
     Raises:
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
@@ -62,8 +61,10 @@ class RosaController(Controller):
         self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
         self._log = AdaptationLog(self._kb, self._report_adaptation, deciding)
+        self.adaptations = self._log.adaptations
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
-        self._runner.tree.setup()
+        self.tree = self._runner.tree
+        self.tree.setup()
         self._configurable = [one for one in self._kb.components.values() if one.configurations]
         self._choices = [one for one in self._kb.functions.values() if len(one.designs) > 1]
         self._may_rest = mission.waits_for_news and task == "bt" and planner is None
@@ -73,10 +74,6 @@ class RosaController(Controller):
         self._answered = -1
         self._plans_checked = 0
         self._left = ""
-
-    @property
-    def tree(self) -> BehaviourTree:
-        return self._runner.tree
 
     @property
     def due(self) -> float:
@@ -93,10 +90,6 @@ class RosaController(Controller):
     @property
     def measured(self) -> Mapping[str, float | None]:
         return {name: view.value for name, view in self._kb.attributes.items()}
-
-    @property
-    def adaptations(self) -> list[Adaptation]:
-        return self._log.adaptations
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]:
@@ -149,7 +142,7 @@ class RosaController(Controller):
 
     def _consider_resting(self, before: int) -> None:
         """Rest if the tick has changed nothing, nothing is under way, and nothing changes with time alone."""
-        kb, tree = self._kb, self._runner.tree
+        kb, tree = self._kb, self.tree
         known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
         if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
             return
@@ -178,7 +171,7 @@ class RosaController(Controller):
         try:
             if not self.is_done:
                 self._log.finish()
-            self.findings = [*self._task.findings(), *_off_scale(self._kb)]
+            self.findings = self._task.findings()
             self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
         finally:
             self._runner.shutdown()
@@ -235,16 +228,6 @@ class RosaController(Controller):
     def _report_adaptation(self, adaptation: Adaptation) -> None:
         for listener in self.listeners:
             listener.adaptation(adaptation)
-
-
-def _off_scale(kb: KnowledgeBase) -> Iterator[str]:
-    """Yield the attributes of which all that was measured is far from all thresholds, as if they had another unit."""
-    for name, view in kb.attributes.items():
-        limits = {abs(one.value): str(one) for one in kb.model.constraints if one.attribute == name and one.value}
-        sizes = [abs(value) for _, value in view.history if value] if limits else []
-        if sizes and (min(sizes) > _FAR * max(limits) or _FAR * max(sizes) < min(limits)):
-            said = f"{name} was measured {min(sizes):g} to {max(sizes):g}, far from {', '.join(limits.values())}"
-            yield f"{said}; are both in the same unit?"
 
 
 def _is_timeless(kb: KnowledgeBase) -> bool:

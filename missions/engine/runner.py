@@ -76,6 +76,7 @@ class Controller(ABC):
         listeners: who hears of actions and adaptations.
         trouble: how the mission has to end at once; None if it may go on.
         findings: what may be an oversight in what was planned with, in sentences; known at the end.
+        adaptations: every one so far, in the order in which they were decided.
         is_stuck: whether nothing can be done any more, whatever time passes: the mission ends, and is judged.
     """
 
@@ -87,6 +88,7 @@ class Controller(ABC):
         self.listeners: Sequence[Listener] = ()
         self.trouble: Verdict | None = None
         self.findings: Sequence[str] = ()
+        self.adaptations: list[Adaptation] = []
         self.is_stuck = False
 
     @property
@@ -108,11 +110,6 @@ class Controller(ABC):
     @abstractmethod
     def measured(self) -> Mapping[str, float | None]:
         """What was measured last, by attribute."""
-
-    @property
-    def adaptations(self) -> list[Adaptation]:
-        """Every adaptation so far, in the order in which they were decided."""
-        return []
 
     @property
     def plans(self) -> tuple["PlanRecord", ...]:

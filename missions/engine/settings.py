@@ -40,12 +40,9 @@ class Setting:
 
     @property
     def allowed(self) -> str:
-        """Its range, such as "0 to 1" or "from 0"; empty if it has none."""
-        if isinstance(self.default, bool | str):
-            return ""
-        if isfinite(self.low):
-            return f"{self.low:g} to {self.high:g}" if isfinite(self.high) else f"from {self.low:g}"
-        return f"to {self.high:g}" if isfinite(self.high) else ""
+        """Its range, such as "from 0 to 1" or "from 0"; empty if it has none."""
+        bounds = () if isinstance(self.default, bool | str) else (("from", self.low), ("to", self.high))
+        return " ".join(f"{word} {bound:g}" for word, bound in bounds if isfinite(bound))
 
     @property
     def short_name(self) -> str:
@@ -75,9 +72,8 @@ class Setting:
                 return value
         else:
             is_whole = isinstance(self.default, int)
-            allowed = "a whole number" if is_whole else "a number of seconds" if self.unit == "s" else "a number"
-            bounds = (("from", self.low), ("to", self.high))
-            allowed += "".join(f" {word} {bound:g}" for word, bound in bounds if isfinite(bound))
+            kind = "a whole number" if is_whole else "a number of seconds" if self.unit == "s" else "a number"
+            allowed = f"{kind} {self.allowed}".rstrip()
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             if is_number and self.low <= value <= self.high and (not is_whole or float(value).is_integer()):  # type: ignore[operator,arg-type]  # is a number
                 return value  # type: ignore[return-value]  # is a number

@@ -45,8 +45,7 @@ class Group:
     """The runs of one manager that did not crash; `task` is the task layer of ours, None for other managers.
 
     Held are 8 bytes for each figure and reaction of a run, as there may be a million: by kind ("figure"; "delay" and
-    "thought" of a reaction; "took", the time of the machine that did it) and name. Times are in [s]. Inputs are what
-    was taken from published results of the manager.
+    "thought" of a reaction) and name. Times are in [s]. Inputs are what was taken from published results of it.
     """
 
     manager: str
@@ -55,7 +54,6 @@ class Group:
     runs: int = 0
     successes: int = 0
     not_found: int = 0
-    simulated_s: float = 0.0
     inputs: dict[str, float] = field(default_factory=dict)
     columns: "dict[tuple[str, str], array[float]]" = field(default_factory=lambda: defaultdict(lambda: array("d")))
 
@@ -71,9 +69,6 @@ class Group:
             self.columns["delay", name].append(delay_s)
         for name, compute_s in timing.get("reactions", ()):
             self.columns["thought", name].append(compute_s)
-        if timing:
-            self.columns["took", "run"].append(timing["wall_s"])
-            self.simulated_s += record["duration_s"]
         self.runs += 1
         self.successes += record["outcome"] not in NO_SUCCESS
         self.not_found += SEARCH in record and record[SEARCH] is None

@@ -104,7 +104,6 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
     if pages:
         _add_standouts(document, parts, figures)
     _add_crashes(document, crashed)
-    _add_speed(document, parts)
     _add_method(document, searches=any(map(_is_search, parts)))
     texts = {"report.md": document.as_markdown().encode(), "report.html": document.as_html().encode()}
     with files_tried(f"make {folder}"):
@@ -263,18 +262,6 @@ def _add_crashes(document: Document, crashed: Sequence[Mapping[str, Any]]) -> No
         document.items([f"{record['run']}: {record['error']}" for record in crashed])
         document.text("Each can be run again alone; the campaign's file has their tracebacks:")
         document.text("\n".join(["```sh", *(record["rerun"] for record in crashed), "```"]))
-
-
-def _add_speed(document: Document, parts: Sequence[Comparison]) -> None:
-    rows = []
-    for comparison, group in [(one, group) for one in parts for group in one.groups if group.simulated_s]:
-        took = group.of("took", "run")
-        speed = f"{group.simulated_s / took.sum():.0f}"
-        rows.append([f"{comparison.title}, {group.label}", f"{fmean(took):.2f}", f"{max(took):.2f}", speed])
-    if rows:
-        document.heading("Speed")
-        document.text("Time of one process of the machine that ran it, set-up included; depends on what else it did.")
-        document.table(["mission, manager", "run, mean [s]", "longest [s]", "times real time"], rows)
 
 
 def _add_method(document: Document, *, searches: bool) -> None:

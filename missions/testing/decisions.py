@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from difflib import ndiff, unified_diff
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
 
 from kb import DiagnosticProblem, Event, EventKind, KnowledgeBase, ReconfigurationPlan
 from kb.files import write_file
@@ -21,6 +21,7 @@ MOST_PROBLEMS: Final = 8  # how many different problems a failure shows at most
 AROUND: Final = 3  # how many moments before and after the expected time a failure shows
 MOST: Final = 18  # how many moments within the expected time a failure shows at most
 MOST_LINES: Final = 40  # how many lines of a difference between traces are shown
+T = TypeVar("T")
 Names = str | Iterable[str]
 Steps = list[tuple[str, tuple[str, ...]]]
 """What plans may do: verbs, each with names of components or configurations."""
@@ -72,11 +73,6 @@ class Decisions:
         return "\n".join(map(str, self.timeline))
 
     @property
-    def requested(self) -> tuple[tuple[float, str], ...]:
-        """(time, name) of every action that was begun."""
-        return tuple((start, name) for name, start, _, _ in self.actions)
-
-    @property
     def changes(self) -> tuple[Adaptation, ...]:
         """Every change of the task: one action in the place of another, with its reason."""
         return tuple(one for one in self.adaptations if one.action in self.kb.actions)
@@ -97,17 +93,18 @@ class Decisions:
         __tracebackhide__ = True
         self._check("actions", action)
         starts = [start for name, start, _, _ in self.actions if name == action]
-        if not any(_is_in(start, at, within) for start in starts):
-            raise self._failure(f"{action} begins", at, within, [f"it begins at {seconds(start)}" for start in starts])
+        found = [(start, start, f"it begins at {seconds(start)}", action) for start in starts]
+        self._in_time(f"{action} begins", at, within, found)
 
     def assert_ends(self, action: str, result: str = "completed", *, at: float, within: float = 1.0) -> None:
         """Assert that an action ends "completed", "failed" or "abandoned"."""
         __tracebackhide__ = True
         self._check("actions", action)
         ends = [(end, how) for name, _, end, how in self.actions if name == action and end is not None]
-        if not any(how == result and _is_in(end, at, within) for end, how in ends):
-            instead = [f"it is {how} at {seconds(end)}" for end, how in ends]
-            raise self._failure(f"{action} is {result}", at, within, instead)
+        found = [
+            (end, end if how == result else math.inf, f"it is {how} at {seconds(end)}", action) for end, how in ends
+        ]
+        self._in_time(f"{action} is {result}", at, within, found)
 
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
@@ -125,11 +122,9 @@ class Decisions:
         """
         __tracebackhide__ = True
         self._check("actions", *filter(None, (from_, to)))
-        found = [one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)]
-        for one in found:
-            if one.at_s >= at - SLACK_S and one.in_force_s <= at + within + SLACK_S:
-                return one
-        raise self._failure(f"{from_ or 'any'} -> {to or 'any'}", at, within, [_in_words(one) for one in found])
+        changes = [one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)]
+        found = [(one.at_s, one.in_force_s, _in_words(one), one) for one in changes]
+        return self._in_time(f"{from_ or 'any'} -> {to or 'any'}", at, within, found)
 
     def assert_reconfigures(
         self, *, at: float, activate: Names = (), deactivate: Names = (), configure: Names = (), within: float = 1.0
@@ -140,12 +135,9 @@ class Decisions:
         """
         __tracebackhide__ = True
         wanted = self._steps(activate, deactivate, configure)
-        found = [plan for plan in self.plans if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)]
-        for plan in found:
-            end = plan.end if plan.result == "completed" and plan.end is not None else math.inf
-            if plan.start >= at - SLACK_S and end <= at + within + SLACK_S:
-                return plan
-        raise self._failure("; ".join(_phrases(wanted)), at, within, [_ended(plan) for plan in found])
+        plans = [plan for plan in self.plans if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)]
+        found = [(one.start, _in_force(one), _ended(one), one) for one in plans]
+        return self._in_time("; ".join(_phrases(wanted)), at, within, found)
 
     def assert_never(
         self,
@@ -192,11 +184,16 @@ class Decisions:
         for name in names:
             getattr(self.kb, kind)[name]
 
-    def _failure(self, expected: str, at: float, within: float, instead: list[str]) -> AssertionError:
+    def _in_time(self, expected: str, at: float, within: float, found: Sequence[tuple[float, float, str, T]]) -> T:
+        """Return the first of what begins and is in force, each at a time, in words, that does so in time."""
+        __tracebackhide__ = True
+        for begin, end, _, one in found:
+            if begin >= at - SLACK_S and end <= at + within + SLACK_S:
+                return one
         headline = f"expected between {seconds(at)} and {seconds(at + within)}: {expected}"
+        instead = _list([words for _, _, words, _ in found] or ["it never does"])
         shown = _around(self.timeline, at, at + within, expected)
-        rest = f"{_list(instead or ['it never does'])}\n\nwhat happened around {seconds(at)}:\n{shown}"
-        return self._error(headline, rest)
+        raise self._error(headline, f"{instead}\n\nwhat happened around {seconds(at)}:\n{shown}")
 
     def _error(self, headline: str, rest: str) -> AssertionError:
         first: dict[DiagnosticProblem, float] = {}
@@ -260,10 +257,6 @@ def _names(names: Names) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
-def _is_in(time: float, at: float, within: float) -> bool:
-    return at - SLACK_S <= time <= at + within + SLACK_S
-
-
 def _in_words(change: Adaptation) -> str:
     never = math.isinf(change.in_force_s)
     soon = "is never in force" if never else f"is in force at {seconds(change.in_force_s)}"
@@ -272,6 +265,10 @@ def _in_words(change: Adaptation) -> str:
 
 def _done(plan: ReconfigurationPlan) -> dict[str, tuple[str, ...]]:
     return {"activate": plan.activate, "deactivate": plan.deactivate, "configure": plan.parameters}
+
+
+def _in_force(plan: ReconfigurationPlan) -> float:
+    return plan.end if plan.result == "completed" and plan.end is not None else math.inf
 
 
 def _phrases(steps: Steps) -> list[str]:

@@ -6,7 +6,7 @@ measured anew. What they command takes as long as it did, and has no effect on t
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from py_trees.behaviour import Behaviour
 
-from kb import DiagnosticProblem, Event, KnowledgeBase, Model, UnknownName
-from kb.diagnostics import Measurement, read_diagnostics
+from kb import Event, KnowledgeBase, Model
 from missions.engine.components import VERBS
 from missions.engine.controller import RosaController
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, built
@@ -89,8 +88,10 @@ def replay(
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch, traced=traced)
-    if not isinstance(source, str | Path) if strict is None else strict:
-        _refuse_slips(messages, decisions)
+    is_strict = not isinstance(source, str | Path) if strict is None else strict
+    if is_strict and decisions.problems:
+        found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems)
+        raise MissionError(f"the messages cannot be used as they are:{found}")
     return decisions
 
 
@@ -195,27 +196,3 @@ def _decide(
         events=tuple(events),
         kb=run.kb,
     )
-
-
-def _refuse_slips(messages: Iterable[Message], decisions: Decisions) -> None:
-    """Raise if messages, also those that were not heard any more, say what the model does not know as it is now."""
-    slips = list(decisions.problems)
-    for message in messages:
-        if message["time"] > decisions.kb.now:
-            slips += [(message["time"], problem) for problem in _unknown(decisions.kb, message)]
-    if slips:
-        found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in slips)
-        raise MissionError(f"the messages cannot be used as they are:{found}")
-
-
-def _unknown(kb: KnowledgeBase, message: Message) -> Iterator[DiagnosticProblem]:
-    for reading in read_diagnostics(message):
-        try:
-            if isinstance(reading, DiagnosticProblem):
-                yield reading
-            elif isinstance(reading, Measurement):
-                _ = kb.attributes[reading.attribute]
-            else:
-                _ = kb.components[reading.component]
-        except UnknownName as error:
-            yield DiagnosticProblem(reading[0], reading[-1], str(error))

@@ -31,7 +31,7 @@ sys.modules["mujoco"] = None  # importing it raises from here on
 from missions.testing.recorded import replay
 for task in ("bt", "pddl"):
     decisions = replay(sys.argv[1], "suave_extended", task=task)
-    print([name for _, name in decisions.requested])
+    print([name for name, *_ in decisions.actions])
 assert not any(name.startswith("suave_env") for name in sys.modules)
 """
 
@@ -226,10 +226,8 @@ def test_faults_in_a_stream_are_reported_and_stop_nothing(tmp_path):
         (measured(1.0, energy=math.nan), "at 1.00 s: energy='nan': a measurement is a finite number"),
     ],
 )
-@pytest.mark.parametrize("end_s", [0.5, 2.0])
-def test_slip_in_a_stream_written_in_python_is_an_error_even_if_it_is_not_heard(slip, message, end_s):
-    explored = sensed(end_s, explored=True)
-    stream = sorted([measured(0.0, light=0.9, energy=1.0), slip, explored], key=lambda one: one["time"])
+def test_slip_in_a_stream_written_in_python_is_an_error(slip, message):
+    stream = [measured(0.0, light=0.9, energy=1.0), slip, sensed(2.0, explored=True)]
     with pytest.raises(MissionError, match=message):
         replay(stream, rover_model(), rover_tree)
 

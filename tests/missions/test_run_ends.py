@@ -112,36 +112,6 @@ def test_world_that_advances_to_nothing_or_has_words_for_figures_is_told_what_to
         run_in(Wordy()).results()
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ((100.0, 20.0), ["energy was measured 20 to 100, far from energy >= 0.2; are both in the same unit?"]),
-        (
-            (0.001, 0.002),
-            ["energy was measured 0.001 to 0.002, far from energy >= 0.2; are both in the same unit?"],
-        ),
-        ((1.0, 0.005), []),
-        ((0.0, 0.0), []),
-        ((), []),
-    ],
-)
-def test_threshold_that_all_that_was_measured_is_far_from_is_told(values, words):
-    run = run_in(Field(news=[measured(0.0, energy=value, light=0.9) for value in values]))
-    run.run()
-    assert run.controller.findings == words
-
-
-def test_attribute_with_a_threshold_near_and_one_far_is_in_one_unit():
-    def model():
-        known = rover_model()
-        known.actions["charge"].constrain(known.attributes["energy"] <= 80)
-        return known
-
-    run = run_in(Field(news=[measured(0.0, energy=1.0, light=0.9)]), replace(ROVER, model=model))
-    run.run()
-    assert run.controller.findings == []
-
-
 def test_behaviour_that_has_plans_of_its_own_does_not_plan_for_the_run():
     tourist = Running("tourist")
     tourist.plans = ["beach"]
