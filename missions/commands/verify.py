@@ -1,13 +1,17 @@
 """`rosa verify`: a mission against everything that can happen, before it leaves."""
 
-from contextlib import ExitStack
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
 import typer
 
 from missions.commands import FAILED, UNFINISHED
+from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
+from missions.proof.exploration import Exploration
 from missions.proof.story import as_test
 from missions.proof.verification import prove, setup_of
 from missions.views.output import as_json, open_files
@@ -25,6 +29,8 @@ def verify(
     exclusive: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")] = None,
     most: Annotated[int, typer.Option(help="So many situations at most.")] = 100_000,
     seconds: Annotated[float, typer.Option(help="For so long at most [s].")] = 60.0,
+    cores: Annotated[int | None, typer.Option(min=1, help="So many processes; as many as cores without it.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Go on from this file if there is one; it is left anew.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
@@ -34,8 +40,22 @@ def verify(
     setup = setup_of(find_mission(mission), task, **options)
     groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
     with ExitStack() as stack:
-        files = open_files({"json": json, "report": report, "test": test}, stack)
-        proof = prove(setup, most, seconds, reaction=reaction, exclusive=groups)
+        earlier = _earlier(resume) if resume is not None and resume.exists() else None
+        files = open_files({"json": json, "report": report, "test": test, "resume": resume}, stack)
+
+        def explore(found: Exploration) -> None:
+            if earlier is not None:
+                try:
+                    found.go_on_from(earlier)
+                except MissionError as error:
+                    advice = "begin anew with another file, or with none"
+                    raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
+            with _interruptible(found):
+                found.explore(most, seconds, cores)
+            if resume is not None:
+                files["resume"].finish(found.as_text())
+
+        proof = prove(setup, explore, reaction=reaction, exclusive=groups)
         typer.echo(f"{mission}: {proof}")
         rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
         rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
@@ -57,5 +77,27 @@ def verify(
         raise typer.Exit(FAILED)
     if not proof.found.is_finished:
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
-        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most{fewer}")
+        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}")
         raise typer.Exit(UNFINISHED)
+
+
+def _earlier(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise MissionError(f"cannot read {path}: {error}") from error
+
+
+@contextmanager
+def _interruptible(found: Exploration) -> Iterator[None]:
+    """Have an interrupt end the exploration, so that what was found is told and kept; a second one ends all."""
+
+    def stop(*_: object) -> None:
+        found.stop()
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,208 +1,23 @@
-"""Every situation that a tree, its knowledge base and the manager can get into, found by running them.
+"""Every situation that a tree, its knowledge base and the manager can get into, found by running them."""
 
-A round is what happens around the robot, the manager's turns, a tick in which each leaf answers, and the manager's
-turns again. What facts and the manager make of what is known does not depend on the tree, so it is found once for each
-state of the knowledge base; a tick is run in each state of both, for all answers.
-"""
-
-import sys
+import json
+import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from operator import itemgetter
-from resource import RUSAGE_SELF, getrusage
+from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
-from py_trees.behaviour import Behaviour
-from py_trees.blackboard import Blackboard
-from py_trees.common import Status
-from py_trees.visitors import VisitorBase
+from missions.engine.mission import MissionError
+from missions.proof.leaves import Answer
+from missions.proof.rig import Predicate, Rig, Setup
+from missions.proof.rounds import Changed, Doing, Known, Rounds, Situation, Step, Ticked
+from missions.proof.surroundings import Change
+from missions.proof.workers import CAN_COPY, Alone, Job, Way, Workers, bring, megabytes
 
-from kb import ConfigurationManager, KnowledgeBase, Model
-from kb.elements import ComponentKind, Parameters
-from kb.execution.safeguards import Budgets
-from kb.manager import Planner, PriorityPlanner
-from missions.proof.leaves import Answer, Choices, Leaf, take_over
-from missions.proof.memory import Memory
-from missions.proof.planned import nodes, stage_of
-from missions.proof.surroundings import Change, Surroundings
-from missions.proof.tape import Tape
-from rosa_bt import ForAction, RosaAction, TreeRunner
-from rosa_bt.behaviours import kept
+_AT_A_TIME: Final = 32
+"""So many situations each of several processes goes on from before it is looked whether there is time for more."""
 
-Build = Callable[[KnowledgeBase], Behaviour]
-Predicate = Callable[["Rig"], bool]
-
-_MOST_TURNS: Final = 20
-"""So many turns of the manager settle everything, or it never comes to rest."""
-
-_AT_A_TIME: Final = 64
-"""So many situations are gone on from before it is looked whether there is time for more."""
-
-
-class _Robot:
-    """A managed system that does what it is told, at once, and notes what a model does not allow."""
-
-    def __init__(self, kb: KnowledgeBase) -> None:
-        self.kb, self.faults = kb, list[str]()
-
-    def activate(self, component: str) -> None:
-        is_unusable = self.kb.components[component].status in ("failure", "unfeasible")
-        self._note("activates", component, "it cannot be used" if is_unusable else "")
-
-    def deactivate(self, component: str) -> None:
-        self._note("deactivates", component, "")
-
-    def set_parameters(self, component: str, parameters: Parameters) -> None:
-        known = [self.kb.configurations[one] for one in self.kb.components[component].configurations]
-        is_allowed = any(one.parameters == parameters and one.status != "unfeasible" for one in known)
-        self._note("configures", component, "" if is_allowed else f"no feasible configuration has {dict(parameters)}")
-
-    def _note(self, does: str, component: str, why_not: str) -> None:
-        if self.kb.components[component].kind is ComponentKind.PLAIN and does != "configures":
-            why_not = "nobody switches it"
-        if why_not:
-            self.faults.append(f"the manager {does} {component}, but {why_not}")
-
-
-@dataclass(frozen=True)
-class Setup:
-    """What is explored: a model, what decides about actions, and what may happen.
-
-    Attributes:
-        model: builds what the robot is made of and can do, anew at each call.
-        build: makes the tree, or another behaviour that decides.
-        leaves: by name, what leaves may return; others as `leaves.usual` says.
-        planner: makes what chooses configurations; by priority without one.
-        start: what is measured before the first tick; nothing else is.
-        surroundings: how facts change, see `Surroundings`.
-        slow: whether the manager may miss its turn, as while commands take time.
-    """
-
-    model: Callable[[], Model]
-    build: Build
-    leaves: Mapping[str, Leaf] = field(default_factory=dict)
-    planner: Callable[[], Planner] | None = None
-    start: Mapping[str, float] = field(default_factory=dict)
-    surroundings: Mapping[str, Any] = field(default_factory=dict)
-    slow: bool = False
-
-    def tree(self, kb: KnowledgeBase) -> Behaviour:
-        """Make the tree, with nothing on the blackboard that another has left there."""
-        Blackboard.storage.clear()
-        return self.build(kb)
-
-
-class Rig(VisitorBase):
-    """The parts of a mission in one situation; this is what a predicate of a user is asked about.
-
-    Attributes:
-        kb: the knowledge base.
-        root: of the tree.
-        clock: the time [s]; it stands still while exploring.
-        letters: what leaves may answer, by name.
-        ticked: the behaviours that were ever ticked.
-    """
-
-    def __init__(self, setup: Setup, choices: Choices | None = None) -> None:
-        super().__init__(full=False)
-        self.clock, self._start = 0.0, setup.start
-        self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
-        self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
-        self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
-        self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
-        self.choices = Choices() if choices is None else choices
-        self.tape = Tape(self.kb, self.choices, is_on=setup.planner is None)  # a tree may know another planner
-        self.root = setup.tree(self.tape.kb)
-        self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
-        self.letters = take_over(self.root, self.tape.kb, setup.leaves, self.surroundings.values, self.choices)
-        self.runner = TreeRunner(self.root, clock=lambda: self.clock)
-        self.runner.tree.add_visitor(self)
-        self.doing = [one for one in nodes(self.root) if isinstance(one, RosaAction | ForAction)]
-        self.ticked: set[Behaviour] = set()
-
-    def run(self, behaviour: Behaviour) -> None:
-        self.ticked.add(behaviour)
-
-    def is_required(self, action: str) -> bool:
-        """Tell whether an action is requested."""
-        return any(one.action == action for one in self.kb.required_actions)
-
-    def measured(self, attribute: str) -> float | None:
-        """Return the latest measurement."""
-        return self.kb.attributes[attribute].value
-
-    @property
-    def required(self) -> tuple[str, ...]:
-        """The actions that are requested."""
-        return tuple(sorted(one.action for one in self.kb.required_actions))
-
-    def begin(self) -> tuple[str, ...]:
-        """Measure what is measured before the first tick, and have the manager take its turns."""
-        for name, value in self._start.items():
-            self.kb.measure(name, value)
-        return self.settle()
-
-    @property
-    def unfeasible(self) -> tuple[str, ...]:
-        """The actions that are requested although they are unfeasible."""
-        return tuple(one for one in self.required if not self.kb.is_feasible(one))
-
-    def settle(self, is_settled: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
-        """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
-        self._robot.faults.clear()
-        try:
-            for _ in range(_MOST_TURNS):
-                revision = self.kb.revision
-                if (self._manager.update() is None and self.kb.revision == revision) or is_settled():
-                    break
-            else:
-                self._robot.faults.append("the manager does not come to rest")
-        except Exception as error:
-            self._robot.faults.append(f"the manager raised {type(error).__name__}: {error}")
-        if self.kb.pending_plan is not None:
-            self._robot.faults.append(f"the plan {self.kb.pending_plan} does not end")
-        if not self._budgets.allow(self.kb, (), ()):
-            self._robot.faults.append("a budget is exceeded")
-        for action in self.required:
-            if self.kb.actions[action].status not in ("unfeasible", "solved"):
-                self._robot.faults.append(f"the manager does not configure the robot for {action}")
-        return tuple(self._robot.faults)
-
-
-class Known(NamedTuple):
-    """What matters of a state of the knowledge base."""
-
-    required: tuple[str, ...]
-    unfeasible: tuple[str, ...]  # required all the same
-    occurring: frozenset[tuple[str, str]]  # kind and name of what is selected or required
-    failed: tuple[str, ...]
-    values: tuple[tuple[str, float | str | None], ...]
-    feasible: tuple[str, ...]  # of all actions
-
-
-class Doing(NamedTuple):
-    """What matters of the state of a tree after a tick."""
-
-    status: Status
-    running: frozenset[str]  # the actions of its behaviours that run
-    stage: tuple[object, ...]  # where the sequences that remember it have got to, and what plans believe
-    is_over: bool  # it has succeeded, or ended for good
-
-
-class Step(NamedTuple):
-    """A round: what changes, what leaves answer, and whether the manager misses its turn before and after the tick."""
-
-    changes: tuple[Change, ...] = ()
-    answers: tuple[Answer, ...] = ()
-    late: tuple[bool, bool] = (False, False)
-
-
-class Situation(NamedTuple):
-    """Numbers of the states of tree and knowledge base: after a round, or after changes and before a tick."""
-
-    tree: int
-    known: int
+_ALONE_S: Final = 1.0
+"""For so long one process explores: most missions are known then [s]."""
 
 
 class Move(NamedTuple):
@@ -229,46 +44,62 @@ class Exploration:
         situations: by number, that in the beginning first, then by the fewest rounds that lead there.
         moves: by number of situation, the rounds that may follow.
         ticks: by moment, what may follow.
-        known, doing: what matters of states, by their numbers.
+        known, doing: what matters of states, by their keys.
         faults: of the manager, in words, with the rounds that lead there first.
         holds: by predicate, in which situations it does.
         is_finished: whether nothing is left to be found.
         transitions: how many changes and ticks were found.
         seconds: how long it took [s].
-        megabytes: the most memory that the process has held when it ended [MB].
+        megabytes: the most memory that was held when it ended, by all processes together [MB].
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
-        self.rig = rig = Rig(setup)
-        self._slow, self.faults = setup.slow, {fault: list[Step]() for fault in rig.begin()}
-        self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
-        self._tree = Memory(
-            [rig.root, Blackboard.storage, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices]
-        )
-        self.known: dict[int, Known] = {}
-        self.doing: dict[int, Doing] = {}
+        self._rounds = rounds = Rounds(setup, predicates)
+        self.rig, self.known, self.doing = rounds.rig, rounds.known, rounds.doing
+        self.faults = {fault: list[Step]() for fault in rounds.faults}
         self.situations: list[Situation] = []
         self.moves: list[list[Move]] = []
         self.ticks: dict[Situation, list[Tick]] = {}
         self._steps: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
-        self._settled: dict[int, int] = {}
-        self._changed: dict[int, list[tuple[int, tuple[Change, ...], bool]]] = {}
+        self._changed: dict[int, list[Changed]] = {}
         self.is_finished, self.transitions, self.seconds, self.megabytes = False, 0, 0.0, 0.0
         self._waiting: list[int] = []
-        self._reach(Situation(self._tree.read(), self._known.read()), -1, Step())
+        self._is_stopped = False
+        self._reach(rounds.first, -1, Step())
 
-    def explore(self, most: int = 100_000, seconds: float = 60.0) -> "Exploration":
-        """Find what can be reached, at most so many situations and for so long [s]; called again, it goes on."""
-        begun = time.perf_counter()
-        while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
-            batch, self._waiting = self._waiting[:_AT_A_TIME], self._waiting[_AT_A_TIME:]
-            self._round(batch, most, begun + seconds)
-        self.is_finished = not self._waiting
-        self.seconds += time.perf_counter() - begun
-        self.megabytes = getrusage(RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    def explore(self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None) -> "Exploration":
+        """Find what can be reached; called again, it goes on.
+
+        Args:
+            most: so many situations, about.
+            seconds: for so long, about [s].
+            cores: processes that share the work; by default as many as this one may use. What is found is the same.
+        """
+        begun, self._is_stopped = time.perf_counter(), False
+        cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
+        crew: Alone | Workers = Alone(self._rounds, self._way)
+        try:
+            while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
+                if self._is_stopped:
+                    break
+                if isinstance(crew, Alone) and cores > 1 and time.perf_counter() > begun + _ALONE_S:
+                    crew = Workers(self._rounds, self._way, cores)
+                size = 1 if isinstance(crew, Alone) else _AT_A_TIME * cores
+                batch = self._waiting[:size]
+                self._round(batch, crew)
+                del self._waiting[: len(batch)]
+        finally:
+            crew.close()
+            self.is_finished = not self._waiting
+            self.seconds += time.perf_counter() - begun
+            self.megabytes = megabytes() + crew.megabytes
         return self
+
+    def stop(self) -> None:
+        """Have `explore` end as if its time were over, soon; for other threads and what handles signals."""
+        self._is_stopped = True
 
     @property
     def unexplored(self) -> frozenset[int]:
@@ -277,65 +108,114 @@ class Exploration:
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
-        tree, known = self.situations[number]
-        self._known.write(known)
-        self._tree.write(tree)
-        return self.rig
+        situation = self.situations[number]
+        if not self._rounds.has_been_in(situation):
+            bring(self._rounds, self._way(number))
+        return self._rounds.load(situation)
 
     def path(self, number: int) -> list[Step]:
         """Return the rounds by which a situation was reached first."""
+        return [step for _, step, _ in self._way(number)]
+
+    def as_text(self) -> str:
+        """Return what was found, for `go_on_from`: what led where, not what states hold."""
+        steps = [[*found, before, *step] for found, (before, step) in zip(self.situations, self._steps, strict=True)]
+        data = {
+            "of": self._mark(),
+            "situations": steps,
+            "moves": [[[*one.moment, one.changes, one.is_late] for one in moves] for moves in self.moves],
+            "ticks": [[*moment, ticks] for moment, ticks in self.ticks.items()],
+            "known": [[key, [*map(_plain, one)]] for key, one in self.known.items()],
+            "doing": [[key, [*map(_plain, one)]] for key, one in self.doing.items()],
+            "ticked": self._rounds.news()[1],
+            "holds": [sorted(one) for one in self.holds.values()],
+            "faults": self.faults,
+            "waiting": self._waiting,
+            "figures": [self.transitions, self.seconds],
+        }
+        return json.dumps(data, separators=(",", ":")) + "\n"
+
+    def go_on_from(self, text: str) -> None:
+        """Take over what an earlier exploration of the same mission has found.
+
+        Raises:
+            MissionError: it is no such text, or one of another mission, or the mission does otherwise now.
+        """
+        try:
+            data = json.loads(text)
+            if data["of"] != self._mark():
+                raise MissionError("it is of another mission, of other options, or the mission has been changed since")
+            self.situations = [Situation(tree, known) for tree, known, *_ in data["situations"]]
+            self._steps = [(before, _step(*step)) for _, _, before, *step in data["situations"]]
+            self._numbers = {one: number for number, one in enumerate(self.situations)}
+            self.moves = [
+                [Move(Situation(tree, known), _changes(changes), is_late) for tree, known, changes, is_late in moves]
+                for moves in data["moves"]
+            ]
+            self.ticks = {
+                Situation(tree, known): [Tick(one, tuple(map(tuple, answers)), late) for one, answers, late in ticks]
+                for tree, known, ticks in data["ticks"]
+            }
+            for key, (required, unfeasible, occurring, failed, values, feasible) in data["known"]:
+                occurs, values = frozenset(map(tuple, occurring)), tuple(map(tuple, values))
+                found = Known(tuple(required), tuple(unfeasible), occurs, tuple(failed), values, tuple(feasible))
+                self.known[key] = found
+            for key, (status, running, stage, is_over) in data["doing"]:
+                self.doing[key] = Doing(status, frozenset(running), stage, is_over)
+            for holds, numbers in zip(self.holds.values(), data["holds"], strict=True):
+                holds.update(numbers)
+            self.faults = {fault: [_step(*one) for one in steps] for fault, steps in data["faults"].items()}
+            self._rounds.hear(([{}, {}, {}], data["ticked"]))
+            self._waiting, (self.transitions, self.seconds) = data["waiting"], data["figures"]
+        except (ValueError, TypeError, LookupError) as error:
+            raise MissionError(f"it is not what an exploration has left: {error}") from error
+        for number in self._waiting[:1]:
+            self.load(number)
+
+    def _mark(self) -> str:
+        """Return what tells explorations apart."""
+        around, rounds = self.rig.surroundings, self._rounds
+        bounds = around.values, around.alike, around.failures, around.at_once
+        return json.dumps([rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)])
+
+    def _way(self, number: int) -> Way:
         found = []
         while number > 0:
-            number, step = self._steps[number]
-            found.append(step)
+            before, step = self._steps[number]
+            found.append((self.situations[before], step, self.situations[number]))
+            number = before
         return found[::-1]
 
-    def _round(self, layer: Sequence[int], most: int, end: float) -> None:
-        """Find what follows situations; those for which there is no room or time any more wait for the next call."""
-        new: list[tuple[int, int, Move]] = []
-        for place, number in enumerate(layer):
-            if time.perf_counter() > end or len(self.situations) >= most:
-                self._waiting[:0] = layer[place:]
-                break
-            tree, known = self.situations[number]
-            for after, changes, is_late in () if self.doing[tree].is_over else self._changes(known, number):
-                move = Move(Situation(tree, after), changes, is_late)
-                if move.moment not in self.ticks:
-                    self.ticks[move.moment] = []
-                    self._describe(move.moment)
-                    new.append((after, number, move))
-                self.moves[number].append(move)
+    def _round(self, batch: Sequence[int], crew: Alone | Workers) -> None:
+        """Find what follows situations."""
+        open_ = [(one, self.situations[one]) for one in batch if not self.doing[self.situations[one].tree].is_over]
+        unknown = {one.known: Job(number, one) for number, one in open_ if one.known not in self._changed}
+        self._changed.update(zip(unknown, crew.ask(unknown.values()), strict=True))
+        jobs: dict[Situation, Job] = {}
+        for number, one in open_:
+            for change in self._changed[one.known]:
+                job = Job(number, one, change)
+                if job.moment not in self.ticks:
+                    jobs.setdefault(job.moment, job)
+        ticked = dict(zip(jobs, crew.ask(jobs.values()), strict=True))
+        for number, one in open_:
+            for change in self._changed[one.known]:
+                moment = Situation(one.tree, change.known)
+                self._note(change.faults, number, Step(change.changes))
+                self.moves[number].append(Move(moment, change.changes, change.is_late))
                 self.transitions += 1
-        for _, before, move in sorted(new, key=itemgetter(0)):  # what is known is written only once
-            self._tick(before, move)
+                if moment not in self.ticks:
+                    self.ticks[moment] = [self._tick(number, change, tick) for tick in ticked[moment]]
 
-    def _tick(self, before: int, move: Move) -> None:
-        """Tick in a moment with every combination of answers."""
-        for after_tree, after, answers in self._outcomes(move.moment):
-            step = Step(move.changes, answers, (move.is_late, False))
-            settled = self._settle(after, before, step)
-            for reached in dict.fromkeys((settled, after) if self._slow else (settled,)):
-                late = Step(step.changes, step.answers, (move.is_late, reached != settled))
-                number = self._reach(Situation(after_tree, reached), before, late)
-                self.ticks[move.moment].append(Tick(number, step.answers, late.late[1]))
-                self.transitions += 1
+    def _tick(self, before: int, change: Changed, tick: Ticked) -> Tick:
+        step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
+        self._note(tick.faults, before, step)
+        self.transitions += 1
+        return Tick(self._reach(tick.after, before, step), tick.answers, tick.is_late)
 
-    def _outcomes(self, moment: Situation) -> Iterator[tuple[int, int, tuple[Answer, ...]]]:
-        """Yield the states of tree and knowledge base after a tick, for all answers."""
-        rig, (tree, known) = self.rig, moment
-        scripts: list[tuple[Answer, ...]] = [()]
-        while scripts:
-            rig.choices.begin(script := scripts.pop())
-            after = rig.tape.follow(tree, known, self._known)
-            if after is None:
-                self._known.write(known)
-                self._tree.write(tree)
-                rig.choices.begin(script)
-                rig.runner.tick()
-                after = self._tree.read(), self._known.read()
-                rig.tape.keep(tree, after[0])
-            scripts += rig.choices.others
-            yield *after, tuple(rig.choices.taken)
+    def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
+        for fault in faults:
+            self.faults.setdefault(fault, [*self.path(before), step])
 
     def _reach(self, situation: Situation, before: int, step: Step) -> int:
         number = self._numbers.setdefault(situation, len(self.situations))
@@ -344,56 +224,19 @@ class Exploration:
             self._steps.append((before, step))
             self.moves.append([])
             self._waiting.append(number)
-            self._describe(situation)
-            for predicate, holds in self.holds.items():
-                if predicate(self.load(number)):
+            for holds, is_so in zip(self.holds.values(), self._rounds.holds.get(situation, ()), strict=True):
+                if is_so:
                     holds.add(number)
         return number
 
-    def _settle(self, known: int, before: int, step: Step) -> int:
-        """Return what is known when the manager has nothing to do any more; its faults are noted with the way there."""
-        found = self._settled.get(known)
-        if found is None:
-            self._known.write(known)
-            faults = self.rig.settle(lambda: self._settled.get(number := self._known.read()) == number)
-            found = self._settled[known] = self._known.read()
-            self._settled.setdefault(found, found)
-            for fault in faults:
-                self.faults.setdefault(fault, [*self.path(before), step])
-        return found
 
-    def _changes(self, known: int, number: int) -> list[tuple[int, tuple[Change, ...], bool]]:
-        """Return what is known after each change of facts, with and without the manager's turn."""
-        found = self._changed.get(known)
-        if found is None:
-            self._known.write(known)
-            reached: dict[int, tuple[tuple[Change, ...], bool]] = {}
-            for changes in list(self.rig.surroundings.changes()):
-                self._known.write(known)
-                for change in changes:
-                    change.tell(self.rig.kb)
-                told = self._known.read()
-                reached.setdefault(self._settle(told, number, Step(changes)), (changes, False))
-                if self._slow:
-                    reached.setdefault(told, (changes, True))
-            found = self._changed[known] = [(after, *how) for after, how in reached.items()]
-        return found
+def _plain(value: object) -> object:
+    return sorted(value) if isinstance(value, frozenset) else value
 
-    def _describe(self, situation: Situation) -> None:
-        """Note what matters of states that are new."""
-        tree, known = situation
-        rig, kb = self.rig, self.rig.kb
-        if tree not in self.doing:
-            self._tree.write(tree)
-            running = frozenset(one.action for one in rig.doing if one.status is Status.RUNNING)
-            is_over = rig.root.status is Status.SUCCESS or getattr(rig.root, "final_status", None) is not None
-            self.doing[tree] = Doing(rig.root.status, running, stage_of(rig.root), is_over)
-        if known not in self.known:
-            self._known.write(known)
-            chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
-            occurring = [("action", one) for one in rig.required] + [(one.node.kind, one.name) for one in chosen]
-            attributes = [kb.attributes[name] for name in rig.surroundings.values]
-            values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
-            failed = rig.surroundings.failed()
-            feasible = tuple(kb.selectable_actions())
-            self.known[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible)
+
+def _changes(given: Sequence[Sequence[Any]]) -> tuple[Change, ...]:
+    return tuple(Change(*one) for one in given)
+
+
+def _step(changes: Sequence[Sequence[Any]], answers: Sequence[Sequence[str]], late: Sequence[bool]) -> Step:
+    return Step(_changes(changes), tuple((name, letter) for name, letter in answers), (late[0], late[1]))

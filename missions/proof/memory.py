@@ -11,7 +11,9 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from collections.abc import Sequence as Items
+from dataclasses import fields, is_dataclass
 from enum import Enum
+from hashlib import blake2b
 from typing import Any, Final, NamedTuple
 from uuid import UUID
 
@@ -61,6 +63,7 @@ _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasi
 _KINDS: Final[Mapping[str, Any]] = {
     kind.__name__: kind for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
 }
+_PLAIN: Final = {int, float, str, bytes, bool, type(None)}
 _ABSENT: Final = object()
 
 
@@ -90,8 +93,9 @@ class Memory:
         self._cells: list[_Cell] = []
         self._pool: dict[Any, Any] = {}
         self._shared: dict[Any, Any] = {}  # what is one thing wherever it is held
-        self._states: list[Content] = []
+        self._states: dict[int, Content] = {}
         self._by_ids: dict[tuple[int, ...], int] = {}
+        self._digests: dict[int, bytes] = {}
         self.with_parameters = parameters
         for one in apart:
             self._note(one)
@@ -99,18 +103,34 @@ class Memory:
             self._find(root)
         self._loaded = self._states[self.read()]
 
+    def __contains__(self, key: int) -> bool:
+        return key in self._states
+
     def read(self) -> int:
-        """Return the number of the state that it is in now; equal ones have the same."""
+        """Return the key of the state that it is in now: equal ones have the same, in every process."""
         pool = self._pool
         self._loaded = state = tuple([pool.setdefault(one, one) for one in [cell.read() for cell in self._cells]])
-        number = self._by_ids.setdefault(tuple(map(id, state)), len(self._states))
-        if number == len(self._states):
-            self._states.append(state)
-        return number
+        ids = tuple(map(id, state))
+        key = self._by_ids.get(ids)
+        if key is None:
+            self._by_ids[ids] = key = self._key(state)
+            if self._states.setdefault(key, state) is not state:
+                raise MissionError(
+                    "two states of the mission cannot be told apart by what their values say of themselves"
+                )
+        return key
 
-    def write(self, number: int) -> None:
-        """Have everything be as it was in the state of that number."""
-        wanted_state = self._states[number]
+    def _key(self, state: Content) -> int:
+        digests = self._digests
+        for content in state:
+            if id(content) not in digests:
+                digests[id(content)] = blake2b(said(content).encode(), digest_size=16).digest()
+        whole = b"".join([digests[id(content)] for content in state])
+        return int.from_bytes(blake2b(whole, digest_size=8).digest())
+
+    def write(self, key: int) -> None:
+        """Have everything be as it was in the state of that key."""
+        wanted_state = self._states[key]
         for cell, wanted, present in zip(self._cells, wanted_state, self._loaded, strict=True):
             if wanted is not present:
                 cell.write(wanted)
@@ -231,6 +251,26 @@ class Memory:
             items = {self.decoded(key): self.decoded(value) for key, value in first}
             return items if kind == "dict" else types.MappingProxyType(items)
         return _KINDS[kind](map(self.decoded, first))
+
+
+def said(content: Any) -> str:  # noqa: ANN401  # what was encoded
+    """Return what is held as a text, the same in every process: sets are in order, and no object says where it is."""
+    kind = type(content)
+    if issubclass(kind, tuple):
+        is_plain = _PLAIN.issuperset(map(type, content))
+        return repr(tuple(content)) if is_plain else f"({','.join(map(said, content))})"
+    if issubclass(kind, frozenset):
+        return f"{{{','.join(sorted(map(said, content)))}}}"
+    if hasattr(content, "__qualname__"):
+        return f"{content.__module__}.{content.__qualname__}"
+    if kind in _PLAIN or kind is Asked or issubclass(kind, Enum):
+        return repr(content)
+    if issubclass(kind, _FIXED):
+        return f"{kind.__name__} {getattr(content, 'name', content)}"
+    if not is_dataclass(kind):
+        return repr(content)
+    compared = [(one.name, getattr(content, one.name)) for one in fields(kind) if one.compare]
+    return f"{kind.__name__}({','.join(f'{name}={said(one)}' for name, one in compared)})"
 
 
 def _attributes(what: object) -> dict[str, Any]:

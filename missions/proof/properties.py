@@ -4,10 +4,10 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from py_trees.common import Status
-
-from missions.proof.exploration import Exploration, Predicate, Situation, Step
+from missions.proof.exploration import Exploration
 from missions.proof.planned import nodes
+from missions.proof.rig import Predicate
+from missions.proof.rounds import Situation, Step
 
 Wrong = tuple[str, Sequence[Step] | None]
 """What is wrong, in words, and the rounds that lead there, if a story shows it."""
@@ -93,7 +93,7 @@ class Graph:
     def __init__(self, found: Exploration, goal: Predicate | None = None) -> None:
         self.goal = goal
         self.found, self.every = found, range(len(found.situations))
-        ended = (one for one in self.every if found.doing[found.situations[one].tree].status is Status.SUCCESS)
+        ended = (one for one in self.every if found.doing[found.situations[one].tree].status == "SUCCESS")
         self.goals = set(ended) if goal is None else found.holds[goal]
 
     def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Situation, int]]:

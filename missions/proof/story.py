@@ -9,8 +9,9 @@ from typing import Any
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase
-from missions.proof.exploration import Rig, Setup, Step
 from missions.proof.leaves import Played, take_over
+from missions.proof.rig import Rig, Setup
+from missions.proof.rounds import Step
 from missions.proof.surroundings import Change, Surroundings
 from missions.testing.scripted import LETTERS
 from rosa_bt import Trace, TraceVisitor, replay_trace

@@ -52,6 +52,7 @@ class Surroundings:
 
     Attributes:
         failures: how many components are failed at once at most.
+        at_once: how many facts change between two ticks at most.
         values: by attribute, one value for each difference.
         alike: the components that can fail, in groups of those that can stand for one another.
         worst: by attribute, the value that leaves the fewest constraints satisfied.
@@ -68,7 +69,7 @@ class Surroundings:
         failing: Iterable[str] | None = None,
         symmetric: bool = True,
     ) -> None:
-        self._kb, self.failures, self._at_once = kb, failures, at_once
+        self._kb, self.failures, self.at_once = kb, failures, at_once
         asked = _thresholds(kb, root)
         for name, more in (values or {}).items():
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
@@ -91,7 +92,7 @@ class Surroundings:
         down = self.failed()
         single += [Change(next(one for one in reversed(alike) if one in down), False) for alike in self._broken(down)]
         single += [Change(working[0], True) for alike in self.alike if (working := [o for o in alike if o not in down])]
-        for count in range(self._at_once + 1):
+        for count in range(self.at_once + 1):
             for chosen in combinations(single, count):
                 more = sum(1 if one.to else -1 for one in chosen if isinstance(one.to, bool))
                 if len({one.name for one in chosen}) == count and (more <= 0 or len(down) + more <= self.failures):

@@ -5,6 +5,7 @@ once, and followed in every other state of the knowledge base that says the same
 """
 
 import operator
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from enum import Enum
@@ -87,6 +88,10 @@ class Asked:
     def __str__(self) -> str:
         return str(self._how.tape.ask(self, str))
 
+    def __repr__(self) -> str:
+        steps = [f"{does.__name__}{given}" for does, given in self._how.path or ()]
+        return f"{self.__class__.__name__} by {', '.join(steps) or 'itself'}"
+
     def __eq__(self, other: object) -> bool:
         return self is other or bool(self._how.tape.ask(self, operator.eq, other))
 
@@ -106,10 +111,11 @@ def settled(asked: Asked) -> object:
 class _Moment:
     """A moment of a tick: what is asked or chosen next, and what comes then; or the state of the tree at its end."""
 
-    __slots__ = ("after", "onward", "question", "then")
+    __slots__ = ("after", "answered", "onward", "question", "then")
 
     def __init__(self) -> None:
         self.question: Choice | Path | None = None
+        self.answered: dict[int, tuple[object, int]] = {}
         self.then: dict[object, _Moment] = {}
         self.onward: dict[int, tuple[_Moment, int]] = {}
         self.after: int | None = None
@@ -131,7 +137,7 @@ class Tape:
         self._kb, self._choices, self.is_on = kb, choices, is_on
         self._reached: dict[Path, Asked] = {}
         self._first: dict[int, _Moment] = {}
-        self._known: dict[tuple[Path, int], tuple[object, int]] = {}
+        self._answered: defaultdict[Path, dict[int, tuple[object, int]]] = defaultdict(dict)
         self.kb: Any = self._stand_in(kb, ())
 
     def ask(self, asked: Asked, does: Callable[..., Any], *given: object) -> Any:  # noqa: ANN401  # whatever there is
@@ -161,7 +167,7 @@ class Tape:
         moment = self._first.setdefault(tree, _Moment())
         for question, answer in self._choices.said:
             if moment.question != question:  # not yet known, or told with other words, which decide nothing
-                moment.question, moment.then = question, {}
+                moment.question, moment.then, moment.answered = question, {}, self._answered[question]
             moment = moment.then.setdefault(answer, _Moment())
         moment.after = after
 
@@ -181,21 +187,21 @@ class Tape:
         moment: _Moment | None = first
         at = known
         while moment is not None and moment.after is None and not isinstance(moment.question, Choice):
-            answer, at = self._say(moment.question or (), at, memory)
-            moment = moment.then.get(answer)
+            said = moment.answered.get(at)
+            if said is None:
+                said = moment.answered[at] = self._say(moment.question or (), at, memory)
+            at = said[1]
+            moment = moment.then.get(said[0])
         return None if moment is None else first.onward.setdefault(known, (moment, at))
 
     def _say(self, path: Path, known: int, memory: _States) -> tuple[object, int]:
         """Return what is answered in a state of the knowledge base, and in which it is then."""
-        said = self._known.get((path, known))
-        if said is None:
-            memory.write(known)
-            last, found = self._kb.log.last, self._kb
-            for does, given in path:
-                found = does(found, *map(_plain, given))
-            after = known if self._kb.log.last == last else memory.read()
-            said = self._known[path, known] = (found if _is_value(found) else type(found)), after
-        return said
+        memory.write(known)
+        last, found = self._kb.log.last, self._kb
+        for does, given in path:
+            found = does(found, *map(_plain, given))
+        after = known if self._kb.log.last == last else memory.read()
+        return (found if _is_value(found) else type(found)), after
 
     def _stand_in(self, real: object, path: Path) -> Asked:
         if not isinstance(real, _LIVE):

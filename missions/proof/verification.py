@@ -12,9 +12,10 @@ from py_trees.behaviour import Behaviour
 from kb import KnowledgeBase, Model
 from missions.engine.controller import build_task, check_task
 from missions.engine.mission import Mission, Percepts
-from missions.proof.exploration import Exploration, Predicate, Setup
+from missions.proof.exploration import Exploration
 from missions.proof.planned import planned
 from missions.proof.properties import Finding, Graph, Property, check
+from missions.proof.rig import Predicate, Setup
 from missions.proof.story import Story, play
 from missions.proof.surroundings import Change
 
@@ -128,6 +129,7 @@ def verify(
     goal: Predicate | None = None,
     most: int = 100_000,
     seconds: float = 60.0,
+    cores: int | None = None,
     **given: Any,  # noqa: ANN401  # of Setup and Surroundings
 ) -> Proof:
     """Explore a tree with its knowledge base and the manager, and say what holds in everything that can happen.
@@ -141,6 +143,7 @@ def verify(
         goal: what the mission is to reach; by default that its root succeeds.
         most: so many situations are explored at most.
         seconds: for so long at most [s].
+        cores: as `Exploration.explore` has it.
         given: `leaves`, `planner`, `start` and `slow` of `Setup`; `failures`, `at_once`, `values`, `failing` and
             `symmetric` of `Surroundings`.
     """
@@ -154,8 +157,7 @@ def verify(
     make = model if callable(model) else lambda: model
     return prove(
         Setup(make, build, surroundings=given, **of_setup),
-        most,
-        seconds,
+        lambda found: found.explore(most, seconds, cores),
         wanted=tuple(wanted),
         reaction=reaction,
         exclusive=exclusive,
@@ -175,14 +177,22 @@ def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given:
     return Setup(mission.model, build, surroundings=given, slow=slow)
 
 
-def prove(setup: Setup, most: int, seconds: float, wanted: Sequence[Property] = (), **asked: Any) -> Proof:  # noqa: ANN401  # what check takes
-    """Explore and check; what is asked is as of `check`."""
-    goal = asked.get("goal")
+def prove(
+    setup: Setup,
+    explore: Callable[[Exploration], object] = Exploration.explore,
+    *,
+    wanted: Sequence[Property] = (),
+    exclusive: Iterable[Collection[str]] = (),
+    goal: Predicate | None = None,
+    reaction: int = 1,
+) -> Proof:
+    """Explore and check; what is asked is as `verify` has it."""
     predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]
     found = Exploration(setup, predicates)
     actions = found.rig.kb.actions
-    asked["exclusive"] = [[actions[name].name for name in group] for group in asked.get("exclusive", ())]
-    findings = check(found.explore(most, seconds), wanted=wanted, **asked)
+    groups = [[actions[name].name for name in group] for group in exclusive]
+    explore(found)
+    findings = check(found, reaction=reaction, exclusive=groups, goal=goal, wanted=wanted)
     return Proof(setup, found, tuple(findings), tuple(consequences(Graph(found, goal))))
 
 

@@ -223,7 +223,7 @@ def test_two_runs_stand_side_by_side_and_say_what_differs(visits):
 
 
 def test_proof_says_what_failures_leave(visits, tmp_path):
-    proof = prove(setup_of(find_mission("suave")), 1000, 60.0)
+    proof = prove(setup_of(find_mission("suave")))
     proof.report(tmp_path / "proof.html")
     page = visits.show((tmp_path / "proof.html").as_uri())
     page.locator(".results summary").click()

@@ -5,6 +5,7 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 
 import json
 import operator
+import signal
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import permutations
@@ -24,13 +25,16 @@ from kb.knowledge import Knowledge
 from missions import cli
 from missions.engine.declared import by_schema
 from missions.engine.mission import MissionError
-from missions.proof import Leaf, eventually, leads_to, never, verify
-from missions.proof.exploration import Exploration, Rig, Setup
+from missions.proof import Leaf, eventually, exploration, leads_to, never, verify
+from missions.proof.exploration import Exploration
 from missions.proof.memory import Memory
 from missions.proof.planned import nodes
+from missions.proof.rig import Rig, Setup
+from missions.proof.rounds import Rounds
 from missions.proof.story import as_test, replayed
 from missions.proof.surroundings import Surroundings
 from missions.proof.verification import prove, setup_of
+from missions.proof.workers import CAN_COPY
 from missions.suave import MISSION as SUAVE
 from missions.suave.tree import InspectPipeline, SearchPipeline
 from missions.suave_extended import MISSION
@@ -106,6 +110,74 @@ def test_tick_that_is_followed_is_as_if_it_were_run(setup):
     followed, is_on = edges(setup)
     assert is_on
     assert followed == edges(setup, is_on=False)[0]
+
+
+def all_of(found):
+    """Return all that an exploration has found."""
+    holds = [sorted(one) for one in found.holds.values()]
+    paths = [found.path(number) for number in range(len(found.situations))]
+    nodes_ = sorted(one.name for one in found.rig.ticked)
+    return found.situations, paths, found.moves, found.ticks, found.faults, holds, found.transitions, nodes_
+
+
+SHARED = [
+    setup_of(SUAVE),
+    setup_of(SUAVE, "pddl"),
+    setup_of(MISSION, at_once=2, failing=()),
+    *map(random_setup, (3, 10)),
+    *(
+        Setup(NAMED[name].model, NAMED[name].build, start=FULL["start"])
+        for name in ("request beside the tree", "chooses what has failed")
+    ),
+]
+
+
+@pytest.mark.skipif(not CAN_COPY, reason="where a process cannot begin as a copy, one explores")
+@pytest.mark.parametrize("setup", SHARED)
+def test_several_processes_find_what_one_finds(setup, monkeypatch):
+    asked = (lambda rig: bool(rig.required), lambda rig: rig.root.status is Status.RUNNING)
+    alone = Exploration(setup, asked).explore(seconds=600.0, cores=1)
+    monkeypatch.setattr(exploration, "_ALONE_S", 0.0)
+    shared = Exploration(setup, asked).explore(seconds=600.0, cores=3)
+    assert shared.is_finished
+    assert all_of(shared) == all_of(alone)
+
+
+@pytest.mark.parametrize("setup", SHARED)
+def test_exploration_goes_on_from_a_file(setup):
+    asked = (lambda rig: bool(rig.required),)
+    whole = Exploration(setup, asked).explore(seconds=600.0)
+    found = Exploration(setup, asked)
+    while not found.is_finished:
+        before, found = found, Exploration(setup, asked)
+        found.go_on_from(before.explore(most=len(before.situations) + len(whole.situations) // 3).as_text())
+        found.explore(most=len(found.situations))
+    assert all_of(found) == all_of(whole)
+
+
+def test_file_of_another_mission_is_not_gone_on_from():
+    text = Exploration(setup_of(SUAVE)).explore(most=20).as_text()
+    for other in (setup_of(MISSION), setup_of(SUAVE, "pddl"), setup_of(SUAVE, failures=2), setup_of(SUAVE, slow=True)):
+        with pytest.raises(MissionError, match="of another mission"):
+            Exploration(other).go_on_from(text)
+    for broken in ("", "{}", "[]", text[: len(text) // 2], text.replace('"waiting"', '"waited"')):
+        with pytest.raises(MissionError, match="not what an exploration has left"):
+            Exploration(setup_of(SUAVE)).go_on_from(broken)
+
+
+def test_mission_that_does_otherwise_now_is_not_gone_on_with():
+    done = []
+
+    class Moody(Act):
+        def update(self):
+            return Status.SUCCESS if done else Status.RUNNING
+
+    setup = Setup(rover_model(), lambda kb: until(Moody("explore", kb, "explore")), leaves={"explore": Leaf("")})
+    text = Exploration(setup).explore(most=4).as_text()
+    Exploration(setup).go_on_from(text)
+    done.append(True)
+    with pytest.raises(MissionError, match="same round does not lead to the same situation"):
+        Exploration(setup).go_on_from(text)
 
 
 def test_what_is_on_the_blackboard_belongs_to_a_situation():
@@ -367,7 +439,7 @@ def test_unknown_leaf_is_refused_with_those_there_are():
 def test_saved_test_fails_while_the_bug_is_there():
     proof = proof_of("no guard")
     found = next(one for one in proof.broken if one.trail)
-    setup = "import proof_mutants\nfrom missions.proof.exploration import Setup\n"
+    setup = "import proof_mutants\nfrom missions.proof.rig import Setup\n"
     setup += "Setup(proof_mutants.rover_model(), proof_mutants.{}, start=proof_mutants.FULL['start'])"
     for build, is_broken in (("MUTANTS[0].build", True), ("either", False)):
         namespace = {}
@@ -413,13 +485,41 @@ def test_command_that_does_not_finish_exits_with_3_writes_no_test_and_says_what_
     assert done.exit_code == 3, done.output
     *_, about_test, last = done.output.splitlines()
     assert about_test == "nothing is broken: no test is written"
-    assert "raise --seconds or --most, or look for fewer failures at once with --failures" in last
+    assert "raise --seconds or --most, go on with --resume, or look for fewer failures at once with --failures" in last
     assert not test.exists()
+
+
+def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypatch):
+    kept, ticks, ticked = tmp_path / "kept.json", Rounds.ticks, []
+
+    def ticks_interrupted(rounds, moment):
+        ticked.append(moment)
+        if len(ticked) == 40:
+            signal.raise_signal(signal.SIGINT)
+        return ticks(rounds, moment)
+
+    def verify_suave(*options):
+        return CliRunner().invoke(cli.app, ["verify", "suave", "--cores", "1", "--resume", str(kept), *options])
+
+    whole = verify_suave("--resume", str(tmp_path / "other.json"))
+    monkeypatch.setattr(Rounds, "ticks", ticks_interrupted)
+    first = verify_suave()
+    assert first.exit_code == 3, first.output
+    assert len(ticked) < 60
+    done = verify_suave()
+    assert done.exit_code == 0, done.output
+    assert done.output.splitlines()[1:] == whole.output.splitlines()[1:]
+    assert done.output.split(" s, ")[0].rpartition(",")[0] == whole.output.split(" s, ")[0].rpartition(",")[0]
+    kept.write_bytes(b"\xff")
+    assert f"cannot read {kept}" in str(verify_suave().exception)
+    kept.write_text("{}")
+    assert f"cannot go on from {kept}: it is not what an exploration has left" in str(verify_suave().exception)
+    assert kept.read_text() == "{}"
 
 
 def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tmp_path, monkeypatch):
     monkeypatch.setattr("missions.commands.verify.prove", None)
-    for option in ("--json", "--report", "--test"):
+    for option in ("--json", "--report", "--test", "--resume"):
         done = CliRunner().invoke(cli.app, ["verify", "suave", option, str(tmp_path / "nowhere" / "file")])
         assert "nowhere/file: No such file or directory" in str(done.exception)
 
@@ -449,8 +549,8 @@ def test_unknown_action_that_excludes_another_is_refused():
 
 
 def test_design_for_failures_is_not_missing_where_nothing_fails():
-    assert not prove(setup_of(SUAVE, failures=0), 100, 60.0).broken
-    (missing,) = prove(setup_of(SUAVE, failing=("spiral_search",)), 100, 60.0).broken
+    assert not prove(setup_of(SUAVE, failures=0)).broken
+    (missing,) = prove(setup_of(SUAVE, failing=("spiral_search",))).broken
     assert missing.what == "never: function design thruster_recovery"
 
 
@@ -502,7 +602,10 @@ class FindsNothing(SearchPipeline):
     ("search", "broken"), [(KeepsSearching, "every request is released"), (FindsNothing, "the goal is reached")]
 )
 def test_bug_of_a_planned_mission_is_found_and_its_story_is_replayed(search, broken):
-    proof = prove(setup_of(replace(MISSION, actions=by_schema(search, InspectPipeline, Recharge)), "pddl"), 150, 60.0)
+    proof = prove(
+        setup_of(replace(MISSION, actions=by_schema(search, InspectPipeline, Recharge)), "pddl"),
+        lambda found: found.explore(most=150),
+    )
     found = next((one for one in proof.findings if one.name.startswith(broken)), None)
     assert found.holds is not True
     for one in proof.broken:
