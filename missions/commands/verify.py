@@ -53,7 +53,7 @@ def verify(
             with _interruptible(found):
                 found.explore(most, seconds, cores)
             if resume is not None:
-                files["resume"].finish(found.as_text())
+                files["resume"].finish(found.as_bytes())
 
         proof = prove(setup, explore, reaction=reaction, exclusive=groups)
         typer.echo(f"{mission}: {proof}")
@@ -81,10 +81,10 @@ def verify(
         raise typer.Exit(UNFINISHED)
 
 
-def _earlier(path: Path) -> str:
+def _earlier(path: Path) -> bytes:
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
+        return path.read_bytes()
+    except OSError as error:
         raise MissionError(f"cannot read {path}: {error}") from error
 
 

@@ -1,7 +1,10 @@
 """Every situation that a tree, its knowledge base and the manager can get into, found by running them."""
 
+import gc
+import io
 import json
 import os
+import pickle
 import time
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -34,6 +37,11 @@ class Tick(NamedTuple):
     situation: int
     answers: tuple[Answer, ...]
     is_late: bool
+
+
+_PARTS: Final = (Situation, Step, Change, Changed, Move, Tick, Known, Doing, frozenset)
+_APART: Final = {"rig", "known", "doing", "holds", "_rounds"}
+"""What an exploration does not leave as it is, but as what its rounds have noted."""
 
 
 class Exploration:
@@ -80,6 +88,10 @@ class Exploration:
         begun, self._is_stopped = time.perf_counter(), False
         cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
         crew: Alone | Workers = Alone(self._rounds, self._way)
+        collected = gc.get_threshold()
+        gc.set_threshold(
+            100_000, *collected[1:]
+        )  # what is found is kept: to look for garbage took a sixth
         try:
             while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
                 if self._is_stopped:
@@ -91,6 +103,7 @@ class Exploration:
                 self._round(batch, crew)
                 del self._waiting[: len(batch)]
         finally:
+            gc.set_threshold(*collected)
             crew.close()
             self.is_finished = not self._waiting
             self.seconds += time.perf_counter() - begun
@@ -117,58 +130,26 @@ class Exploration:
         """Return the rounds by which a situation was reached first."""
         return [step for _, step, _ in self._way(number)]
 
-    def as_text(self) -> str:
+    def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: what led where, not what states hold."""
-        steps = [[*found, before, *step] for found, (before, step) in zip(self.situations, self._steps, strict=True)]
-        data = {
-            "of": self._mark(),
-            "situations": steps,
-            "moves": [[[*one.moment, one.changes, one.is_late] for one in moves] for moves in self.moves],
-            "ticks": [[*moment, ticks] for moment, ticks in self.ticks.items()],
-            "known": [[key, [*map(_plain, one)]] for key, one in self.known.items()],
-            "doing": [[key, [*map(_plain, one)]] for key, one in self.doing.items()],
-            "ticked": self._rounds.news()[1],
-            "holds": [sorted(one) for one in self.holds.values()],
-            "faults": self.faults,
-            "waiting": self._waiting,
-            "figures": [self.transitions, self.seconds],
-        }
-        return json.dumps(data, separators=(",", ":")) + "\n"
+        own = {name: value for name, value in vars(self).items() if name not in _APART}
+        return pickle.dumps((self._mark(), own, [*self.holds.values()], self._rounds.news(of_all=True)))
 
-    def go_on_from(self, text: str) -> None:
+    def go_on_from(self, kept: bytes) -> None:
         """Take over what an earlier exploration of the same mission has found.
 
         Raises:
-            MissionError: it is no such text, or one of another mission, or the mission does otherwise now.
+            MissionError: it is not what one has left, or one of another mission, or the mission does otherwise now.
         """
         try:
-            data = json.loads(text)
-            if data["of"] != self._mark():
-                raise MissionError("it is of another mission, of other options, or the mission has been changed since")
-            self.situations = [Situation(tree, known) for tree, known, *_ in data["situations"]]
-            self._steps = [(before, _step(*step)) for _, _, before, *step in data["situations"]]
-            self._numbers = {one: number for number, one in enumerate(self.situations)}
-            self.moves = [
-                [Move(Situation(tree, known), _changes(changes), is_late) for tree, known, changes, is_late in moves]
-                for moves in data["moves"]
-            ]
-            self.ticks = {
-                Situation(tree, known): [Tick(one, tuple(map(tuple, answers)), late) for one, answers, late in ticks]
-                for tree, known, ticks in data["ticks"]
-            }
-            for key, (required, unfeasible, occurring, failed, values, feasible) in data["known"]:
-                occurs, values = frozenset(map(tuple, occurring)), tuple(map(tuple, values))
-                found = Known(tuple(required), tuple(unfeasible), occurs, tuple(failed), values, tuple(feasible))
-                self.known[key] = found
-            for key, (status, running, stage, is_over) in data["doing"]:
-                self.doing[key] = Doing(status, frozenset(running), stage, is_over)
-            for holds, numbers in zip(self.holds.values(), data["holds"], strict=True):
-                holds.update(numbers)
-            self.faults = {fault: [_step(*one) for one in steps] for fault, steps in data["faults"].items()}
-            self._rounds.hear(([{}, {}, {}], data["ticked"]))
-            self._waiting, (self.transitions, self.seconds) = data["waiting"], data["figures"]
-        except (ValueError, TypeError, LookupError) as error:
-            raise MissionError(f"it is not what an exploration has left: {error}") from error
+            mark, own, holds, news = _Reader(io.BytesIO(kept)).load()
+        except Exception as error:  # whatever pickle makes of what is none
+            raise MissionError(f"it is not what an exploration has left: {error!r}") from error
+        if mark != self._mark():
+            raise MissionError("it is of another mission, of other options, or the mission has been changed since")
+        vars(self).update(own)
+        self.holds.update(zip(self.holds, holds, strict=True))
+        self._rounds.hear(news)
         for number in self._waiting[:1]:
             self.load(number)
 
@@ -230,13 +211,8 @@ class Exploration:
         return number
 
 
-def _plain(value: object) -> object:
-    return sorted(value) if isinstance(value, frozenset) else value
+class _Reader(pickle.Unpickler):
+    """Makes nothing but what an exploration is made of, whoever has written the file."""
 
-
-def _changes(given: Sequence[Sequence[Any]]) -> tuple[Change, ...]:
-    return tuple(Change(*one) for one in given)
-
-
-def _step(changes: Sequence[Sequence[Any]], answers: Sequence[Sequence[str]], late: Sequence[bool]) -> Step:
-    return Step(_changes(changes), tuple((name, letter) for name, letter in answers), (late[0], late[1]))
+    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401  # a class of those
+        return next(one for one in _PARTS if (one.__module__, one.__qualname__) == (module, name))

@@ -14,6 +14,7 @@ from collections.abc import Sequence as Items
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from hashlib import blake2b
+from operator import itemgetter
 from typing import Any, Final, NamedTuple
 from uuid import UUID
 
@@ -68,7 +69,7 @@ _ABSENT: Final = object()
 
 
 class _Cell(NamedTuple):
-    """An object that is remembered: how it is read, and how what was read is written back."""
+    """An object that is remembered: how it is read, pooled, and how what was read is written back."""
 
     read: Callable[[], Any]
     write: Callable[[Any], None]
@@ -108,8 +109,7 @@ class Memory:
 
     def read(self) -> int:
         """Return the key of the state that it is in now: equal ones have the same, in every process."""
-        pool = self._pool
-        self._loaded = state = tuple([pool.setdefault(one, one) for one in [cell.read() for cell in self._cells]])
+        self._loaded = state = tuple([cell.read() for cell in self._cells])
         ids = tuple(map(id, state))
         key = self._by_ids.get(ids)
         if key is None:
@@ -136,6 +136,10 @@ class Memory:
                 cell.write(wanted)
         self._loaded = wanted_state
 
+    def pooled(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
+        """Return the same object for all contents that are equal."""
+        return self._pool.setdefault(content, content)
+
     def _note(self, what: object) -> None:
         self._numbers[id(what)] = len(self.objects)
         self.objects.append(what)
@@ -154,7 +158,7 @@ class Memory:
         elif isinstance(what, list | set | deque | tuple | frozenset):
             below += what
         if isinstance(what, dict | list | set | deque):
-            self._cells.append(_Cell(lambda: self.held(what), lambda held: self.refill(what, held)))
+            self._cells.append(_Cell(lambda: self.pooled(self.held(what)), lambda held: self.refill(what, held)))
         named, idle = dict(_attributes(what)), _idle(type(what))  # type: ignore[arg-type]  # a type can be hashed
         if missing := idle - named.keys() - _HOOKS:
             raise MissionError(f"{type(what).__name__} has no {min(missing)}, which it names as its BOOKKEEPING")
@@ -180,7 +184,8 @@ class Memory:
             left = of_no_use(dict(found)) if of_no_use is not None else ()
             for name in left:  # what decides nothing is as at first: nothing of one state is left in another
                 setattr(what, name, base[name])
-            return tuple(sorted((one for one in found if one[0] not in left), key=lambda one: one[0]))
+            kept: Content = self.pooled(tuple(sorted((one for one in found if one[0] not in left), key=itemgetter(0))))
+            return kept
 
         def write(content: Content) -> None:
             wanted = {**base, **{name: self.decoded(value) for name, value in content}}
@@ -342,19 +347,18 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
     facts = [state.columns[name] for name in FACTS]
     inferred = [column for name, column in state.columns.items() if name not in FACTS]
     tables: tuple[dict[Any, Any], ...] = (measurements.recent, measurements.since, records.progress)
-    seen: dict[_Facts, _Facts] = {}
 
     def read() -> _Facts:
         requests = [(one.action, memory.of(one.preference)) for one in records.required.values()]
         given = frozenset(memory.held(state.parameters) if memory.with_parameters else ())
         others = tuple(requests), *(frozenset(one.items()) for one in tables), given
         now = _Facts((*map(tuple, facts), *others))
-        if now not in seen:
-            seen[now] = now
+        found: _Facts = memory.pooled(now)
+        if found is now:
             every = [(-3, state.lacking), (-2, state.obsolete), (-1, state.adaptable), *state.users.items()]
             now.marks = [(place, [node.index for node in marked]) for place, marked in every if marked]
             now.columns = [tuple(one) for one in inferred]
-        return seen[now]
+        return found
 
     def write(content: _Facts) -> None:
         known.log.last += 1  # who keeps what was so at a revision asks anew

@@ -111,9 +111,11 @@ class Rounds:
         self._tree.write(situation.tree)
         return self.rig
 
-    def news(self) -> tuple[list[dict[Any, Any]], list[int]]:
-        """Return what has been noted of states since the last time, and the places of all nodes that were ticked."""
+    def news(self, *, of_all: bool = False) -> tuple[list[dict[Any, Any]], list[int]]:
+        """Return what has been noted of states since the last time, or ever, and which nodes were ticked, by place."""
         noted: list[dict[Any, Any]] = [self.known, self.doing, self.holds]
+        if of_all:
+            self._sent = [0, 0, 0]
         new = [dict(islice(one.items(), count, None)) for one, count in zip(noted, self._sent, strict=True)]
         self._sent = [len(one) for one in noted]
         return new, [place for place, one in enumerate(self._nodes) if one in self.rig.ticked]
