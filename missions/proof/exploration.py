@@ -89,9 +89,7 @@ class Exploration:
         cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
         crew: Alone | Workers = Alone(self._rounds, self._way)
         collected = gc.get_threshold()
-        gc.set_threshold(
-            100_000, *collected[1:]
-        )  # what is found is kept: to look for garbage took a sixth
+        gc.set_threshold(100_000, *collected[1:])  # what is found is kept: to look for garbage took a sixth
         try:
             while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
                 if self._is_stopped:
