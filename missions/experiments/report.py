@@ -267,7 +267,8 @@ def _add_crashes(document: Document, crashed: Sequence[Mapping[str, Any]]) -> No
 def _add_method(document: Document, *, searches: bool) -> None:
     document.heading("How it was computed")
     said = [
-        "Intervals: 95 %, percentiles of 10,000 bootstrap resamples; differences are of runs with the same seed.",
+        "Intervals: 95 %, percentiles of 10,000 bootstrap resamples, or of a normal distribution for more than 10,000 "
+        "values; differences are of runs with the same seed.",
         "p: two-sided Mann-Whitney tests, corrected by Holm's method for all tests of one table; it says whether "
         "two distributions differ, P(one > other) by how much (0.5: not at all).",
     ]

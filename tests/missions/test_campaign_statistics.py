@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from missions.experiments import statistics
 from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 
 NUMBERS = st.integers(-1000, 1000).map(lambda number: number / 8)
@@ -37,6 +38,18 @@ def test_standard_deviation_knows_no_shift_and_scales(values, shift, factor):
     other = interval_of_sd([factor * value + shift for value in values], seeded())
     assert other.estimate == pytest.approx(factor * found.estimate, abs=1e-9)
     assert (other.low, other.high) == pytest.approx((factor * found.low, factor * found.high), abs=1e-9)
+
+
+@pytest.mark.parametrize("draw", [lambda rng: rng.exponential(size=2001), lambda rng: rng.integers(4, size=2001) // 3])
+@pytest.mark.parametrize("interval", [interval_of_mean, interval_of_sd])
+def test_intervals_of_many_values_are_those_of_resamples_without_any(monkeypatch, draw, interval):
+    values = draw(seeded())
+    resampled = interval(values, seeded())
+    monkeypatch.setattr(statistics, "MOST_RESAMPLED", 2000)
+    found = interval(values, None)
+    assert found.estimate == resampled.estimate
+    assert found[1:] == pytest.approx(resampled[1:], abs=0.06 * (resampled.high - resampled.low))
+    assert len({*interval([7] * 2001, None)}) == 1
 
 
 def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
