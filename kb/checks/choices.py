@@ -29,8 +29,6 @@ def doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
         if not any(by_part.values()):  # a preference may choose what priority never would
             yield from _dominated(whole)
         yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
-        if whole.kind == "component":
-            yield from _missing_parameters(whole)
     requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
     for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
         if attribute not in estimated.get(network.actions[action], ()):
@@ -131,15 +129,3 @@ def _unevenly_estimated(whole: Node, by_part: _Names, directly: Mapping[str, Non
             what, kind = f"{whole.kind} {whole.name}", whole.parts[0].kind
             message = f"{attribute} is estimated for some {kind}s of {what} but not for {listing(without)}"
             yield found("missing-estimation", what, message)
-
-
-def _missing_parameters(component: Node) -> Iterator[Finding]:
-    parts = [part.element for part in component.parts]
-    keys = dict.fromkeys(key for one in parts for key in one.parameters)
-    usual = [key for key in keys if sum(key in one.parameters for one in parts) == len(parts) - 1]
-    for one in parts:
-        left_out = [key for key in usual if key not in one.parameters]
-        if left_out:
-            others = f"all other configurations of component {component.name} do"
-            message = f"configuration {one.name} does not set {listing(left_out)}; {others}"
-            yield found("missing-parameter", f"configuration {one.name}", message)

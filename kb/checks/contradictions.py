@@ -4,9 +4,9 @@ An attribute that is not measured violates nothing, so what is found here is unf
 measured. Only the root is reported, with the actions that it makes impossible, and not each element between the two.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from itertools import combinations
-from typing import Final, NamedTuple
+from typing import Final
 
 from kb.checks.findings import Finding, found, listing
 from kb.explanation.requirements import Box, Interval, Requirements, bounds
@@ -71,68 +71,21 @@ def _consequence(node: Node, impossible: set[Node]) -> str:
     return f", so action {listing(actions)} can never be feasible" if actions else ""
 
 
-class _Need(NamedTuple):
-    """One of the things that an element needs all of, by name, and the ways in which it can be so.
-
-    The constraints it comes from are on the nodes, or on what they are made of; none if the name says it all.
-    """
-
-    name: str
-    nodes: tuple[Node, ...]
-    boxes: tuple[Box, ...]
-
-    def hull(self, attribute: str) -> Interval | None:
-        """Return the narrowest interval for an attribute that holds the values of every way, None for all values."""
-        hull: Interval | None = None
-        for box in self.boxes:
-            if attribute not in box.intervals:
-                return None
-            hull = hull.hull(box.intervals[attribute]) if hull else box.intervals[attribute]
-        return hull
-
-
-def _needs(node: Node, requirements: Requirements) -> list[_Need]:
-    own = [
-        _Need(f"its own constraint {one.name}", (), (Box({one.constraint.attribute: Interval.of(one.constraint)}),))
-        for one in node.constraints
-    ]
-    if node.kind == "component":
-        boxes = tuple(box for part in node.parts for box in requirements.of(part).boxes)
-        return [*own, _Need("each of its configurations", tuple(node.parts), boxes)]
-    return own + [_Need(f"{part.kind} {part.name}", (part,), requirements.of(part).boxes) for part in node.parts]
-
-
 def _conflict(node: Node, requirements: Requirements) -> str:
-    """Name two needs that exclude one another, with the chain from each down to the constraint, as far as can be."""
-    needs = _needs(node, requirements)
-    for one, other in combinations(needs, 2):
-        if any(mine.meet(theirs) is not None for mine in one.boxes for theirs in other.boxes):
-            continue
-        for attribute in one.boxes[0].intervals:
-            mine, theirs = one.hull(attribute), other.hull(attribute)
-            if mine is not None and theirs is not None and mine.meet(theirs).is_empty:
-                return f"{_chain(one, attribute, mine)}, but {_chain(other, attribute, theirs)}"
-        return f"{one.name} and {other.name} exclude one another, whatever is measured"
-    return f"{listing((need.name for need in needs), 8)} cannot be met together, whatever is measured"
-
-
-def _chain(need: _Need, attribute: str, interval: Interval) -> str:
-    if not need.nodes:
-        return need.name
-    path = [step for step in _path(need.nodes, attribute, interval) if step != need.name]
-    return f"{need.name} needs {interval.text(attribute)}" + (f" (by {' of '.join(path)})" if path else "")
-
-
-def _path(nodes: Iterable[Node], attribute: str, interval: Interval) -> list[str]:
-    """Return the way down to the first constraint with a bound of the interval, the lowest element first."""
-    paths = {node: [f"{node.kind} {node.name}"] for node in nodes}
-    waiting = list(paths)
-    for node in waiting:
-        own = (one.constraint.value for one in node.constraints if one.constraint.attribute == attribute)
-        if any(value in (interval.low, interval.high) for value in own):
-            return paths[node]
+    """Name two needs that exclude one another, and what each comes to if that is one thing; else all of them."""
+    needs = {f"its own constraint {one.name}": requirements.of(one).boxes for one in node.constraints}
+    if node.kind == "component":
+        needs["each of its configurations"] = tuple(box for part in node.parts for box in requirements.of(part).boxes)
+    else:
         for part in node.parts:
-            if part not in paths:
-                paths[part] = [f"{part.kind} {part.name}", *paths[node]]
-                waiting.append(part)
-    return []
+            boxes = requirements.of(part).boxes
+            needs[_needing(part, boxes)] = boxes
+    for (one, mine), (other, theirs) in combinations(needs.items(), 2):
+        if not any(box.meet(their) for box in mine for their in theirs):
+            return f"{one} and {other} exclude one another, whatever is measured"
+    return f"{listing(needs, 8)} cannot be met together, whatever is measured"
+
+
+def _needing(part: Node, boxes: tuple[Box, ...]) -> str:
+    asked = " and ".join(one.text(name) for name, one in boxes[0].intervals.items()) if len(boxes) == 1 else ""
+    return f"{part.kind} {part.name}" + (f" ({asked})" if asked else "")

@@ -1,17 +1,16 @@
 """Checks of a model as a whole: its names, what is used, and the facts that it states from the start."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from math import inf
 
-from kb import facts
 from kb.checks.choices import doubtful_choices
 from kb.checks.contradictions import contradictions
 from kb.checks.findings import Finding, Severity, found, listing
 from kb.elements import KINDS, Constraint, Element, listed, text
 from kb.exceptions import UnknownName
 from kb.explanation.requirements import Interval
-from kb.facts import Contents, RequiredActionFact, tables_of
+from kb.facts import Contents, RequiredActionFact
 from kb.measurements import turning_point
 from kb.network import Network
 from kb.status import Status
@@ -27,8 +26,6 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *_unused(model, network),
         *_out_of_range(model),
         *doubtful_choices(model, network),
-        *_hidden_statuses(model),
-        *(finding for table in tables_of(model).values() for finding in _similar(table)),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
     places = {_described(one): place for one, place in model.places.items()}
@@ -92,22 +89,3 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
             yield found(
                 "out-of-range", _described(one), f"{message} (on {listing(each.name for each in one.constrained)})"
             )
-
-
-def _similar(table: Mapping[str, Element]) -> Iterator[Finding]:
-    first: dict[str, str] = {}
-    for name, element in table.items():
-        other = first.setdefault("".join(name.replace("_", " ").split()).casefold(), name)
-        if other != name:
-            kind = KINDS[type(element)]
-            yield found("similar-names", f"{kind} {name}", f"{kind} {name} is called almost like {kind} {other}")
-
-
-def _hidden_statuses(model: Contents) -> Iterator[Finding]:
-    for fact in model.facts:
-        # a failure is not inferred but reported
-        if isinstance(fact, facts.StatusFact) and fact.status is not Status.FAILURE:
-            one, what = fact.element, _described(fact.element)
-            if isinstance(one, Constraint):
-                what += f" of {listing(each.name for each in one.constrained)}"
-            yield found("hidden-status", what, f"{what} is stated to be {fact.status}")

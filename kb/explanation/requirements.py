@@ -66,11 +66,6 @@ class Interval:
         high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low, high, low_open, not high_closed)
 
-    def hull(self, other: "Interval") -> "Interval":
-        low, low_open = min((self.low, self.low_open), (other.low, other.low_open))
-        high, high_closed = max((self.high, not self.high_open), (other.high, not other.high_open))
-        return Interval(low, high, low_open, not high_closed)
-
     def text(self, attribute: str, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
         ends = (self.low, ">" if self.low_open else ">="), (self.high, "<" if self.high_open else "<=")

@@ -94,8 +94,7 @@ def component_with_an_impossible_bound(model):
 @specimen(
     "never-feasible",
     "action hide",
-    "its own constraint light < 0.2, but function see needs light >= 0.3",
-    "by function design by camera",
+    "its own constraint light < 0.2 and function see (light >= 0.3) exclude one another",
 )
 def action_whose_function_needs_what_it_excludes(model):
     for design in model.designs.values():
@@ -106,7 +105,7 @@ def action_whose_function_needs_what_it_excludes(model):
 @specimen(
     "never-feasible",
     "component camera",
-    "its own constraint light > 2, but each of its configurations needs light <= 2",
+    "its own constraint light > 2 and each of its configurations exclude one another",
     "so action photograph can never be feasible",
 )
 def component_that_excludes_each_of_its_configurations(model):
@@ -121,8 +120,7 @@ def component_that_excludes_each_of_its_configurations(model):
 @specimen(
     "never-feasible",
     "function design by both",
-    "component lamp needs light < 0.5",
-    "component camera needs light >= 0.5 (by configuration day)",
+    "component lamp (light < 0.5) and component camera (light >= 0.5) exclude one another",
 )
 def design_of_components_that_exclude_one_another(model):
     model.configurations["night"].constrain(light_of(model) >= 0.7)
@@ -209,11 +207,6 @@ def preferred_attribute_that_nothing_estimates(model):
     model.add_fact(RequiredActionFact("explore", {"light": 1.0}))
 
 
-@specimen("missing-parameter", "configuration night", "night does not set gain; all other configurations")
-def configuration_that_leaves_a_parameter_as_it_was(model):
-    model.change(model.configurations["day"], parameters={"exposure": 0.01, "gain": 2.0})
-
-
 @specimen("unused-attribute", "attribute wind", "nothing depends on attribute wind")
 def attribute_that_nothing_depends_on(model):
     model.quality_attribute("wind")
@@ -227,27 +220,6 @@ def component_in_no_design(model):
 @specimen("unused-function", "function hear", "no action requires function hear")
 def function_of_no_action(model):
     model.function("hear").design("by microphone", ["sonar"], priority=1)
-
-
-@specimen("hidden-status", "function see", "function see is stated to be unfeasible")
-def status_that_is_stated(model):
-    model.add_fact(StatusFact(model.functions["see"], Status.UNFEASIBLE))
-
-
-@specimen("hidden-status", "constraint light >= 0.1 of explore", "is stated to be satisfied")
-def status_of_a_constraint_that_is_stated(model):
-    (constraint,) = (one for one in model.constraints if one.value == 0.1)
-    model.add_fact(StatusFact(constraint, Status.SATISFIED))
-
-
-@specimen("similar-names", "component Sonar", "component Sonar is called almost like component sonar")
-def names_that_differ_in_case(model):
-    model.functions["see"].design("by all", ["camera", model.component("Sonar")], priority=0)
-
-
-@specimen("similar-names", "function design by_camera", "almost like function design by camera")
-def names_that_differ_in_a_space(model):
-    model.functions["see"].design("by_camera", ["lamp"], priority=0, constraints=[light_of(model) > 3.0])
 
 
 @specimen("file-note", "model sound", "model.tql:3:7: 'solvd' is no status")
