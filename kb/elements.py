@@ -8,7 +8,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from types import MappingProxyType
@@ -587,31 +587,18 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
 """How the fields of each class of elements are checked, but for those that name other elements."""
 
 
-class ByName(Mapping[str, T]):
+class ByName(dict[Any, T]):
     """What there is of one kind by name, in order of declaration; an unknown name says which are near it."""
 
-    _table: Mapping[str, Any]
+    def __init__(self, kind: str, table: Mapping[str, T] | None = None) -> None:
+        super().__init__(table or {})
+        self._kind = kind
 
-    def __init__(self, kind: str, table: Mapping[str, T]) -> None:
-        self._kind, self._table = kind, table
-
-    def __getitem__(self, name: str) -> T:
-        found: T | None = self._table.get(name) if isinstance(name, str) else None
-        if found is None:
-            raise UnknownName(self._kind, name, self._table)
-        return found
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and name in self._table
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._table)
-
-    def __len__(self) -> int:
-        return len(self._table)
-
-    def __repr__(self) -> str:
-        return f"<{self._kind}s {', '.join(map(repr, self._table))}>" if self._table else f"<no {self._kind}s>"
+    def __getitem__(self, name: object) -> T:
+        try:
+            return dict.__getitem__(self, name)
+        except (KeyError, TypeError):
+            raise UnknownName(self._kind, name, map(str, self)) from None
 
 
 def called(element: Changeable) -> str:

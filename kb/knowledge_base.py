@@ -46,7 +46,7 @@ from kb.records import (
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
-from kb.views import named, views_of
+from kb.views import views_of
 
 _log = logging.getLogger(__name__)
 
@@ -174,7 +174,7 @@ class KnowledgeBase:
         known, network = self._knowledge, self._knowledge.network
         revision, statuses = network.revision, known.state.status
         if self.model.pending is None and known.pending is None and known.measurements.alarms.next == math.inf:
-            place = named(network.actions, "action", action).index
+            place = network.actions[action].index
             status = statuses[place] if network.revision == revision else None  # one reading needs no lock,
             if network.revision == revision:  # unless the model is changed meanwhile
                 return status is not Status.UNFEASIBLE
@@ -285,7 +285,7 @@ class KnowledgeBase:
             UnknownName: no such attribute.
             InvalidValue: not a finite number, or outside the attribute's range; the facts are as they were.
         """
-        node = _found(self._knowledge.network.attributes, "attribute", attribute)
+        node = self._knowledge.network.attributes[attribute]
         of: Any = node.element
         is_plain = type(value) is float and math.isfinite(value) and of.low <= value <= of.high
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
@@ -405,7 +405,7 @@ class KnowledgeBase:
                 the latest that made an action feasible or unfeasible.
         """
         known = self._knowledge
-        node = _found(known.network.actions, "action", action)
+        node = known.network.actions[action]
         wanted, now = questions.preferred(known.network, preference), known.now
         if node.name in known.records.required:
             return Reply(True, f"{node.name} is required already")
@@ -428,7 +428,7 @@ class KnowledgeBase:
             cause: number of the event that led to it; without one, that which made the action unfeasible, if it is.
         """
         known = self._knowledge
-        node = _found(known.network.actions, "action", action)
+        node = known.network.actions[action]
         check_result(result)
         text("the reason why an action ends", reason)
         now = known.now
@@ -465,8 +465,8 @@ class KnowledgeBase:
             text("the reason of a choice", reason)
         known = self._knowledge
         network = known.network
-        chosen = _chosen(network.designs, "function design", network.functions, "function", designs)
-        given = _chosen(network.configurations, "configuration", network.components, "component", configurations)
+        chosen = _chosen(network.designs, network.functions, designs)
+        given = _chosen(network.configurations, network.components, configurations)
         now = known.now
         for node in (*chosen, *given):
             if known.state.status[node.index] is Status.UNFEASIBLE:
@@ -547,7 +547,7 @@ class KnowledgeBase:
         known = self._knowledge
         name, of = self._component(component).name, None
         if configuration is not None:
-            of = _found(known.network.configurations, "configuration", configuration).name
+            of = known.network.configurations[configuration].name
         given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
         if type(number) is not int or number < 1:
             raise InvalidValue(f"the number of an attempt is a whole number from 1, not {number!r}")
@@ -618,7 +618,7 @@ class KnowledgeBase:
 
     @_telling
     def _outdate(self, name: str) -> None:
-        node, state = _found(self._knowledge.network.attributes, "attribute", name), self._knowledge.state
+        node, state = self._knowledge.network.attributes[name], self._knowledge.state
         if state.value[node.index] is not None and not state.stale[node.index]:
             self._tell("stale", name)
 
@@ -687,7 +687,7 @@ class KnowledgeBase:
             )
 
     def _component(self, name: str) -> Node:
-        return _found(self._knowledge.network.components, "component", name)
+        return self._knowledge.network.components[name]
 
     def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
         self._knowledge.finish()
@@ -757,20 +757,12 @@ def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # n
     return held
 
 
-def _found(table: Mapping[str, Node], kind: str, name: Any) -> Node:  # noqa: ANN401  # whatever is given as a name
-    """Return the node that is meant, mostly by its name."""
-    node = table.get(name) if type(name) is str else None
-    return named(table, kind, name) if node is None else node
-
-
-def _chosen(
-    parts: Mapping[str, Node], kind: str, wholes: Mapping[str, Node], of: str, given: Mapping[str, str] | None
-) -> list[Node]:
+def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:
     """Return what is chosen, by name of what it is for; each is to be one of that."""
     if given is not None and not isinstance(given, Mapping):
         raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {given!r}")
-    chosen = [(_found(parts, kind, name), _found(wholes, of, whole)) for whole, name in (given or {}).items()]
+    chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]
     for node, owner in chosen:
         if node.wholes[0] is not owner:
-            raise InvalidValue(f"{kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
+            raise InvalidValue(f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
     return [node for node, _ in chosen]

@@ -126,7 +126,7 @@ class Model:
 
     def __init__(self, name: str) -> None:
         self.name = identifier("model", name)
-        self._tables: dict[type, dict[Any, Any]] = {cls: {} for cls in KINDS}
+        self._tables: dict[type, ByName[Any]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
         self._facts: list[Fact] = []
         self._observers: list[ref[Observer]] = []
         self._changing = RLock()
@@ -134,12 +134,12 @@ class Model:
         self.pending: Amended | None = None
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
-        self.attributes: Mapping[str, Attribute] = self._elements(Attribute)
-        self.components: Mapping[str, Component] = self._elements(Component)
-        self.configurations: Mapping[str, Configuration] = self._elements(Configuration)
-        self.functions: Mapping[str, Function] = self._elements(Function)
-        self.designs: Mapping[str, FunctionDesign] = self._elements(FunctionDesign)
-        self.actions: Mapping[str, Action] = self._elements(Action)
+        self.attributes: Mapping[str, Attribute] = MappingProxyType(self._tables[Attribute])
+        self.components: Mapping[str, Component] = MappingProxyType(self._tables[Component])
+        self.configurations: Mapping[str, Configuration] = MappingProxyType(self._tables[Configuration])
+        self.functions: Mapping[str, Function] = MappingProxyType(self._tables[Function])
+        self.designs: Mapping[str, FunctionDesign] = MappingProxyType(self._tables[FunctionDesign])
+        self.actions: Mapping[str, Action] = MappingProxyType(self._tables[Action])
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
@@ -384,9 +384,6 @@ class Model:
         ]
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
-    def _elements(self, cls: type[ElementT]) -> ByName[ElementT]:
-        return ByName(KINDS[cls], self._tables[cls])
-
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
@@ -399,9 +396,8 @@ class Model:
         """Return the name of an element that is referred to by itself or by its name."""
         kind, table = KINDS[cls], self._tables[cls]
         if not isinstance(given, Element):
-            if isinstance(given, str) and given in table:
-                return given
-            raise UnknownName(kind, given, table)
+            found: Element = table[given]
+            return found.name
         if given.model is not self:
             raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}")
         name = given.name

@@ -10,6 +10,7 @@ from kb.elements import (
     KINDS,
     Action,
     Attribute,
+    ByName,
     Component,
     Configuration,
     Constraint,
@@ -139,6 +140,7 @@ class Network:
 
     Attributes:
         revision: grows whenever the model is related anew.
+        kinds: all tables of what has a name, by kind.
     """
 
     def __init__(self, model: Contents) -> None:
@@ -146,7 +148,7 @@ class Network:
         self.revision = 0
         self.nodes: list[Node] = []
         self._thresholds: dict[Node, Thresholds] = {}
-        self._tables: dict[type, dict[Any, Node]] = {cls: {} for cls in KINDS}
+        self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
         self.configurations: Mapping[str, Node] = self._tables[Configuration]
@@ -154,7 +156,8 @@ class Network:
         self.designs: Mapping[str, Node] = self._tables[FunctionDesign]
         self.actions: Mapping[str, Node] = self._tables[Action]
         self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
-        self._kinds = {kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)}
+        tables = {kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)}
+        self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
 
     def find(self, element: Element | Constraint) -> Node:
@@ -171,27 +174,16 @@ class Network:
         for table in self._tables.values():
             yield from table.values()
 
-    def of_kind(self, kind: str) -> Mapping[str, Node]:
-        table = self._kinds.get(kind)
-        if table is None:
-            raise UnknownName("kind of element", kind, self._kinds)
-        return table
-
     def referred(self, ref: Ref) -> Node:
         match ref:
             case (str(kind), str(name), *position) if not position or (len(position) == 1 and type(position[0]) is int):
-                table = self.of_kind(kind)
+                node = self.kinds[kind][name]
             case _:
                 what = "an element is (kind, name), a constraint (kind, name, position) by what it is on"
                 raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
-        if name not in table:
-            raise UnknownName(kind, name, table)
-        if not position:
-            return table[name]
-        constraints = table[name].constraints
-        if not 0 <= position[0] < len(constraints):
-            raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(constraints))))
-        return constraints[position[0]]
+        if position and not 0 <= position[0] < len(node.constraints):
+            raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(node.constraints))))
+        return node.constraints[position[0]] if position else node
 
     def renew(self) -> None:
         """Relate all that is in the model now, as it is now; it may be done again.

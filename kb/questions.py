@@ -25,7 +25,7 @@ from kb.reconfiguration import Obsolete, by_whole, reselect
 from kb.reconfiguration import obsolete as all_obsolete
 from kb.state import Overlay, State
 from kb.status import Status
-from kb.views import ElementView, Readable, named, views_of
+from kb.views import ElementView, Readable, views_of
 
 ELEMENTS: Final = ("action", "function", "component", "function design", "configuration", "constraint")
 """The kinds of elements that have a status; all but constraints have a name too."""
@@ -38,7 +38,7 @@ Meant = ElementView | Element | Constraint | Ref | str
 def is_feasible(base: Readable, action: str) -> bool:
     """Tell whether an action can be done now: its status is not "unfeasible"."""
     with base.reading() as state:
-        return state.status[named(state.network.actions, "action", action).index] is not Status.UNFEASIBLE
+        return state.status[state.network.actions[action].index] is not Status.UNFEASIBLE
 
 
 def selectable_actions(base: Readable) -> tuple[str, ...]:
@@ -50,19 +50,19 @@ def selectable_actions(base: Readable) -> tuple[str, ...]:
 def selectable_designs(base: Readable, function: str) -> tuple[str, ...]:
     """Names of a function's designs that can be selected now, in order of declaration."""
     with base.reading() as state:
-        return _selectable(state, named(state.network.functions, "function", function).parts)
+        return _selectable(state, state.network.functions[function].parts)
 
 
 def selectable_configurations(base: Readable, component: str) -> tuple[str, ...]:
     """Names of a component's configurations that can be selected now, in order of declaration."""
     with base.reading() as state:
-        return _selectable(state, named(state.network.components, "component", component).parts)
+        return _selectable(state, state.network.components[component].parts)
 
 
 def best_configuration(base: Readable, action: str) -> Choice | None:
     """Return what comes first by priority for an action by itself, required or not; None while it is unfeasible."""
     with base.reading() as state:
-        node = named(state.network.actions, "action", action)
+        node = state.network.actions[action]
         if state.status[node.index] is Status.UNFEASIBLE:
             return None
         designs = firsts_by_priority(state, node.parts)
@@ -85,7 +85,7 @@ def adaptable_components(base: Readable, designs: Iterable[str] | Mapping[str, s
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
         supposed = Overlay(state)
-        reselect(supposed, [named(state.network.designs, "function design", name) for name in names], ())
+        reselect(supposed, [state.network.designs[name] for name in names], ())
         return _adaptable(supposed, "component")
 
 
@@ -150,15 +150,15 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
         if node.kind not in kinds:
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
-    searched = {kind: network.of_kind(kind) for kind in kinds if kind != "constraint"}
+    searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
     return meant_by(element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else "")
 
 
 def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
     """Return a preference in plain names and finite weights; any other is refused."""
     if given is None or not isinstance(given, Mapping):
-        return None if given is None else named(network.attributes, "attribute", given).name
-    weights = {named(network.attributes, "attribute", name).name: finite_number(one) for name, one in given.items()}
+        return None if given is None else network.attributes[given].name
+    weights = {network.attributes[name].name: finite_number(one) for name, one in given.items()}
     return MappingProxyType(weights)
 
 
@@ -218,12 +218,12 @@ def suppose(
         network = state.network
         supposed = []
         for name, value in values.items():
-            node = named(network.attributes, "attribute", name)
+            node = network.attributes[name]
             given = None if value is None else number(f"{name} cannot be supposed to be", value, node)
             supposed.append(_Assumption("measured", node, given))
         for what, names in listings.items():
             kind = "action" if what == "requested" else "component"
-            supposed += [_Assumption(what, named(network.of_kind(kind), kind, name)) for name in names]
+            supposed += [_Assumption(what, network.kinds[kind][name]) for name in names]
         if at is not None:
             now, then, of = base.now, finite_number(at), base.forecast
             if then < now:

@@ -10,8 +10,7 @@ from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
-from kb.elements import AttributeKind, ByName, ComponentKind, Constraint, Element, Parameters, finite_number
-from kb.exceptions import UnknownName
+from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.network import Network, Node
 from kb.state import History, State
 from kb.status import Status
@@ -302,14 +301,23 @@ class AttributeView(ElementView):
 ViewT = TypeVar("ViewT", bound=ElementView)
 
 
-class Views(ByName[ViewT]):
+class Views(Mapping[str, ViewT]):
     """Views of the elements of one kind by name, in order of declaration; an unknown name says which are near it."""
 
-    def __init__(self, base: Readable, kind: str, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
-        self._base, self._kind, self._table, self._view = base, kind, nodes, view
+    def __init__(self, base: Readable, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
+        self._base, self._table, self._view = base, nodes, view
 
     def __getitem__(self, name: str) -> ViewT:
-        return self._view(self._base, named(self._table, self._kind, name))
+        return self._view(self._base, self._table[name])
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._table
+
+    def __len__(self) -> int:
+        return len(self._table)
+
+    def __repr__(self) -> str:
+        return repr(self._now())
 
     def __iter__(self) -> Iterator[str]:
         with self._base.reading():
@@ -328,21 +336,6 @@ class Views(ByName[ViewT]):
             return {name: self._view(self._base, node) for name, node in self._table.items()}
 
 
-def named(table: Mapping[str, Node], kind: str, name: str | ElementView) -> Node:
-    """Return the node of a kind that a name or a view stands for.
-
-    Raises:
-        UnknownName: there is none.
-    """
-    try:
-        return table[name]  # type: ignore[index]  # a view is no key: answered below
-    except (KeyError, TypeError):
-        found = table.get(name.name) if isinstance(name, ElementView) else None
-        if found is not None and isinstance(name, ElementView) and found.element is name.element:
-            return found
-        raise UnknownName(kind, name, table) from None
-
-
 def views_of(
     base: Readable, network: Network
 ) -> tuple[
@@ -355,10 +348,10 @@ def views_of(
 ]:
     """Return views of the actions, functions, components, designs, configurations and attributes, by name."""
     return (
-        Views(base, "action", network.actions, ActionView),
-        Views(base, "function", network.functions, FunctionView),
-        Views(base, "component", network.components, ComponentView),
-        Views(base, "function design", network.designs, DesignView),
-        Views(base, "configuration", network.configurations, ConfigurationView),
-        Views(base, "attribute", network.attributes, AttributeView),
+        Views(base, network.actions, ActionView),
+        Views(base, network.functions, FunctionView),
+        Views(base, network.components, ComponentView),
+        Views(base, network.designs, DesignView),
+        Views(base, network.configurations, ConfigurationView),
+        Views(base, network.attributes, AttributeView),
     )

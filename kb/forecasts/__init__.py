@@ -21,7 +21,7 @@ from kb.network import Node
 from kb.records import RequiredAction
 from kb.state import Overlay, State
 from kb.status import OPERATORS, Status
-from kb.views import Readable, named
+from kb.views import Readable
 
 _MOST_SAMPLES, _MOST_REQUESTS, _MOST_FITS = 2048, 64, 4096
 _LOOKS, _HALVINGS = 128, 24
@@ -107,7 +107,7 @@ class Forecaster:
         """Say what an attribute is expected to be so far ahead [s], while by default what is required is done."""
         now, ahead = self._base.now, _horizon(horizon)
         with self._base.reading() as state:
-            node = named(state.network.attributes, "attribute", attribute)
+            node = state.network.attributes[attribute]
             return self.at(state, node, now + ahead, now, self.doing(state, doing))
 
     def doing(self, state: State, given: Iterable[str] | None) -> frozenset[str]:
@@ -115,7 +115,7 @@ class Forecaster:
         if given is None:
             return frozenset(self._known.records.required)
         names = (given,) if isinstance(given, str) else listed("the actions that are done", given)
-        return frozenset(named(state.network.actions, "action", name).name for name in names)
+        return frozenset(state.network.actions[name].name for name in names)
 
     def at(self, state: State, node: Node, time: float, now: float, doing: frozenset[str]) -> Forecast:
         """Forecast an attribute for a time [s] while something is done."""
@@ -191,7 +191,7 @@ def feasible_until(
     """
     now, ahead = base.now, _horizon(within)
     with base.reading() as state:
-        node = named(state.network.actions, "action", action)
+        node = state.network.actions[action]
         if state.status[node.index] is Status.UNFEASIBLE:
             return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
         done = base.forecast.doing(state, (node.name,) if doing is None and not state.requested[node.index] else doing)

@@ -15,7 +15,6 @@ from kb.elements import ComponentKind, EstimationKind
 from kb.network import Network, Node
 from kb.planners.choice import Choice, Criterion, ranked
 from kb.state import State
-from kb.views import named
 
 DIGITS: Final = 12
 """All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""
@@ -152,9 +151,9 @@ def check_names(network: Network, criterion: Criterion) -> None:
     """Raise `UnknownName` unless the model has all that a criterion names."""
     costs = criterion.switching_cost
     for name in (*criterion.weights, *criterion.budgets):
-        named(network.attributes, "attribute", name)
+        network.attributes[name]
     for name in costs if isinstance(costs, Mapping) else ():
-        named(network.components, "component", name)
+        network.components[name]
 
 
 class _Encoder:

@@ -75,7 +75,7 @@ def supposed(situation: Situation) -> dict[str, Any]:
         network, choice = state.network, choice_by_priority(state) or Choice({}, {})
         chosen: dict[str, int | None] = {}
         for kind, following in (("function", choice.designs), ("component", choice.configurations)):
-            for node in network.of_kind(kind).values():
+            for node in network.kinds[kind].values():
                 possible = ranked(state, node)  # the first is what would be selected if nothing is
                 name = following.get(node.name)
                 kept = [one for one in possible if (state.selected[one.index] if name is None else one.name == name)]
