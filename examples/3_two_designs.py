@@ -1,6 +1,6 @@
 """Two designs: an arm that grasps with its fingers when the vacuum pump fails."""
 
-from kb import ConfigurationManager, KnowledgeBase, ManagedObjects, Model
+from kb import ConfigurationManager, KnowledgeBase, Model
 
 # A function can be had in more than one way. The pump is plain hardware: it may fail, but nobody switches it.
 model = Model("arm")
@@ -13,27 +13,23 @@ grasp.design("by_fingers", [fingers], priority=2)
 model.action("sort_parcels", requires=[grasp])
 
 
-class Node:
-    """A component within this program; those of yours may be ROS nodes, processes or drivers."""
+class Nodes:
+    """The components of this program; those of yours may be ROS nodes, processes or drivers."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def activate(self, component: str) -> None:
+        """Have a component begin to work."""
+        print("  start", component)
 
-    def activate(self) -> None:
-        """Begin to work."""
-        print("  start", self.name)
+    def deactivate(self, component: str) -> None:
+        """Have a component cease to work."""
+        print("  stop", component)
 
-    def deactivate(self) -> None:
-        """Cease to work."""
-        print("  stop", self.name)
-
-    def set_parameters(self, parameters: object) -> None:
-        """Take parameters; these nodes have none."""
+    def set_parameters(self, component: str, parameters: object) -> None:
+        """Give a component its parameters; these have none."""
 
 
 kb = KnowledgeBase(model, clock=lambda: 0.0)
-nodes = ManagedObjects({name: Node(name) for name in ("suction_node", "fingers_node")})
-manager = ConfigurationManager(kb, nodes)
+manager = ConfigurationManager(kb, Nodes())
 
 print("sorting is requested")
 kb.request_action("sort_parcels")

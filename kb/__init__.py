@@ -19,7 +19,7 @@ from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.forecasts import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ManagedObject, ManagedObjects, ManagedSystem, Operation
+from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
 from kb.planners.choice import Choice, Criterion, Optimum
@@ -55,8 +55,6 @@ __all__ = [
     "KnowledgeBase",
     "KnowledgeBaseError",
     "Log",
-    "ManagedObject",
-    "ManagedObjects",
     "ManagedSystem",
     "Memory",
     "Model",

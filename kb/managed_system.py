@@ -1,6 +1,5 @@
-"""The managed system: what the manager commands, an adapter for objects of this process, and a look at what runs."""
+"""The managed system: what the manager commands, how its answers are read, and a look at what runs."""
 
-from collections.abc import Mapping
 from contextlib import suppress
 from inspect import isasyncgenfunction, iscoroutine, iscoroutinefunction, isgeneratorfunction, signature
 from itertools import takewhile
@@ -42,54 +41,6 @@ class ManagedSystem(Protocol):
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
         """Give a component its parameters; a stopped one keeps them for when it is activated."""
-
-
-class ManagedObject(Protocol):
-    """A component that lives in this process; it may have a method `is_active()` too, see `ManagedSystem`."""
-
-    def activate(self) -> Operation | None:
-        """Start working."""
-
-    def deactivate(self) -> Operation | None:
-        """Stop working."""
-
-    def set_parameters(self, parameters: Parameters) -> Operation | None:
-        """Take parameters."""
-
-
-class ManagedObjects:
-    """A managed system made of objects in this process, given by component name.
-
-    Raises:
-        ProtocolError: one of them lacks a method, or has one that cannot be called as it is going to be.
-    """
-
-    def __init__(self, objects: Mapping[str, ManagedObject]) -> None:
-        self._objects = dict(objects)
-        for name, one in self._objects.items():
-            check_methods(f"the object of component {name!r}", one, ManagedObject)
-
-    def activate(self, component: str) -> Operation | None:
-        """Activate the object of that name; see `ManagedObject`."""
-        return self._object(component).activate()
-
-    def deactivate(self, component: str) -> Operation | None:
-        """Deactivate the object of that name."""
-        return self._object(component).deactivate()
-
-    def set_parameters(self, component: str, parameters: Parameters) -> Operation | None:
-        """Give the object of that name its parameters."""
-        return self._object(component).set_parameters(parameters)
-
-    def is_active(self, component: str) -> bool | None:
-        """Whether the object of that name runs; None if it cannot tell."""
-        tell = getattr(self._object(component), "is_active", None)
-        return tell() if callable(tell) else tell
-
-    def _object(self, component: str) -> ManagedObject:
-        if component not in self._objects:
-            raise UnknownName("managed object", component, self._objects)
-        return self._objects[component]
 
 
 def is_active(managed: ManagedSystem, component: str) -> bool | None:

@@ -37,7 +37,6 @@ _PAUSE: Final = 0.001  # in which those who tell go on before it is written what
 _AHEAD: Final = 1 << 20  # that is written to the log beside the file before it is brought into the file [bytes]
 _AGAIN: Final = 1.0  # after which it is tried again to write, and the mark is forced to the disk [s]
 _MOST_WAITING: Final = 100_000  # events that wait for room on the disk before it is given up: memory has an end too
-_SLICE: Final = 500  # events of the history that are checked at a time while the file is in use
 
 _log = logging.getLogger(__name__)
 
@@ -89,7 +88,6 @@ class Store:
         self._snapshot = 0 if found.snapshot is None else found.snapshot.number
         before = 0 if found.snapshot is None else found.snapshot.others
         self._others = before + sum(row.verb != "measure" for row in found.rows)
-        self._checked, self._to_check = 0, self._snapshot if self.path.stat().st_size > store_file.WHOLE_CHECK else 0
         self._synced = 0.0
         self.time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
         try:
@@ -276,10 +274,7 @@ class Store:
 
     def _run(self) -> None:
         while not self._is_given_up:
-            is_checking = self._checked < self._to_check
-            self._wake.wait(_AGAIN if self.error else 0.05 if is_checking else None)
-            if is_checking:
-                self._check_some()
+            self._wake.wait(_AGAIN if self.error else None)
             self._wake.clear()
             if not self._is_stopping:
                 time.sleep(_PAUSE)
@@ -291,17 +286,6 @@ class Store:
                 self._wake.set()
         if self._ends_itself:
             self._end()
-
-    def _check_some(self) -> None:
-        """Check a part of a history that is too long to be checked before the file is used."""
-        until = min(self._checked + _SLICE, self._to_check)
-        try:
-            with self.using:
-                for _ in store_file.history(self._connection, self._checked, until):
-                    pass
-            self._checked = until
-        except (sqlite3.Error, ValueError) as error:
-            self._fail(error, is_given_up=True)
 
     def _write(self) -> None:
         """Write what is new; if that fails, everything is as before."""

@@ -33,7 +33,7 @@ _TABLES: Final = (
 )
 
 WHOLE_CHECK: Final = 8 << 20
-"""Up to which size the whole history is checked before a file is used; more is checked while it is [bytes]."""
+"""Up to which size the whole history is checked before a file is used; more is checked as it is read [bytes]."""
 
 BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)  # what reading a damaged file may raise
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from managed_stand_ins import LIE, Broken, Candid, Operation, Scripted, base, come_to_rest, happen, rover, turn
 from models import events, models
 
-from kb import ConfigurationManager, ManagedObjects, Model, StagedExecutor, Status, UnknownName
+from kb import ConfigurationManager, Model, StagedExecutor, Status, UnknownName
 from kb.exceptions import InvalidValue
 
 
@@ -155,31 +155,6 @@ def test_a_look_that_fails_never_raises(answer):
         assert kb.actions["explore"].status is Status.UNFEASIBLE
     else:
         assert managed.running == {"camera"}
-
-
-def test_an_object_that_can_tell_is_asked():
-    class Liar:
-        is_active = False
-
-        def activate(self):
-            pass
-
-        deactivate = activate
-
-        def set_parameters(self, parameters):
-            pass
-
-    class Honest(Liar):
-        def is_active(self):
-            return True
-
-    kb, clock = base(rover())
-    managed = ManagedObjects({"camera": Liar(), "lidar": Honest()})
-    manager = ConfigurationManager(kb, managed, executor=StagedExecutor(managed, timeout=2.0))
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert kb.components["lidar"].is_active
-    assert not kb.components["camera"].is_active
 
 
 # configurations are put in quarantine before components are given up

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from managed_stand_ins import Broken, Candid, Scripted, base, come_to_rest, rover, turn
 from models import Clock, models
 
-from kb import ConfigurationManager, KnowledgeBase, ManagedObjects, Model, StagedExecutor, Status
+from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 
 in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
 
@@ -301,7 +301,7 @@ def test_what_nobody_can_tell_is_believed(answer):
             if self.is_active_now:
                 return True
             if answer == "stranger":
-                return ManagedObjects({}).is_active(component)
+                raise UnknownName("component", component, [])
             if isinstance(answer, Exception):
                 raise answer
             return answer
@@ -334,4 +334,4 @@ def test_the_facts_are_put_right_whatever_stops_by_itself(model, data):
 def test_a_model_without_anything_to_watch_is_no_trouble():
     model = Model("empty")
     kb = KnowledgeBase(model, clock=Clock(0.0))
-    assert ConfigurationManager(kb, ManagedObjects({})).update() is None
+    assert ConfigurationManager(kb, Candid(Clock(0.0))).update() is None

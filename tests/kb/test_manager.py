@@ -13,7 +13,6 @@ from kb import (
     ConfigurationManager,
     EventKind,
     KnowledgeBase,
-    ManagedObjects,
     Model,
     PriorityPlanner,
     Status,
@@ -462,42 +461,6 @@ def test_a_plan_that_someone_else_ended_is_not_carried_on():
 
 
 # objects of this process
-
-
-class Node:
-    def __init__(self):
-        self.log = []
-
-    def activate(self):
-        self.log.append("on")
-
-    def deactivate(self):
-        self.log.append("off")
-
-    def set_parameters(self, parameters):
-        self.log.append(dict(parameters))
-
-
-def test_objects_of_this_process_are_managed_by_name():
-    kb, clock = base(rover())
-    nodes = {"camera": Node(), "lidar": Node()}
-    manager = ConfigurationManager(kb, ManagedObjects(nodes))
-    kb.request_action("explore")
-    turn(manager, clock, 2)
-    kb.component_failed("lamp")
-    turn(manager, clock, 2)
-    assert nodes["camera"].log == [{"exposure": 0.01}, "on", "off"]
-    assert nodes["lidar"].log == ["on"]
-
-
-def test_a_missing_object_is_a_component_that_cannot_be_used_and_never_an_exception(caplog):
-    kb, clock = base(rover())
-    manager = ConfigurationManager(kb, ManagedObjects({"lidar": Node()}))
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert kb.components["camera"].status is Status.UNFEASIBLE
-    assert kb.designs["by lidar"].status is Status.SOLVED
-    assert "unknown managed object 'camera'" in caplog.text
 
 
 # laws

@@ -8,7 +8,6 @@ from kb import (
     ConfigurationManager,
     InvalidValue,
     KnowledgeBaseError,
-    ManagedObjects,
     PriorityPlanner,
     ProtocolError,
     Status,
@@ -75,11 +74,6 @@ def test_what_cannot_be_called_is_refused_where_it_is_handed_in(given, said):
     with pytest.raises(ProtocolError, match=said) as refused:
         manager_of(**given)
     assert isinstance(refused.value, TypeError | KnowledgeBaseError)
-
-
-def test_a_managed_object_is_looked_at_too():
-    with pytest.raises(ProtocolError, match=r"the object of component 'camera' has a method activate\(\)"):
-        ManagedObjects({"camera": object()})
 
 
 async def later():
