@@ -14,23 +14,16 @@ MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea
 COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
 NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 NOT_FINITE: Final = frozenset({"nan", "inf", "infinity"})
-RECOVERED: Final = frozenset({"recovered", "ok"})
-FAILED: Final = frozenset({"false", "failure", "error"})
+COMPONENT_VALUES: Final = dict.fromkeys(("ok", "recovered"), "component_recovered") | dict.fromkeys(
+    ("error", "failure", "false"), "component_failed"
+)
 
 
-class Measurement(NamedTuple):
-    """An attribute was measured."""
+class Reading(NamedTuple):
+    """What a key and its value say: the verb that tells it, with its arguments, and the value as it is written."""
 
-    attribute: str
-    value: float
-    written: str
-
-
-class ComponentReport(NamedTuple):
-    """A component is reported failed, or recovered."""
-
-    component: str
-    failed: bool
+    verb: str
+    arguments: tuple[str] | tuple[str, float]
     written: str
 
 
@@ -45,7 +38,7 @@ class DiagnosticProblem(NamedTuple):
         return f"{self.key:.200}={self.value!r:.200}: {self.reason}"
 
 
-def read_diagnostics(array: object) -> Iterator[Measurement | ComponentReport | DiagnosticProblem]:
+def read_diagnostics(array: object) -> Iterator[Reading | DiagnosticProblem]:
     """Yield what each key/value of an array says; statuses whose message is not ours are passed over."""
     try:
         for status in _items(array, "status"):
@@ -54,34 +47,32 @@ def read_diagnostics(array: object) -> Iterator[Measurement | ComponentReport | 
         yield DiagnosticProblem("diagnostics", type(array).__name__, f"no more can be read: {error}")
 
 
-def _read_status(status: object) -> Iterator[Measurement | ComponentReport | DiagnosticProblem]:
+def _read_status(status: object) -> Iterator[Reading | DiagnosticProblem]:
     message = ""
     try:
         message = str(_part(status, "message", "")).strip().casefold()
         if message in MEASUREMENTS or message in COMPONENT_REPORTS:
             for key, value in _pairs(_part(status, "values", ())):
-                yield _measurement(key, value) if message in MEASUREMENTS else _component_report(key, value)
+                yield _measured(key, value) if message in MEASUREMENTS else _reported(key, value)
     except Exception as error:  # of an object that is no text, or breaks when it is looked at
         yield DiagnosticProblem(message or "status", type(status).__name__, f"it cannot be read: {error}")
 
 
-def _measurement(key: str, value: str) -> Measurement | DiagnosticProblem:
+def _measured(key: str, value: str) -> Reading | DiagnosticProblem:
     # float() reads more than numbers: underscores, and digits of every script
     if not NUMBER.fullmatch(value.strip()) and value.strip().lower().lstrip("+-") not in NOT_FINITE:
         return DiagnosticProblem(key, value, "a measurement is a number")
     number = float(value)
     if not math.isfinite(number):
         return DiagnosticProblem(key, value, "a measurement is a finite number")
-    return Measurement(key, number, value)
+    return Reading("measure", (key, number), value)
 
 
-def _component_report(key: str, value: str) -> ComponentReport | DiagnosticProblem:
-    word = value.strip().casefold()
-    if word in RECOVERED or word in FAILED:
-        return ComponentReport(key, word in FAILED, value)
-    return DiagnosticProblem(
-        key, value, f"a component status is one of {', '.join(sorted(RECOVERED))} or {', '.join(sorted(FAILED))}"
-    )
+def _reported(key: str, value: str) -> Reading | DiagnosticProblem:
+    verb = COMPONENT_VALUES.get(value.strip().casefold())
+    if verb is not None:
+        return Reading(verb, (key,), value)
+    return DiagnosticProblem(key, value, f"a component status is one of {', '.join(COMPONENT_VALUES)}")
 
 
 def _part(whole: object, name: str, default: object) -> object:

@@ -14,7 +14,7 @@ from weakref import finalize
 
 from kb import questions
 from kb.amendments import amend
-from kb.diagnostics import DiagnosticProblem, Measurement, read_diagnostics
+from kb.diagnostics import DiagnosticProblem, read_diagnostics
 from kb.elements import Parameters, finite_number, flag, status_of, text
 from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
@@ -335,14 +335,9 @@ class KnowledgeBase:
                 problems.append(reading)
                 continue
             try:
-                if isinstance(reading, Measurement):
-                    self.measure(reading.attribute, reading.value)
-                elif reading.failed:
-                    self.component_failed(reading.component)
-                else:
-                    self.component_recovered(reading.component)
+                getattr(self, reading.verb)(*reading.arguments)
             except KnowledgeBaseError as error:
-                problems.append(DiagnosticProblem(reading[0], reading.written, str(error)))
+                problems.append(DiagnosticProblem(reading.arguments[0], reading.written, str(error)))
         for problem in problems:
             _log.warning("diagnostics: %s", problem)
         with self._lock:
