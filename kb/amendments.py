@@ -79,45 +79,25 @@ def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> in
 
 
 def differences(then: Model, now: Model) -> list[str]:
-    """Say what came, went and changed from one model to another; nothing if they are the same."""
+    """Say what one model says and the other does not; nothing if they are the same."""
     if then == now:
         return []
-    before, after = _described(then), _described(now)
-    changed = [
-        f"{own} has {name} {_shown(after[own].get(name))}, in the store {_shown(before[own].get(name))}"
-        for own in before
-        if own in after
-        for name in {**before[own], **after[own]}
-        if before[own].get(name) != after[own].get(name)
-    ]
+    before, after = _statements(then), _statements(now)
     return [
-        *(f"{own} is not in the store" for own in after if own not in before),
-        *(f"{own} is in the store only" for own in before if own not in after),
-        *changed,
+        *(f"{one} is not in the store" for one in after if one not in before),
+        *(f"{one} is in the store only" for one in before if one not in after),
     ] or ["the order of its elements is another"]
 
 
-def _described(model: Model) -> dict[str, dict[str, object]]:
-    """Return what a model says, by the ids of what has a name; anything else, which is what it says, by that."""
-    found: dict[str, dict[str, object]] = {}
-    inner = {one.id: one for one in individuals.individuals(model)}
-    for one in inner.values():
-        values = {name: value for name, value in one.values.items() if name != "position"}
-        if one.kind in (individuals.PARAMETER, individuals.PREFERENCE):
-            continue
-        if "name" in values:
-            if "hasParameter" in values:
-                given = individuals.parameter_values(
-                    inner[ref.id] for ref in values["hasParameter"] if isinstance(ref, individuals.Ref)
-                )
-                values["hasParameter"] = (str(given),)
-            found[one.id] = {"kind": (one.kind,), **values}
-        else:
-            said = ", ".join(f"{name} {_shown(value)}" for name, value in values.items())
-            found[f"{one.kind} ({said})"] = {}
-    return found
+def _statements(model: Model) -> dict[str, None]:
+    """Return all that a model says; what has no name is known by what is said of it alone."""
+    statements: dict[str, None] = {}
+    for one in individuals.individuals(model):
+        said = (f"{name} {_shown(values)}" for name, values in one.values.items() if name != "position")
+        own = one.kind if one.id.rpartition(".")[2].isdigit() else one.id
+        statements[f"{own} ({', '.join(said)})"] = None
+    return statements
 
 
-def _shown(values: object) -> str:
-    listed = values if isinstance(values, tuple) else ()
-    return " and ".join(one.id if isinstance(one, individuals.Ref) else repr(one) for one in listed) or "none"
+def _shown(values: Iterable[individuals.Value]) -> str:
+    return " and ".join(one.id if isinstance(one, individuals.Ref) else repr(one) for one in values)

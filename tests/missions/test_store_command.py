@@ -157,16 +157,17 @@ def test_migration_tells_what_changed_and_takes_over_the_rest(path, tmp_path):
     assert status == 0
     assert path.read_bytes()[:24] == before[:24]
     for words in (
-        "Component.radar is not in the store",
-        "Attribute.energy is in the store only",
-        "ComponentConfiguration.night has priority 3, in the store 2",
+        "Component.radar (name 'radar",
+        "Attribute.energy (name 'energy'",
+        "priority 3) is not in the store",
+        "priority 2) is in the store only",
         "Constraint (compares Attribute.light, operator '>=', value 0.6, constrains ComponentConfiguration.day",
         "dropped: that component lidar is failed",
         "dropped: that action chart is requested",
         "dropped: what was measured of energy",
     ):
         assert words in said, said
-    with pytest.raises(StoreError, match=r"of another model: .*Action.film is not in the store.*rosa store migrate"):
+    with pytest.raises(StoreError, match=r"of another model: .*Action.film .*is not in the store.*rosa store migrate"):
         KnowledgeBase(Model.load(model), store=path)
     assert store("migrate", path, model)[0] == 0
     kb = KnowledgeBase(Model.load(model), clock=lambda: 9.0, store=path)
