@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
-from kb.elements import Constraint, Element, exact, finite_number, listed, meant_by, shown
+from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
@@ -175,14 +175,6 @@ class _Assumption(NamedTuple):
     node: Node
     value: float | Forecast | None = None
 
-    def __str__(self) -> str:
-        if isinstance(self.value, Forecast):
-            return str(self.value)
-        if self.what != "measured":
-            return f"{self.node.name} {self.what}"
-        value = "not measured" if self.value is None else self.node.attribute.amount(exact(self.value))
-        return f"{self.node.name} {value}"
-
 
 def suppose(
     base: Readable,
@@ -282,9 +274,8 @@ class Situation:
             yield self._overlay
 
     def __repr__(self) -> str:
-        supposed = ", ".join(map(str, self._assumptions)) or "nothing else"
         with self.reading() as state:
-            return f"<Situation of {self._network.model.name!r} with {supposed}: {outline(state)}>"
+            return f"<Situation of {self._network.model.name!r}: {outline(state)}>"
 
     def _supposed(self, below: State) -> Overlay:
         state = Overlay(below)

@@ -6,6 +6,7 @@ A view answers from the base it was taken from each time it is asked; nothing ca
 import math
 from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
@@ -33,6 +34,7 @@ class Readable(Protocol):
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
 
 
+@dataclass(frozen=True, repr=False)
 class ElementView:
     """What every element has: a name, and its kind in words.
 
@@ -45,13 +47,6 @@ class ElementView:
 
     base: Readable
     node: Node
-
-    def __init__(self, base: Readable, node: Node) -> None:
-        object.__setattr__(self, "base", base)
-        object.__setattr__(self, "node", node)
-
-    def __setattr__(self, name: str, _: object) -> None:
-        raise AttributeError(f"{name} of {self!r} cannot be set: a view is to be read")
 
     @property
     def name(self) -> str:
@@ -66,12 +61,6 @@ class ElementView:
 
     def __repr__(self) -> str:
         return f"<{self.node.kind} {self.name!r}>"
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ElementView) and other.node is self.node and other.base is self.base
-
-    def __hash__(self) -> int:
-        return hash((id(self.base), self.node.index))
 
 
 class Known(Generic[T]):

@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
-from kb.diagnostics import COMPONENT_REPORTS, FAILED
+from kb.diagnostics import COMPONENT_REPORTS, COMPONENT_VALUES
 from kb.planners.choice import by_priority
 from kb.views import ConfigurationView, DesignView
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World
@@ -145,5 +145,6 @@ def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return what is reported of components as something that is sensed, which makes nothing unfeasible."""
     if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
         return status
-    said = {f"{name} has failed": str(word).strip().casefold() in FAILED for name, word in status["values"].items()}
+    verbs = {name: COMPONENT_VALUES.get(str(word).strip().casefold()) for name, word in status["values"].items()}
+    said = {f"{name} has failed": verb == "component_failed" for name, verb in verbs.items()}
     return {**status, "message": MISSION_STATUS, "values": said}
