@@ -594,11 +594,8 @@ class ByName(dict[Any, T]):
         super().__init__(table or {})
         self._kind = kind
 
-    def __getitem__(self, name: object) -> T:
-        try:
-            return dict.__getitem__(self, name)
-        except (KeyError, TypeError):
-            raise UnknownName(self._kind, name, map(str, self)) from None
+    def __missing__(self, name: object) -> T:
+        raise UnknownName(self._kind, name, map(str, self))
 
 
 def called(element: Changeable) -> str:

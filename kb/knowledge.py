@@ -81,7 +81,7 @@ class Knowledge:
         self.in_words = False
         self.heard: Callable[[], None] = lambda: None
         self.clock, self._lock = clock, lock
-        self._layer = Overlay(self.state)
+        self._layer = Overlay(self.state, lasting=True)
         self._is_laid = False
         self.pending: _Pending | None = None
         self._amended: facts.Amended | None = None
@@ -141,10 +141,9 @@ class Knowledge:
         """Put in place what was interrupted, and have time do what it has done by now [s]."""
         if self.pending is not None:
             self.finish()
-        last = self.log.time
-        self.now = now = now if now >= last else last
-        if now >= self.measurements.alarms.next:
-            self.advance(now)
+        self.now = max(now, self.log.time)
+        if self.now >= self.measurements.alarms.next:
+            self.advance(self.now)
 
     def advance(self, now: float) -> None:
         """Make events of what time has done until now, each at its own instant."""

@@ -80,7 +80,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
         with self._lock:
             if self._store is not None:
                 self._check_open()
-            self._knowledge.settle(now)
+            self._settle(now)
             before = log.last
             result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
             told = log.last
@@ -293,7 +293,7 @@ class KnowledgeBase:
         with self._lock:
             if self._store is not None:
                 self._check_open()
-            known.settle(now)
+            self._settle(now)
             told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
             self._publisher.deliver(told)
@@ -658,6 +658,14 @@ class KnowledgeBase:
 
     def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
         self._knowledge.apply(self._knowledge.now, verb, arguments)
+
+    def _settle(self, now: float) -> None:
+        """Have time do what it has done by now; mostly that is nothing, and nothing is called."""
+        known = self._knowledge
+        last = known.log.time
+        known.now = now = now if now >= last else last
+        if known.pending is not None or now >= known.measurements.alarms.next:
+            known.settle(now)
 
     def _catch_up(self) -> None:
         self._knowledge.prepare()

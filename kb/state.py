@@ -304,12 +304,16 @@ class State:
 class Overlay(State):
     """A state on top of another: changes made here leave the one below as it is."""
 
-    def __init__(self, below: State) -> None:
+    def __init__(self, below: State, *, lasting: bool = False) -> None:
         self.network = below.network
         self._below = below
         self._layers: dict[str, _Layer[Any]] = {}
         for name in (*FACTS, *_INFERRED):
-            self._layers[name] = layer = _Layer(getattr(below, name))
+            column = getattr(below, name)
+            cls: type[_Layer[Any]] = _Layer
+            if lasting:  # one that finds what is below without a call; it takes longer to make
+                cls = type("_QuickLayer", (_Layer,), {"__slots__": (), "__missing__": column.__getitem__})
+            self._layers[name] = layer = cls(column)
             setattr(self, name, layer)
         self.reasons = {}
         self.parameters = below.parameters

@@ -272,6 +272,10 @@ def refusal(call, *arguments):
         call(*arguments)
     except KnowledgeBaseError as error:
         return str(error)
+    except TypeError as error:  # of a name that is a list or the like, as everywhere in Python
+        if "unhashable" in str(error):
+            return f"{error}: {arguments!r}"
+        raise
     return ""
 
 

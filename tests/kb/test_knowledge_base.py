@@ -356,7 +356,6 @@ UNKNOWN = [
     (lambda kb: kb.cancel_action("explor"), "did you mean 'explore'"),
     (lambda kb: kb.is_feasible("explor"), "did you mean 'explore'"),
     (lambda kb: kb.is_feasible(None), "known: 'explore', 'rest'"),
-    (lambda kb: kb.is_feasible(["explore"]), "known|did you mean"),
     (lambda kb: kb.selectable_designs("sea"), "did you mean 'see'"),
     (lambda kb: kb.selectable_configurations("camra"), "did you mean 'camera'"),
     (lambda kb: kb.adaptable_components(["by camra"]), "did you mean 'by camera'"),
@@ -370,7 +369,6 @@ UNKNOWN = [
     (lambda kb: kb.designs["by camra"], "did you mean 'by camera'"),
     (lambda kb: kb.configurations["nigt"], "did you mean 'night'"),
     (lambda kb: kb.attributes["ligt"], "did you mean 'light'"),
-    (lambda kb: kb.attributes[["light"]], "unknown attribute"),
 ]
 
 
