@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeVar
 from kb import DiagnosticProblem, RequiredAction
 from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import Message, Mission, MissionError, Verdict
-from missions.engine.runner import Controller, Seen
+from missions.engine.runner import Controller
 from missions.suave.world import SEA, Sea
 from rosa_bt.exceptions import in_words
 
@@ -104,11 +104,6 @@ class BaselineController(Controller):
         self.compute_s["manager"] += perf_counter() - started
         self._report()
         return is_ticked
-
-    def look(self) -> Seen:
-        searching = self.robot.is_active("spiral_search")
-        altitude = f"{self.robot.parameters('spiral_search')['spiral_altitude']:g} m" if searching else ""
-        return Seen(self.robot.task or "", altitude)
 
     def end(self) -> None:
         if self.robot.task is not None:

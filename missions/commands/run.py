@@ -77,8 +77,10 @@ def run(
             LineRecorder(opened, seed, files["record"].write)
         if "report" in files:
             page = RunRecorder(opened, seed, changed)
-        elif live is not None or mcap or tui:
-            page = RunRecorder(opened, seed, changed, None if live is None else KEEP, what_if=False)
+        elif live is not None or mcap or tui or plot:
+            page = RunRecorder(
+                opened, seed, changed, KEEP if live is not None and plot is None else None, what_if=False
+            )
         opened.listen(steering)
         if page and live is not None:
             if allow_control:
@@ -109,10 +111,10 @@ def run(
             page.end(verdict)
         if page and "report" in files:
             files["report"].finish(page_of(page.recorder.recorded))
-        if "plot" in files:  # last, because it takes longest
+        if page and "plot" in files:  # last, because it takes longest
             from missions.views.picture import draw
 
-            files["plot"].finish(draw(opened, data))
+            files["plot"].finish(draw(page.recorder.recorded))
     if not verdict.success:
         raise typer.Exit(FAILED)
 

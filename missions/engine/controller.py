@@ -15,7 +15,7 @@ from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, Knowle
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World, built
-from missions.engine.runner import Controller, Listener, MissionRun, Seen
+from missions.engine.runner import Controller, Listener, MissionRun
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
 
@@ -65,8 +65,6 @@ class RosaController(Controller):
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self.tree = self._runner.tree
         self.tree.setup()
-        self._configurable = [one for one in self._kb.components.values() if one.configurations]
-        self._choices = [one for one in self._kb.functions.values() if len(one.designs) > 1]
         self._may_rest = mission.waits_for_news and task == "bt" and planner is None
         self._statuses: list[Status] = []
         self._rests_at: tuple[int, int] | None = None  # what was known and sensed when it began to rest
@@ -158,14 +156,6 @@ class RosaController(Controller):
         self._rests_at = None
         self._log.passed_over(self._runner.put_off(self._now()))
         return False
-
-    def look(self) -> Seen:
-        kb = self._kb
-        action = ", ".join(required.action for required in kb.required_actions)
-        configured = (one.selected_configuration for one in self._configurable if one.is_active)
-        designs = (name for one in self._choices if one.is_required for name in one.designs)
-        designs = (name for name in designs if kb.designs[name].is_selected)
-        return Seen(action, ", ".join(name for name in configured if name), ", ".join(designs))
 
     def end(self) -> None:
         try:

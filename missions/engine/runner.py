@@ -7,7 +7,7 @@ from contextlib import closing
 from math import isfinite
 from numbers import Real
 from time import perf_counter
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from kb import DiagnosticProblem, KnowledgeBase, KnowledgeBaseError, Model, RequiredAction
 from missions.engine.adaptations import Adaptation
@@ -31,14 +31,6 @@ if TYPE_CHECKING:
 SAMPLE_PERIOD_S = 0.5
 STANDSTILL = 10_000
 """How often a world may be asked to go on without a millisecond passing, until it counts as standing still."""
-
-
-class Seen(NamedTuple):
-    """What a moment of a run shows beside the world: action, configurations and designs in words."""
-
-    action: str
-    configured: str
-    designs: str = ""
 
 
 class Listener:
@@ -129,10 +121,6 @@ class Controller(ABC):
         """Answer what was taken in, and do what is due; return whether something was."""
 
     @abstractmethod
-    def look(self) -> Seen:
-        """Return what is done and configured now."""
-
-    @abstractmethod
     def end(self) -> None:
         """Let go of everything; the run is over however it ended."""
 
@@ -145,7 +133,7 @@ class MissionRun:
     """Runs a mission to its end.
 
     Attributes:
-        trace: what there was to see while somebody listened, for pictures.
+        trace: what there was to see of the world while somebody listened, for pages and pictures.
         problems: parts of messages that could not be used, with their times [s].
         alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
     """
@@ -160,7 +148,7 @@ class MissionRun:
     ) -> None:
         self.mission, self.controller, self.world = mission, controller, world
         self.settings = settings or RunSettings()
-        self.trace: list[tuple[Sample, Seen]] = []
+        self.trace: list[Sample] = []
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
         self._listeners = listeners
@@ -325,6 +313,5 @@ class MissionRun:
     def _sample(self) -> None:
         if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
-        self._sampled_at, seen = self.world.now, self.controller.look()
-        sample = self.world.sample() or Sample.of(self.world.now, self.controller.measured)
-        self.trace.append((sample, seen))
+        self._sampled_at = self.world.now
+        self.trace.append(self.world.sample() or Sample.of(self.world.now, self.controller.measured))

@@ -36,6 +36,7 @@ class RunRecorder(Listener):
         header = {
             **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
             **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
+            "signals": [name for name, _ in map(_split, sample.signals if sample else ())],
             "units": {name: unit for name, unit in map(_split, sample.signals if sample else ()) if unit},
         }
         tree = getattr(run.controller, "tree", None)
@@ -71,7 +72,7 @@ class RunRecorder(Listener):
     def _show(self) -> None:
         """Write down what the world shows now, and what has happened in it."""
         recorder, run = self.recorder, self._run
-        sample = run.trace[-1][0] if run.trace else run.world.sample()
+        sample = run.trace[-1] if run.trace else run.world.sample()
         if sample is not None:
             recorder.posed(sample.time, sample.position)
             for signal, value in sample.signals.items():

@@ -1,197 +1,138 @@
-"""The timeline of a finished run, for pictures: what was seen, done and chosen when, in samples over time."""
+"""What a picture shows of a recorded run: the page's rows as courses and spans of time."""
 
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from itertools import groupby
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from kb import Model
-from missions.engine.runner import MissionRun
+from missions.views.rows import Recorded
 
 Array = NDArray[np.float64]
-Events = Sequence[Mapping[str, Any]]
+Span = tuple[str, float, float]
+"""A name, and from when to when it holds [s]."""
+Entry = Mapping[str, Any]
 
-HUES: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#8c6d31", "#b8ac00")
-"""Okabe and Ito's colours, but the one for alarms."""
-
-STEPS: Final = 3
-"""How many steps of a plan there is room for; the result in JSON has all of them."""
-
+SAMPLED_S: Final = 0.6
+"""From one sample of a run to the next, at most."""
 REPORTED_S: Final = 2.0
 """How long after it has happened a failure may be reported, at most."""
-
-STRAY: Final = 0.1
-"""Part of the samples that may lie between one action and what is configured for the next."""
+_ALL: Final = {"function design": ("function", "designs"), "configuration": ("component", "configurations")}
 
 
-@dataclass(frozen=True)
-class Leg:
-    """A part of the way, `xy` (n, 2) [m], on which one action was done in one choice of designs and configurations."""
-
-    action: str
-    choice: str
-    xy: Array
-
-    @property
-    def length_m(self) -> float:
-        """How long it is [m]."""
-        return float(self._driven_m[-1])
-
-    @property
-    def middle(self) -> Array:
-        """The point half way (2,) [m]."""
-        return np.asarray(self.xy[np.searchsorted(self._driven_m, self.length_m / 2)])
-
-    @property
-    def _driven_m(self) -> Array:
-        return np.cumsum([0.0, *np.hypot(*np.diff(self.xy, axis=0).T)])
-
-
-@dataclass(frozen=True)
 class RunTimeline:
-    """A run as n samples.
+    """A recorded run.
 
     Attributes:
         end: when it ended [s].
-        times: of the samples (n,) [s].
+        times: of its poses (n,) [s].
         xy: where the robot was (n, 2) [m], world frame.
-        actions, designs, configurations: what was done and chosen, at each sample; names separated by ", ".
-        signals: what was measured (n,) by name and unit; NaN where there was nothing.
+        actions, designs, configurations: what was done, and what was chosen where there was a choice.
+        courses: what was measured (2, n), times [s] and values, by name; units by name.
         limits: labels of the thresholds by attribute and value.
-        adaptations, disturbances: as in the result, in order of time.
-        planned: the first task plan, if any was made, as an entry of the list of adaptations.
-        completed: the actions that ended well, each with when that was [s].
+        adaptations, disturbances: as in the page, in order of time; `unseen` are those that no panel shows.
+        panels: the courses worth one, each with those that share it since their names end with its name.
     """
 
-    end: float
-    times: Array
-    xy: Array
-    actions: list[str]
-    designs: list[str]
-    configurations: list[str]
-    signals: dict[str, Array]
-    limits: dict[str, dict[float, list[str]]]
-    adaptations: Events
-    disturbances: Events
-    completed: list[tuple[str, float]]
-    planned: Events = ()
-
-    @property
-    def hues(self) -> dict[str, str]:
-        return {name: HUES[index % len(HUES)] for index, name in enumerate(listed(self.actions))}
-
-    def spans(self, column: Sequence[str]) -> Iterator[tuple[str, float, float]]:
-        """Yield each name of a column with each span in which it stands there [s]."""
-        edges = [*self.times, self.end]
-        for names, held in _runs(column):
-            yield from ((name, edges[held[0]], edges[held[-1] + 1]) for name in listed([names]))
+    def __init__(self, run: Recorded) -> None:
+        self.run, self.end = run, max(run.rows[-1][0], 1e-3)
+        self._elements = {key: one for _, key, one in run.track("element") if one is not None}
+        poses = np.array([(time, *position[:2]) for time, _, position in run.track("pose")], dtype=float).reshape(-1, 3)
+        self.times, self.xy = poses[:, 0], poses[:, 1:]
+        acted = list(run.last("action").values())
+        self.actions = [(self._name(one["action"]), one["start"], one["end"] or self.end) for one in acted]
+        self.completed = [(self._name(one["action"]), one["end"]) for one in acted if one["result"] == "completed"]
+        self.designs, self.configurations = map(list[Span], map(self._chosen, _ALL))
+        self.units: dict[str, str] = {}
+        self.courses = self._courses()
+        self.limits = self._limits()
+        self.adaptations: list[Entry] = sorted(run.last("adaptation").values(), key=lambda one: float(one["t"]))
+        told: list[Entry] = list(run.last("disturbance").values())
+        self.disturbances = sorted([*told, *self._failures(told)], key=lambda one: float(one["t"]))
+        self.panels = self._panels()
+        self.unseen = [one for one in self.disturbances if not one["words"].startswith(tuple(self.panels))]
 
     def where(self, time: float) -> Array:
         """Return where the robot was at a time [s]: (2,) [m]."""
         return np.array([np.interp(time, self.times, column) for column in self.xy.T])
 
-    @property
-    def legs(self) -> list[Leg]:
-        """The parts of the way for which something was chosen."""
-        chosen = [", ".join(filter(None, both)) for both in zip(self.designs, self.configurations, strict=True)]
-        parts = _runs(list(zip(self.actions, chosen, strict=True)))
-        return [Leg(action, choice, self.xy[held]) for (action, choice), held in parts if action and choice]
+    def legs(self) -> Iterator[tuple[str, str, Array]]:
+        """Yield each part of the way with one action and one choice: these, and places (n, 2) [m]."""
+        edges = sorted({time for _, *both in (*self.actions, *self.designs, *self.configurations) for time in both})
+        legs: list[tuple[str, str, float, float]] = []
+        for start, end in pairwise(edges):
+            done, *chosen = (
+                _at(spans, (start + end) / 2) for spans in (self.actions, self.designs, self.configurations)
+            )
+            choice = ", ".join(filter(None, chosen))
+            if legs and legs[-1][:2] == (done, choice):
+                start = legs.pop()[2]
+            legs.append((done, choice, start, end))
+        for done, choice, start, end in legs:
+            if done and choice:
+                yield done, choice, self.xy[(start <= self.times) & (self.times <= end)]
+
+    def _name(self, key: int | str) -> str:
+        return str(self._elements[key]["name"])
+
+    def _chosen(self, kind: str) -> Iterator[Span]:
+        """Yield when each was selected that has others beside it, unless it says no more than the action."""
+        of, parts = _ALL[kind]
+        since: dict[int | str, float] = {}
+        spans: defaultdict[int, list[Span]] = defaultdict(list)
+        for time, key, is_selected in [*self.run.track("selected"), *((self.end, key, 0) for key in self._elements)]:
+            one = self._elements[key]
+            if is_selected:
+                since[key] = time
+            elif key in since and one["kind"] == kind and len(self._elements[one[of]][parts]) > 1:
+                spans[one[of]].append((one["name"], since.pop(key), time))
+        for held in spans.values():
+            doing = {(name, _at(self.actions, (start + end) / 2)) for name, start, end in held}
+            names, actions = map(set, zip(*doing, strict=True))
+            if kind != "configuration" or not len(actions) == len(doing) == len(names) > 1:
+                yield from held
+
+    def _courses(self) -> dict[str, Array]:
+        points: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
+        for time, key, value in (*self.run.track("value"), *self.run.track("signal")):
+            signal, _, unit = str(key).partition(" [")
+            name = signal if unit or key not in self._elements else self._name(key).replace("_", " ")
+            self.units[name] = unit.rstrip("]") if unit else self._elements.get(key, {}).get("unit", "")
+            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is told when it changes
+                points[name].append((time - SAMPLED_S, points[name][-1][1]))
+            points[name].append((time, np.nan if value is None else value))
+        worth = [str(name).replace("_", " ") for name in self.run.header.get("signals", ())] or list(points)
+        worth = [name for name in worth if np.isfinite([value for _, value in points[name]]).any()]
+        return {name: np.array([*points[name], (self.end, points[name][-1][1])]).T for name in worth}
+
+    def _limits(self) -> dict[str, dict[float, list[str]]]:
+        limits: dict[str, dict[float, list[str]]] = defaultdict(dict)
+        for one in self._elements.values():
+            if one["kind"] == "constraint":
+                labels = limits[self._name(one["attribute"]).replace("_", " ")].setdefault(one["value"], [])
+                labels += [f"{brief(one['operator'])} {one['value']:g}  {brief(self._name(key))}" for key in one["on"]]
+        return limits
+
+    def _panels(self) -> dict[str, list[str]]:
+        worth = [name for name, (_, values) in self.courses.items() if name in self.limits or len({*values}) > 1]
+        hosts = {name: next((one for one in worth if name.endswith(f" {one}")), name) for name in worth}
+        return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
+
+    def _failures(self, disturbances: Sequence[Entry]) -> Iterator[Entry]:
+        """Yield the failures that were reported, but for those that a disturbance just before stands for."""
+        for time, _, event in self.run.track("event"):
+            is_told = any(0 <= time - one["t"] <= REPORTED_S for one in disturbances)
+            if event["verb"] == "component_failed" and not is_told:
+                yield {"t": time, "words": event["words"]}
 
 
-def timeline_of(run: MissionRun, data: Mapping[str, Any]) -> RunTimeline:
-    """Return the timeline of a finished run; data is what `views.output.summary` returned for it."""
-    samples = [sample for sample, _ in run.trace]
-    seen = [one for _, one in run.trace]
-    actions = [one.action for one in seen]
-    signals = dict.fromkeys(name for sample in samples for name in sample.signals)
-    model = run.model
-    return RunTimeline(
-        max(float(data["duration_s"]), 1e-3),
-        np.array([sample.time for sample in samples], dtype=float),
-        np.array([sample.position[:2] for sample in samples], dtype=float).reshape(-1, 2),
-        actions,
-        [one.designs for one in seen],
-        _telling([one.configured for one in seen], actions, model),
-        {name: np.array([sample.signals.get(name, np.nan) for sample in samples], dtype=float) for name in signals},
-        _limits(model),
-        data["adaptations"],
-        sorted([*data["disturbances"], *_failures(run, data["disturbances"])], key=lambda one: float(one["at_s"])),
-        [(one["name"], one["end_s"]) for one in data["actions"] if one["result"] == "completed"],
-        [_first_plan(one) for one in data["plans"][:1]],
-    )
-
-
-def _failures(run: MissionRun, disturbances: Events) -> Iterator[Mapping[str, Any]]:
-    """Yield the failures of components that were reported, but for those that a disturbance just before stands for."""
-    for event in run.controller.kb.log.since(0) if run.controller.kb else ():
-        times = (event.time - one["at_s"] for one in disturbances)
-        if event.verb == "component_failed" and not any(0 <= since <= REPORTED_S for since in times):
-            yield {"at_s": event.time, "what": event.text}
-
-
-def _first_plan(plan: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return a plan as an entry of the list of adaptations, how it was found in place of how soon it was in force."""
-    steps, more = plan["steps"][:STEPS], len(plan["steps"]) - STEPS
-    change = ", then ".join([*steps, *([f"{more} more"] if more > 0 else [])]) or "none"
-    entry = {"at_s": plan["at_s"], "kind": "plan", "trigger": "first plan", "reason": plan["reason"]}
-    return {**entry, "change": change, "found": f"{plan['outcome']}, {plan['engine']}"}
-
-
-def listed(column: Iterable[str]) -> list[str]:
-    """Return the names in a column, in the order in which they appear."""
-    return list(dict.fromkeys(name for names in column for name in names.split(", ") if name))
-
-
-def bare(signal: str) -> str:
-    return signal.split(" [")[0]
+def _at(spans: Sequence[Span], time: float) -> str:
+    return ", ".join(dict.fromkeys(name for name, start, end in spans if start <= time < end))
 
 
 def brief(text: str, most: int = 26) -> str:
     """Return a text as a picture has room for it, with signs instead of ASCII."""
     short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
     return short if len(short) <= most else f"{short[: most - 1]}…"
-
-
-def panels_of(timeline: RunTimeline) -> dict[str, list[str]]:
-    """Return the signals worth a panel, each with those that share it since their names end with its name."""
-    worth = [
-        name
-        for name, values in timeline.signals.items()
-        if np.isfinite(values).any() and (np.nanmin(values) < np.nanmax(values) or bare(name) in timeline.limits)
-    ]
-    hosts = {name: next((host for host in worth if name.endswith(f" {host}")), name) for name in worth}
-    return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
-
-
-def _runs(column: Sequence[Any]) -> Iterator[tuple[Any, list[int]]]:
-    for value, group in groupby(range(len(column)), key=lambda index: column[index]):
-        yield value, list(group)
-
-
-def _limits(model: Model) -> dict[str, dict[float, list[str]]]:
-    limits: dict[str, dict[float, list[str]]] = {}
-    for one in model.constraints:
-        labels = limits.setdefault(one.attribute.replace("_", " "), {}).setdefault(one.value, [])
-        labels += [f"{brief(one.operator)} {one.value:g}  {brief(each.name)}" for each in one.constrained]
-    return limits
-
-
-def _telling(column: list[str], actions: Sequence[str], model: Model) -> list[str]:
-    """Leave out the configurations of a component that has one for each action: they say no more than the action."""
-    components = {name: one.component for name, one in model.configurations.items()}
-    met: dict[str, Counter[tuple[str, str]]] = {}
-    for names, action in zip(column, actions, strict=True):
-        for name in listed([names]):
-            met.setdefault(components.get(name, name), Counter())[name, action] += 1
-    dull = {component for component, pairs in met.items() if _is_one_to_one(pairs)}
-    return [", ".join(one for one in listed([names]) if components.get(one, one) not in dull) for names in column]
-
-
-def _is_one_to_one(pairs: Counter[tuple[str, str]]) -> bool:
-    most = {name: action for (name, action), _ in reversed(pairs.most_common())}
-    strays = sum(count for (name, action), count in pairs.items() if most[name] != action)
-    return len(most) > 1 and len(set(most.values())) == len(most) and strays <= STRAY * pairs.total()

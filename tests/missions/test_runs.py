@@ -157,7 +157,7 @@ def test_contract_of_every_mission(name, task):
     assert data["duration_s"] == 40
     assert {step.action for plan in run.plans for step in plan.steps} <= {None, *run.kb.actions}
     assert all(view.status is not Status.FAILURE for view in run.kb.actions.values())
-    assert [sample.time for sample, _ in run.trace] == sorted({s.time for s, _ in run.trace})
+    assert [sample.time for sample in run.trace] == sorted({sample.time for sample in run.trace})
 
 
 def test_mission_that_does_not_find_the_pipeline_is_no_success():

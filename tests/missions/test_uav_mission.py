@@ -54,8 +54,9 @@ def breaches(run, data):
             yield f"{one['start_s']} s: {LOOK} after {PICK_UP}"
         if one["name"] == PICK_UP or (one["name"] == FOLD and one["result"] == "completed"):
             after = one["name"]
-    for sample, seen in run.trace:
-        if seen.action == LOOK and sample.signals["gripper [deg]"] > 10:
+    looks = [(one["start_s"], one["end_s"]) for one in data["actions"] if one["name"] == LOOK]
+    for sample in run.trace:
+        if sample.signals["gripper [deg]"] > 10 and any(start <= sample.time < end for start, end in looks):
             yield f"{sample.time} s: {LOOK} with an unfolded gripper"
     starts = [one["start_s"] for one in data["actions"]]
     ends = [one["end_s"] for one in data["actions"]]
@@ -128,7 +129,7 @@ def test_whatever_happens_the_switch_is_safe_and_the_battery_lasts(changed, seed
     run, _, data = run_mission("uav", "bt", seed, duration_s=150, **changed)
     assert list(breaches(run, data)) == []
     assert data["least_charge_percent"] > 0
-    assert all(sample.position[2] > 0.3 for sample, _ in run.trace)
+    assert all(sample.position[2] > 0.3 for sample in run.trace)
     assert run.kb.required_actions == ()
 
 
