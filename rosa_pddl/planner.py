@@ -1,6 +1,5 @@
 """The planner: several ways tried in order, each with its own budget; whatever happens, the outcome has a name."""
 
-import sys
 import threading
 import time
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -12,7 +11,6 @@ from functools import cached_property
 from itertools import accumulate, product
 from math import inf, isinf
 
-from rosa_pddl import search
 from rosa_pddl.certificate import Certificate
 from rosa_pddl.domain import Domain, Step, fluents_in
 from rosa_pddl.engines import fast_downward
@@ -36,11 +34,14 @@ from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
+from rosa_pddl.search import NegativeCostError
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
 # What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
 _MOVES_IN_A_TICK = 1000
 _MOVES_FOR_AN_OPERATOR = 5
+# What the search in this process holds of each move that it has looked at [B].
+_BYTES_FOR_A_MOVE = 1000
 # A state of a large domain has tens of thousands of atoms: their number counts too.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
@@ -79,7 +80,7 @@ class Planner:
         safe_step: what to do while there is no plan, such as `(surface)`.
         warm: whether a task is tried that was translated before.
         moves: how many moves the search in this process may look at; 0 to leave it to other programs.
-        memory_mb: how much data each program may hold [MB].
+        memory_mb: how much data each program, and the search in this process, may hold [MB].
         cached: how many answers are remembered; 0 for none.
         certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
             the tick of the question.
@@ -217,6 +218,10 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
             f"planning ran out of wall-clock time, and going on would make the run depend on the machine: {tried}"
         )
     return result
+
+
+class _CapReached(Exception):
+    """The search looked at as many moves as it may, without an answer."""
 
 
 class PlanCache(dict[Hashable, PlanningResult]):
@@ -373,16 +378,17 @@ class _Portfolio:
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:
             if self._is_searched_here(task, engine):
-                try:
+                with suppress(_CapReached):
                     return self._exact(task, self._planner.moves)
-                except search.CapReached:
-                    pass
-                except search.NegativeCostError:
-                    message = "a step costs less than nothing in some state; costs are 0 or more"
-                    raise Trouble(Outcome.UNSUPPORTED, message) from None
             if engine == LABEL_SETTING:
-                return self._exact_elsewhere(task, deadline)
+                return self._exact(task, self._planner.memory_bytes / _BYTES_FOR_A_MOVE, deadline)
             return self._by_fast_downward(task, deadline, engine)
+        except _CapReached:
+            message = "the search ran out of memory; allow more or ask for less"
+            raise Trouble(Outcome.OUT_OF_MEMORY, message) from None
+        except NegativeCostError:
+            message = "a step costs less than nothing in some state; costs are 0 or more"
+            raise Trouble(Outcome.UNSUPPORTED, message) from None
         except UnreachableGoalError:
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         except NotRepresentableError as error:
@@ -393,29 +399,24 @@ class _Portfolio:
         is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
         return (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
 
-    def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
-        graph, task, scales = grounded.search_task(self._problem, self._numbers)
-        found = graph.plan(task.start, task.limits, cap // grounded.work)
+    def _exact(self, grounded: Grounded, cap: float, deadline: float = inf) -> PlanningResult:
+        """Search; with a deadline without what is forecast, as the plan is judged by that."""
+        until = self._problem.until if deadline == inf else {}
+        graph, task, scales = grounded.search_task(replace(self._problem, until=until), self._numbers)
+        if deadline < inf and (task.numbers or task.tests):
+            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
+
+        def go_on(looked_at: int) -> None:
+            if looked_at * grounded.work > cap:
+                raise _CapReached
+            if time.monotonic() > deadline:
+                raise Trouble(Outcome.OUT_OF_TIME, "the search was not at its end; allow more time or ask for less")
+            self._process.check()
+
+        found = graph.plan(task.start, task.limits, go_on)
         if found is None:
             return self._unsolvable(graph.least_uses(task.start), scales)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
-
-    def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
-        """Search in a process of its own, which may be killed."""
-        graph, task, scales = grounded.search_task(replace(self._problem, until={}), self._numbers)
-        if task.numbers or task.tests:
-            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
-        command = [sys.executable, "-I", "-S", search.__file__]
-        ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
-        kind, *numbers = ended.output.decode(errors="replace").split() or [""]
-        if kind == "plan":
-            return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
-        if kind == "none":
-            return self._unsolvable(graph.least_uses(task.start), scales)
-        if MemoryError.__name__ in ended.last_words:
-            raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
-        message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
-        raise Trouble(Outcome.ENGINE_CRASHED, message)
 
     def _unsolvable(self, least: Sequence[float], scales: Sequence[int]) -> PlanningResult:
         """Say which limits keep from the goal, given what it takes at least of each resource, scaled."""
