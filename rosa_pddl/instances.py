@@ -229,24 +229,24 @@ def _pattern(domain: Domain, schema: str, conditions: Iterable[UpThing], changes
 
 @dataclass(eq=False)
 class _Rule:
-    """What follows once every atom of its body is within reach."""
+    """What follows once every atom of its body is within reach, for things of the right types."""
 
     body: list[tuple[str, tuple[Word, ...]]]
     heads: list[tuple[str, tuple[Word, ...]]]
-    choices: list[frozenset[str]]
-    order: list[tuple[str, ...]]
+    choices: list[dict[str, None]]
     apart: list[tuple[bool, Word, Word]]
     instances: dict[Row, None] | None
 
 
 class _Look(NamedTuple):
-    """One atom of a body, looked up by what is bound: which of its places are, and which bind what."""
+    """One atom of a body, and which of its places are known when it is looked up."""
 
     name: str
-    known: tuple[int, ...]
     words: tuple[Word, ...]
-    binds: tuple[tuple[int, int], ...]
-    tests: tuple[tuple[bool, Word, Word], ...]
+    known: tuple[int, ...]
+
+
+_Binding: TypeAlias = list[str | None]
 
 
 @dataclass
@@ -261,24 +261,18 @@ def reach(patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], g
     """Find what is within reach of facts; `go_on` is called every now and then, and may raise."""
     found = Reach(instances=[{} for _ in patterns])
     rules = [rule for one, known in zip(patterns, found.instances, strict=True) for rule in _rules(one, known)]
-    return _Join(rules, found, go_on).closed(list(facts))
+    return _Join(rules, found, go_on).closed(facts)
 
 
 def _rules(pattern: ActionPattern, instances: dict[Row, None]) -> Iterator[_Rule]:
-    heads = [
-        (one.name, one.words)
-        for one, ranges in pattern.effects
-        if one.kind == "add" and one.condition is True and not ranges
-    ]
-    if pattern.needs is False:
-        return
-    yield _rule(pattern.needs, heads, pattern.choices, instances)
-    for effect, ranges in pattern.effects:
-        if effect.kind == "add" and not (effect.condition is True and not ranges):
+    added = [(one, ranges) for one, ranges in pattern.effects if one.kind == "add"]
+    sure = [(one.name, one.words) for one, ranges in added if one.condition is True and not ranges]
+    yield from _rule(pattern.needs, sure, pattern.choices, instances)
+    for effect, ranges in added:
+        if effect.condition is not True or ranges:
             needs = joined(True, [pattern.needs, effect.condition])
-            if needs is not False:
-                choices = (*pattern.choices, *(things for _, things in ranges))
-                yield _rule(needs, [(effect.name, effect.words)], choices, None)
+            choices = (*pattern.choices, *(things for _, things in ranges))
+            yield from _rule(needs, [(effect.name, effect.words)], choices, None)
 
 
 def _rule(
@@ -286,45 +280,44 @@ def _rule(
     heads: list[tuple[str, tuple[Word, ...]]],
     choices: tuple[tuple[str, ...], ...],
     instances: dict[Row, None] | None,
-) -> _Rule:
+) -> Iterator[_Rule]:
     parts = conjuncts_of(needs)
-    body = [(name, words) for kind, truth, name, words in (one for one in parts if one[0] == "atom") if truth]
+    body = [(one[2], one[3]) for one in parts if one[0] == "atom" and one[1]]
     apart = [one[1:] for one in parts if one[0] == "same"]
-    return _Rule(body, heads, [frozenset(one) for one in choices], list(choices), apart, instances)
+    if needs is not False:
+        yield _Rule(body, heads, [dict.fromkeys(one) for one in choices], apart, instances)
 
 
 class _Join:
     def __init__(self, rules: Sequence[_Rule], found: Reach, go_on: Callable[[int], None]) -> None:
         self._found, self._go_on, self._work = found, go_on, 0
-        self._index: dict[tuple[str, tuple[int, ...]], dict[Row, list[Row]]] = {}
-        self._of: dict[str, list[tuple[int, ...]]] = {}
+        self._index: dict[str, dict[tuple[int, ...], dict[Row, list[Row]]]] = {}
         self._waiting: list[tuple[str, Row]] = []
         self._grown = {name for rule in rules for name, _ in rule.heads}
         self._at_once: list[tuple[_Rule, list[_Look]]] = []
         self._triggers: dict[str, list[tuple[_Rule, _Look, list[_Look]]]] = {}
         for rule in rules:
-            fluent = [number for number, (name, _) in enumerate(rule.body) if name in self._grown]
-            for number in fluent:
+            growing = [number for number, (name, _) in enumerate(rule.body) if name in self._grown]
+            for number in growing:
                 first, *rest = self._looks(rule, number)
-                self._triggers.setdefault(rule.body[number][0], []).append((rule, first, rest))
-            if not fluent:
+                self._triggers.setdefault(first.name, []).append((rule, first, rest))
+            if not growing:
                 self._at_once.append((rule, self._looks(rule, None)))
 
-    def closed(self, facts: list[tuple[str, Row]]) -> Reach:
+    def closed(self, facts: Iterable[tuple[str, Row]]) -> Reach:
         for name, row in facts:
             if name in self._grown:
                 self._push(name, row)
             elif row not in self._found.rows.setdefault(name, {}):
                 self._take_in(name, row)
         for rule, looks in self._at_once:
-            self._join(rule, looks, [None] * len(rule.order), 0)
+            self._join(rule, looks, [None] * len(rule.choices))
         for name, row in self._waiting:
             self._take_in(name, row)
             for rule, first, rest in self._triggers.get(name, ()):
-                binding: list[str | None] = [None] * len(rule.order)
-                is_match = all(word == row[place] for place, word in zip(first.known, first.words, strict=True))
-                if is_match and self._bind(rule, first, row, binding):
-                    self._join(rule, rest, binding, 0)
+                binding = _matched(rule, first, row, [None] * len(rule.choices))
+                if binding is not None:
+                    self._join(rule, rest, binding)
         return self._found
 
     def _push(self, name: str, row: Row) -> None:
@@ -335,89 +328,64 @@ class _Join:
 
     def _take_in(self, name: str, row: Row) -> None:
         self._found.rows[name][row] = None
-        for known in self._of.get(name, ()):
-            self._index[name, known].setdefault(tuple([row[place] for place in known]), []).append(row)
+        for known, rows in self._index.get(name, {}).items():
+            rows.setdefault(tuple([row[place] for place in known]), []).append(row)
 
-    def _join(self, rule: _Rule, looks: list[_Look], binding: list[str | None], at: int) -> None:
+    def _join(self, rule: _Rule, looks: Sequence[_Look], binding: _Binding, at: int = 0) -> None:
         if at == len(looks):
             self._complete(rule, binding)
             return
         look = looks[at]
-        if not look.name:  # a variable that no atom binds
-            rows: Iterable[Row] = [(thing,) for thing in rule.order[look.binds[0][1]]]
-        else:
-            key = tuple([word if isinstance(word, str) else binding[word] for word in look.words])
-            rows = self._index[look.name, look.known].get(key, ())  # type: ignore[arg-type]  # what is known is bound
-        for row in rows:
-            inner = binding.copy()
-            if self._bind(rule, look, row, inner):
+        words = [look.words[place] for place in look.known]
+        key: Any = tuple([word if isinstance(word, str) else binding[word] for word in words])  # all are known
+        for row in self._index[look.name][look.known].get(key, ()):
+            inner = _matched(rule, look, row, binding)
+            if inner is not None:
                 self._join(rule, looks, inner, at + 1)
 
-    def _bind(self, rule: _Rule, look: _Look, row: Row, binding: list[str | None]) -> bool:
-        for place, variable in look.binds:
-            thing, before = row[place], binding[variable]
-            if before is None:
-                if thing not in rule.choices[variable]:
-                    return False
-                binding[variable] = thing
-            elif before != thing:
-                return False
-        for truth, one, other in look.tests:
-            left = one if isinstance(one, str) else binding[one]
-            if (left == (other if isinstance(other, str) else binding[other])) is not truth:
-                return False
-        return True
-
-    def _complete(self, rule: _Rule, binding: list[str | None]) -> None:
-        self._work += 1
-        if self._work % _BETWEEN_LOOKS == 0:
-            self._go_on(self._work)
-        row: Row = tuple(binding)  # type: ignore[arg-type]  # all are bound by now
-        if rule.instances is not None:
-            if row in rule.instances:
-                return
-            rule.instances[row] = None
-        for name, words in rule.heads:
-            self._push(name, bound(words, row))
+    def _complete(self, rule: _Rule, binding: _Binding) -> None:
+        """Take in what follows, whatever the variables are that no atom binds."""
+        choices = [rule.choices[place] if thing is None else (thing,) for place, thing in enumerate(binding)]
+        for row in product(*choices):
+            self._work += 1
+            if self._work % _BETWEEN_LOOKS == 0:
+                self._go_on(self._work)
+            are_apart = [
+                truth is (one == other) for truth, *words in rule.apart for one, other in [bound((*words,), row)]
+            ]
+            if all(are_apart) and (rule.instances is None or row not in rule.instances):
+                if rule.instances is not None:
+                    rule.instances[row] = None
+                for name, words in rule.heads:
+                    self._push(name, bound(words, row))
 
     def _looks(self, rule: _Rule, first: int | None) -> list[_Look]:
         """Order the atoms of a body such that each is looked up by as much as is known; the first one is given."""
         left, known, looks = list(range(len(rule.body))), set[Word](), list[_Look]()
-        apart = list(rule.apart)
 
-        def take(number: int, is_first: bool) -> None:
-            name, words = rule.body[number]
-            places = tuple(
-                p for p, word in enumerate(words) if isinstance(word, str) or (word in known and not is_first)
-            )
-            binds = tuple((p, word) for p, word in enumerate(words) if not isinstance(word, str) and p not in places)
-            known.update(word for word in words if not isinstance(word, str))
-            if not is_first:
-                self._index.setdefault((name, places), {})
-                self._of.setdefault(name, [])
-                if places not in self._of[name]:
-                    self._of[name].append(places)
-            looks.append(_Look(name, places, tuple(words[p] for p in places), binds, tests()))
+        def unknown(number: int) -> tuple[bool, int, int]:
+            words = [word for word in rule.body[number][1] if not isinstance(word, str)]
+            return number != first, len([word for word in words if word not in known]), -len(words)
 
-        def tests() -> tuple[tuple[bool, Word, Word], ...]:
-            ready = [one for one in apart if all(isinstance(word, str) or word in known for word in one[1:])]
-            apart[:] = [one for one in apart if one not in ready]
-            return tuple(ready)
-
-        if first is not None:
-            left.remove(first)
-            take(first, True)
         while left:
-
-            def unknown(number: int) -> tuple[int, int]:
-                words = [word for word in rule.body[number][1] if not isinstance(word, str)]
-                return len([word for word in words if word not in known]), -len(words)
-
-            best = min(left, key=unknown)
-            left.remove(best)
-            take(best, False)
-        for variable in range(len(rule.order)):
-            if variable not in known:
-                known.add(variable)
-                looks.append(_Look("", (), (), ((0, variable),), tests()))
+            number = min(left, key=unknown)
+            left.remove(number)
+            name, words = rule.body[number]
+            places = tuple([place for place, word in enumerate(words) if isinstance(word, str) or word in known])
+            known.update(word for word in words if not isinstance(word, str))
+            looks.append(_Look(name, words, places))
+            if number != first:
+                self._index.setdefault(name, {}).setdefault(places, {})
         return looks
+
+
+def _matched(rule: _Rule, look: _Look, row: Row, binding: _Binding) -> _Binding | None:
+    """Return a binding with what an atom adds to it that is looked up; None if the two do not fit."""
+    inner = binding.copy()
+    for word, thing in zip(look.words, row, strict=True):
+        known = word if isinstance(word, str) else inner[word]
+        if known is None and thing in rule.choices[word]:  # type: ignore[index]  # only variables are not known
+            inner[word] = thing  # type: ignore[index]
+        elif known != thing:
+            return None
+    return inner

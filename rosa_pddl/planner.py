@@ -401,17 +401,19 @@ class _Portfolio:
 
     def _exact(self, grounded: Grounded, cap: float, deadline: float = inf) -> PlanningResult:
         """Search; with a deadline without what is forecast, as the plan is judged by that."""
-        until = self._problem.until if deadline == inf else {}
-        graph, task, scales = grounded.search_task(replace(self._problem, until=until), self._numbers)
-        if deadline < inf and (task.numbers or task.tests):
+        has_deadline, most = deadline < inf, cap / grounded.work
+        asked_for = replace(self._problem, until={}) if has_deadline else self._problem
+        graph, task, scales = grounded.search_task(asked_for, self._numbers)
+        if has_deadline and (task.numbers or task.tests):
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
 
         def go_on(looked_at: int) -> None:
-            if looked_at * grounded.work > cap:
+            if looked_at > most:
                 raise _CapReached
-            if time.monotonic() > deadline:
-                raise Trouble(Outcome.OUT_OF_TIME, "the search was not at its end; allow more time or ask for less")
-            self._process.check()
+            if has_deadline:
+                self._process.check()
+                if time.monotonic() > deadline:
+                    raise Trouble(Outcome.OUT_OF_TIME, "the search was not at its end; allow more time or ask for less")
 
         found = graph.plan(task.start, task.limits, go_on)
         if found is None:
