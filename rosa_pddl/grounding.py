@@ -4,7 +4,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property, lru_cache, partial
 from itertools import product
 from operator import mul
@@ -85,10 +84,6 @@ class _Ready:
             conditions = [f"{one} {value}" for one, value in given]
             lines.append(" ".join([str(len(given)), *conditions, f"{variable} -1 {after}"]))
         return "\n".join([*lines, ""])
-
-
-SearchTask: TypeAlias = tuple[TaskGraph, Task, tuple[int, ...]]
-"""What the exact search is asked: a graph, the same as a task, and what the amounts of each resource were scaled by."""
 
 
 @dataclass(frozen=True)
@@ -228,7 +223,7 @@ class Grounded:
         known = numbers_in(state) if self._constants else {}
         return all(known.get(text) == value for text, value in self._constants.items())
 
-    def search_task(self, problem: Problem, numbers: Numbers) -> SearchTask:
+    def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
         fitted = self._fitted(problem)
         mentioned = tuple([numbers.get(text) for text in self._mentioned])
@@ -239,7 +234,7 @@ class Grounded:
         if problem.until:
             task = self._timed(task, problem, numbers)
             graph = TaskGraph(task)
-        return graph, task, scales
+        return graph, task
 
     def _timed(self, task: Task, problem: Problem, numbers: Numbers) -> Task:
         """Return a task with how much longer facts hold, as numbers that fall with each step that takes time.
@@ -271,16 +266,19 @@ class Grounded:
         start = (*task.start[:behind], *reversed(left), *task.start[behind:])
         return Task(task.sizes, start, task.goal, tuple(operations), *task[4:6], task.numbers + len(left), task.tests)
 
-    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Mapping[int, Exact]] | None:
+    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, bool] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
-        Last comes what each step costs more than was written, where costs had to be rounded down.
+        Last comes whether costs are as they are, or had to be rounded down.
         """
         fitted = self._fitted(problem)
         if fitted.tests or any(one.operation.tests or one.operation.changes for one in self._operators):
             raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
         ready = self._weighed(fitted.frozen, frozenset(problem.weights.items()))
-        costs, rounded_off = self._whole_costs([one.cost for one in ready], numbers)
+        costs, _ = whole(self._values_of([one.cost for one in ready], "costs", numbers))
+        dearest = max(costs, default=0)
+        if dearest > _MOST_COST:
+            costs = [cost * _MOST_COST // dearest for cost in costs]
         if not fitted.goal:
             return None
         rules = self._rules_of(fitted)
@@ -300,8 +298,7 @@ class Grounded:
             needs = [f"{variable} {value}\n" for variable, value in rule.needs]
             text += [f"begin_rule\n{len(needs)}\n", *needs, f"{rule.variable} 1 0\nend_rule\n"]
         is_blind = math.prod(map(float, sizes)) <= _FEW_STATES or self._is_conditional or rules
-        lost = {one.number: amount for one, amount in zip(ready, rounded_off, strict=True) if amount}
-        return "".join(text), "blind" if is_blind else "lmcut", lost
+        return "".join(text), "blind" if is_blind else "lmcut", dearest <= _MOST_COST
 
     # ------------------------------------------------------------ making
 
@@ -457,8 +454,11 @@ class Grounded:
 
     def _graph_of(
         self, fitted: _Fitted, mentioned: Sequence[Exact | None], weights: frozenset[tuple[Step, int]]
-    ) -> SearchTask:
-        """Return a task without its start and limits; what its graph has worked out is kept."""
+    ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
+        """Return a task without its start and limits, and what the amounts of each resource were scaled by.
+
+        What its graph has worked out is kept.
+        """
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._weighed(fitted.frozen, weights)
         changed = self._numbers.keys()
@@ -505,16 +505,6 @@ class Grounded:
         return tuple(
             [replace(one, cost=("*", times[one.step], one.cost)) if one.step in times else one for one in left]
         )
-
-    def _whole_costs(self, made_of: Sequence[Number], numbers: Numbers) -> tuple[list[int], list[Exact]]:
-        """Return costs as whole numbers for Fast Downward, and what is lost if they must be rounded down for that."""
-        costs = self._values_of(made_of, "costs", numbers)
-        written, _ = whole(costs)
-        if max(written, default=0) <= _MOST_COST:
-            return written, [0] * len(costs)
-        scale = Fraction(_MOST_COST) / max(costs)
-        written = [math.floor(cost * scale) for cost in costs]
-        return written, [cost - one / scale for cost, one in zip(costs, written, strict=True)]
 
 
 _Effect: TypeAlias = tuple[Node, str, str, object]

