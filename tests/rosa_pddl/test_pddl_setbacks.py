@@ -310,16 +310,16 @@ AMOUNTS = st.one_of(
 
 @settings(max_examples=25, deadline=None)
 @given(amounts=st.tuples(AMOUNTS, AMOUNTS, AMOUNTS, AMOUNTS))
-def test_what_is_called_optimal_is_and_otherwise_the_answer_says_within_what(roads, amounts):
+def test_what_is_called_optimal_is_and_otherwise_the_answer_says_that_costs_were_rounded(roads, amounts):
     one, two, three, dear = amounts
     result, least = planned(roads, *amounts), min(one + two, three, dear)
     if result.outcome is Outcome.SOLVED_OPTIMALLY:
         assert result.cost == pytest.approx(least, rel=1e-15)
     else:
         assert result.outcome is Outcome.SOLVED
-        _, gap, *rest = result.message.split()
-        assert rest == ["of", "the", "least", "cost"]
-        assert result.cost - least <= float(gap) * 1.01
+        assert result.message == "costs too far apart for Fast Downward were rounded"
+        # by rounding down each step, of at most two, seems less by less than one in two million of the dearest
+        assert result.cost - least <= 2 * max(amounts) / 2_000_000 * 1.01
 
 
 # ------------------------------------------------------------------ what is sensed and handed in
