@@ -385,7 +385,7 @@ def _matched(rule: _Rule, look: _Look, row: Row, binding: _Binding) -> _Binding 
     for word, thing in zip(look.words, row, strict=True):
         known = word if isinstance(word, str) else inner[word]
         if known is None and thing in rule.choices[word]:  # type: ignore[index]  # only variables are not known
-            inner[word] = thing  # type: ignore[index]
+            inner[word] = thing  # type: ignore[index]  # as before
         elif known != thing:
             return None
     return inner
