@@ -18,6 +18,16 @@ from rosa_pddl.problem import Problem, initial_state
 _GRID_M: Final = 12.0
 
 
+def building_from(said) -> Building:
+    """Make a building of plain data: start, goal, places (x, y) and corridors (from, to, and what else is known)."""
+    corridors = {
+        name: Corridor((one["from"], one["to"]), **{key: one[key] for key in one if key not in ("from", "to")})
+        for name, one in said["corridors"].items()
+    }
+    places = {name: tuple(map(float, point)) for name, point in said["places"].items()}
+    return Building(said.get("name", "unnamed"), places, corridors, said["start"], said["goal"])
+
+
 def generated_building(rng: Generator, places: int = 58, corridors: int = 70) -> Building:
     """Make a connected building on a jittered grid, so of random lengths.
 
@@ -42,7 +52,7 @@ def generated_building(rng: Generator, places: int = 58, corridors: int = 70) ->
         length_m = math.dist(points[one], points[two])
         obstacles = float(rng.choice([0.0, 0.0, rng.uniform(0.01, 0.1), rng.uniform(0.11, 0.4)]))
         light = float(rng.choice([1.0, 1.0, 1.0, 0.1]))
-        made[f"c{number}"] = Corridor(f"c{number}", (f"p{one}", f"p{two}"), float(length_m), obstacles, light)
+        made[f"c{number}"] = Corridor((f"p{one}", f"p{two}"), float(length_m), obstacles, light)
     named = {f"p{number}": (float(x), float(y)) for number, (x, y) in enumerate(points)}
     return Building(f"generated_{places}", named, made, "p0", f"p{places - 1}")
 

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping
 from functools import lru_cache, partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
-from missions.agv.building import Building, load_building
+from missions.agv.building import PAPER, Building
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
 from missions.agv.pddl import PddlNames, cross_schema, switch_schema
@@ -16,10 +15,7 @@ from missions.agv.world import AgvKind
 from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts
 
-__all__ = ["MAPS", "MISSION", "WEIGHTS", "agv_mission"]
-
-MAPS: Final = Path(__file__).with_name("maps")
-"""The folder of the maps that come with the mission."""
+__all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"time": 1.0, "energy": 0.02, "collisions": 10.0})
 """What is minimised unless said otherwise: seconds, joules, expected collisions; own choice."""
@@ -63,5 +59,5 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
 MISSION = agv_mission(
     "agv",
     "drive through a building; the Kinect fails on the way, and a corridor goes dark",
-    load_building(MAPS / "paper.toml"),
+    PAPER,
 )

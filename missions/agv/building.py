@@ -1,13 +1,11 @@
-"""A building as a graph: places, and corridors between them with what is known of each; read from files and judged."""
+"""A building as a graph: places, and corridors between them with what is known of each."""
 
 import math
 import re
-import tomllib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from missions.engine.mission import MissionError
 from missions.engine.settings import near
@@ -22,18 +20,18 @@ class Corridor:
     """A corridor between two places, the same in both directions.
 
     Attributes:
-        name: lower snake_case.
         ends: the two places.
-        length_m: how far it is [m].
+        length_m: how far it is [m]; by default as far as its places are apart.
         obstacles: obstacles per metre [1/m].
         light: from 0 (dark) to 1.
+        name: as the building calls it.
     """
 
-    name: str
     ends: tuple[str, str]
-    length_m: float
-    obstacles: float
-    light: float
+    length_m: float = 0.0
+    obstacles: float = 0.0
+    light: float = 1.0
+    name: str = ""
 
     def other(self, place: str) -> str:
         return self.ends[1] if self.ends[0] == place else self.ends[0]
@@ -41,7 +39,7 @@ class Corridor:
 
 @dataclass(frozen=True)
 class Building:
-    """Places and corridors.
+    """Places and corridors by their names, in lower snake_case.
 
     Attributes:
         places: x and y of each place [m], world frame.
@@ -57,9 +55,13 @@ class Building:
     goal: str
 
     def __post_init__(self) -> None:
-        for name, corridor in self.corridors.items():
-            for end in corridor.ends:
-                self.check_place(end, f"corridor {name}")
+        for name in (*self.places, *self.corridors):
+            if not _NAME.fullmatch(name):
+                raise MissionError(f"{name!r} in map {self.name} is no name: a letter, then letters, digits or '_'")
+        for place, point in self.places.items():
+            for axis, value in zip("xy", point, strict=True):
+                check_number(f"{axis} of place {place}", value, -_MOST)
+        object.__setattr__(self, "corridors", {name: self._judged(name, one) for name, one in self.corridors.items()})
         self.check_place(self.start, "start")
         self.check_place(self.goal, "goal")
         ways = [(*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])]
@@ -67,6 +69,18 @@ class Building:
         if lost := [place for place in self.places if place not in reached]:
             problem = f"map {self.name} is disconnected: no way from {self.start} to {', '.join(lost)}"
             raise MissionError(f"{problem}; add a corridor")
+
+    def _judged(self, name: str, corridor: Corridor) -> Corridor:
+        """Return a corridor with its name and length."""
+        for end in corridor.ends:
+            self.check_place(end, f"corridor {name}")
+        if corridor.ends[0] == corridor.ends[1]:
+            raise MissionError(f"corridor {name} leads from {corridor.ends[0]} to itself; take it out")
+        length_m = corridor.length_m or math.dist(*(self.places[end] for end in corridor.ends))
+        check_number(f"length_m of corridor {name}", length_m, 1e-3)
+        check_number(f"obstacles of corridor {name}", corridor.obstacles)
+        check_number(f"light of corridor {name}", corridor.light, most=1.0)
+        return replace(corridor, name=name, length_m=length_m)
 
     @cached_property
     def exits(self) -> Mapping[str, tuple[Corridor, ...]]:
@@ -85,74 +99,28 @@ class Building:
 
 def _check_known(name: str, known: Iterable[str], problem: str) -> None:
     if name not in known:
-        raise MissionError(f"{problem}; near: {', '.join(near(str(name), known) or list(known)[:8])}")
+        raise MissionError(f"{problem}; near: {', '.join(near(name, known) or list(known)[:8])}")
 
 
-def check_number(what: str, value: object, least: float = 0.0, most: float = _MOST) -> None:
+def check_number(what: str, value: float, least: float = 0.0, most: float = _MOST) -> None:
     """Raise MissionError unless a value is a number within bounds."""
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not least <= value <= most:  # type: ignore[operator]  # is a number
+    if not isinstance(value, int | float) or not least <= value <= most:
         raise MissionError(f"{what} is {value!r}; it must be a number from {least:g} to {most:g}")
 
 
-def load_building(path: str | Path) -> Building:
-    """Read a map, a file of TOML such as `missions/agv/maps/paper.toml`.
+PAPER: Final = Building(
+    "paper",
+    places={"a": (0.0, 0.0), "d": (0.0, -8.0), "e": (20.0, -8.0), "b": (20.0, 0.0)},
+    corridors={
+        "c1": Corridor(("a", "b"), obstacles=0.25),
+        "c2": Corridor(("e", "b")),
+        "c3": Corridor(("d", "e")),
+        "c4": Corridor(("a", "d")),
+    },
+    start="a",
+    goal="b",
+)
+"""From a to b: straight on through the obstructed corridor c1, or round by c4, c3 and c2 (the map of the ROSA paper).
 
-    Raises:
-        MissionError: it cannot be read, or it is no map.
-    """
-    path = Path(path)
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise MissionError(f"map {path} cannot be read: {error}; a map is a file of TOML") from error
-    return building_from(data, path.stem)
-
-
-def building_from(data: Mapping[str, Any], name: str = "unnamed") -> Building:
-    """Make a building of what a map file says: name, start, goal, places (x, y) and corridors.
-
-    A corridor without `length_m` is as long as its places are apart; without `obstacles` it has none, and without
-    `light` it is light.
-
-    Raises:
-        MissionError: it is no map.
-    """
-    name = str(data.get("name", name))
-    _check_keys(f"map {name}", data, ("start", "goal", "places", "corridors"), ("name",))
-    for key in ("places", "corridors"):
-        _check_keys(f"{key} of map {name}", data[key])
-        if wrong := [one for one in data[key] if not _NAME.fullmatch(one)]:
-            raise MissionError(f"{wrong[0]!r} in {key} of map {name} is no name: a letter, then letters, digits or '_'")
-    places = {place: _point(place, point) for place, point in data["places"].items()}
-    corridors = {one: _corridor(one, said, places) for one, said in data["corridors"].items()}
-    return Building(name, places, corridors, data["start"], data["goal"])
-
-
-def _point(place: str, given: Any) -> tuple[float, float]:  # noqa: ANN401  # whatever stands in a file
-    if not isinstance(given, list) or len(given) != 2:
-        raise MissionError(f"place {place} is {given!r}; a place is x and y [m], such as [2.0, 5.0]")
-    for axis, value in zip("xy", given, strict=True):
-        check_number(f"{axis} of place {place}", value, -_MOST)
-    return float(given[0]), float(given[1])
-
-
-def _corridor(name: str, given: Any, places: Mapping[str, tuple[float, float]]) -> Corridor:  # noqa: ANN401  # whatever stands in a file
-    _check_keys(f"corridor {name}", given, ("from", "to"), ("length_m", "obstacles", "light"))
-    ends = str(given["from"]), str(given["to"])
-    if ends[0] == ends[1]:
-        raise MissionError(f"corridor {name} leads from {ends[0]} to itself; take it out")
-    apart = math.dist(*(places[end] for end in ends)) if places.keys() >= set(ends) else 1.0
-    numbers = {"length_m": apart, "obstacles": 0.0, "light": 1.0, **given}
-    for key, least, most in (("length_m", 1e-3, _MOST), ("obstacles", 0.0, _MOST), ("light", 0.0, 1.0)):
-        check_number(f"{key} of corridor {name}", numbers[key], least, most)
-    return Corridor(name, ends, float(numbers["length_m"]), float(numbers["obstacles"]), float(numbers["light"]))
-
-
-def _check_keys(what: str, given: Any, needed: Sequence[str] = (), optional: Sequence[str] = ()) -> None:  # noqa: ANN401  # whatever stands in a file
-    """Refuse what is not given by name, lacks what is needed, or says what nobody reads."""
-    if not isinstance(given, Mapping) or not given:
-        raise MissionError(f"{what} is {given!r:.40}; it is given by name, at least one")
-    if needed and not set(needed) <= given.keys() <= {*needed, *optional}:
-        allowed = f"it needs {', '.join(needed)}, and may say {', '.join(optional)}"
-        raise MissionError(f"{what} says {', '.join(given)}; {allowed}")
+The corridors and what is in them are the paper's; lengths and light are our own choice.
+"""

@@ -4,10 +4,10 @@ import math
 import sys
 
 import pytest
+from agv_worlds import building_from
 
 from kb import KnowledgeBase, Model, UnknownName
 from missions import cli
-from missions.agv.building import building_from, load_building
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.engine.mission import MissionError
@@ -136,40 +136,10 @@ def test_parallel_corridors_are_two_ways():
     assert [leg.corridor for leg in task.plan(Question()).legs] == ["c1", "c2"]
 
 
-@pytest.mark.parametrize(
-    ("name", "text", "words"),
-    [
-        ("twice.toml", 'start = "a"\nstart = "b"\n', "cannot be read"),
-        ("inf.toml", 'start = "a"\ngoal = "a"\nplaces = {a = [0, inf]}\ncorridors = {c = {}}\n', "y of place a is inf"),
-        ("folder.toml", None, "cannot be read"),
-    ],
-)
-def test_file_that_is_no_map_is_refused(tmp_path, name, text, words):
-    path = tmp_path / name
-    path.mkdir() if text is None else path.write_text(text)
-    with pytest.raises(MissionError, match=words):
-        load_building(path)
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"golas": "b"}, "map unnamed says start, goal, places, corridors, golas; it needs start, goal, "),
-        ({"places": {"1": [0, 0]}}, "'1' in places of map unnamed is no name"),
-        ({"places": {"a": [0, 0], "b": [10**400, 0]}}, "it must be a number"),
-        ({"places": {"a": [0, 0], "b": [0, 0], "c": [1, 1]}}, "length_m of corridor c1 is 0.0; it must be a number"),
-        ({"corridors": {"c1": {"from": "a"}}}, "it needs from, to"),
-    ],
-)
-def test_data_that_is_no_map_is_refused(changes, words):
-    with pytest.raises(MissionError, match=words):
-        building_from({**HALL, **changes})
-
-
 MODULE = """
 import dataclasses
+from agv_worlds import building_from
 from missions.agv import agv_mission
-from missions.agv.building import building_from
 from missions.agv.model import building_model
 
 HALL = {hall}

@@ -6,14 +6,13 @@ from math import inf
 from typing import NamedTuple
 
 import pytest
-from agv_worlds import asked_of, generated_building
+from agv_worlds import asked_of, building_from, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.random import default_rng
 
 from kb import KnowledgeBase
-from missions.agv import MAPS, WEIGHTS
-from missions.agv.building import building_from, load_building
+from missions.agv import PAPER, WEIGHTS
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
 from missions.agv.modes import GOALS, crossing, switching, weighing
@@ -40,7 +39,7 @@ def known(*failed):
 
 
 def paper(*failed):
-    return JointPlanner(load_building(MAPS / "paper.toml"), known(*failed))
+    return JointPlanner(PAPER, known(*failed))
 
 
 def simple_ways(building, start, goal):

@@ -6,8 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kb import KnowledgeBase
-from missions.agv import MAPS, WEIGHTS
-from missions.agv.building import load_building
+from missions.agv import PAPER, WEIGHTS
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
 from missions.agv.modes import Modes
@@ -59,7 +58,7 @@ events = st.one_of(
 @given(st.lists(events, min_size=1, max_size=8), st.sampled_from([{}, {"energy": 1500.0}, {"collisions": 0.05}]))
 def test_planner_answers_like_a_new_one_whatever_it_was_asked_before(told, limits):
     robot = Robot()
-    building = load_building(MAPS / "paper.toml")
+    building = PAPER
     old = JointPlanner(building, robot.kb)
     question = Question(weights=WEIGHTS, limits=limits)
     old.plan(question)
@@ -88,7 +87,7 @@ def test_situations_that_are_taken_for_the_same_allow_the_same_modes(told):
 
 def test_what_is_measured_beside_the_demands_counts_from_then_on():
     robot = Robot()
-    planner = JointPlanner(load_building(MAPS / "paper.toml"), robot.kb)
+    planner = JointPlanner(PAPER, robot.kb)
     ways = []
     for heat in (20.0, 55.0, 45.0, 39.0):  # it has to cool to 40 before the Kinect is used again
         robot.undergo("measured", "heat", heat)
@@ -101,7 +100,7 @@ def test_what_is_measured_beside_the_demands_counts_from_then_on():
 def test_amended_speed_and_estimation_count_from_then_on():
     robot = Robot()
     robot.kb.measure("heat", 20.0)
-    planner = JointPlanner(load_building(MAPS / "paper.toml"), robot.kb)
+    planner = JointPlanner(PAPER, robot.kb)
     before = planner.plan(Question()).takes
     robot.model.change(robot.model.configurations["fast"], parameters={"speed": 6.8})
     assert planner.plan(Question()).takes.time_s < before.time_s / 3

@@ -5,14 +5,13 @@ from dataclasses import replace
 
 import numpy
 import pytest
-from agv_worlds import generated_building
+from agv_worlds import building_from, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from running import result, run_mission, text
 
 from kb import KnowledgeBase
-from missions.agv import MAPS, WEIGHTS, agv_mission
-from missions.agv.building import building_from, load_building
+from missions.agv import PAPER, WEIGHTS, agv_mission
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
@@ -322,7 +321,7 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
         return mission.facts(kb, percepts)
 
     monkeypatch.setattr("rosa_pddl.Planner", Compared)
-    building = load_building(MAPS / "paper.toml")
+    building = PAPER
     mission = agv_mission("paper", "drives", building)
     run = rosa_run(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
     assert run.run().outcome == "arrived"

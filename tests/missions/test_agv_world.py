@@ -5,10 +5,9 @@ import math
 
 import numpy
 import pytest
-from agv_worlds import generated_building
+from agv_worlds import building_from, generated_building
 
 from missions.agv import agv_mission
-from missions.agv.building import building_from
 from missions.agv.model import NAVIGATOR, SPEEDS
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle, boxes, check_walls
