@@ -10,7 +10,15 @@ from suave_env.autopilot import Autopilot, Vector
 from suave_env.battery import LOW_LEVEL, Battery
 from suave_env.components import Agenda, Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.metrics import Metrics, Reaction, Reactions, Violations
-from suave_env.monitors import MISSION_STATUS, QA_STATUS, Message, Outbox, ThrusterMonitor, VisibilityMonitor
+from suave_env.monitors import (
+    COMPONENT_STATUS,
+    EA_MEASUREMENT,
+    MISSION_STATUS,
+    QA_STATUS,
+    Message,
+    Outbox,
+    thruster_words,
+)
 from suave_env.pipeline import SEABED_Z_M, Pipeline
 from suave_env.settings import Settings, SuaveEnvError, ThrusterEvent, parse_thruster_events
 from suave_env.thrusters import Thrusters
@@ -98,11 +106,11 @@ class SuaveEnv:
 
     def _start_monitors(self, phases: list[float]) -> None:
         settings, agenda = self.settings, self._agenda
-        self._visibility_monitor = VisibilityMonitor(settings, self._water, self._outbox)
-        self._thruster_monitor = ThrusterMonitor(settings, self._outbox)
+        self._visibility: float | None = None  # that was published last [m]
+        self._whole_periods, self._thruster_news = 0, list[tuple[int, str]]()
         visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
-        agenda.every(visibility_period, phases[0] * visibility_period, self._visibility_monitor.tick)
-        agenda.every(thruster_period, phases[1] * thruster_period, self._thruster_monitor.tick)
+        agenda.every(visibility_period, phases[0] * visibility_period, self._publish_visibility)
+        agenda.every(thruster_period, phases[1] * thruster_period, self._publish_thrusters)
         agenda.at(phases[2] * settings.pose_period_s, self._look)
         if settings.battery:
             phase = phases[3] * settings.battery_period_s
@@ -188,9 +196,9 @@ class SuaveEnv:
 
     def _look(self, time: float) -> None:
         """Look for the pipeline, whichever component is active, and again a period later until it is found."""
-        visibility, index = self._visibility_monitor.visibility, None
-        if visibility is not None:
-            index = self.pipeline.first_visible(*self._autopilot.position, visibility)
+        index = None
+        if self._visibility is not None:
+            index = self.pipeline.first_visible(*self._autopilot.position, self._visibility)
         if index is None:
             self._agenda.at(time + self.settings.pose_period_s, self._look)
             return
@@ -206,6 +214,18 @@ class SuaveEnv:
             self._judge(time, corrected=False)
         self._publish_battery(time)
 
+    def _publish_visibility(self, time: float) -> None:
+        """Publish the visibility at whole periods since the start, as kas-lab/suave v1.3.0 does at integer seconds."""
+        self._visibility = self._water.visibility(self._whole_periods * self.settings.visibility_monitor_period_s)
+        self._whole_periods += 1
+        self._outbox.publish(time, "water_visibility_monitor", EA_MEASUREMENT, "water_visibility", self._visibility)
+
+    def _publish_thrusters(self, time: float) -> None:
+        """Publish each failure once, and each recovery that came by itself; the recovery node publishes its own."""
+        for thruster, word in self._thruster_news:
+            self._outbox.publish(time, "thruster_monitor", COMPONENT_STATUS, f"c_thruster_{thruster}", word)
+        self._thruster_news.clear()
+
     def _publish_battery(self, time: float) -> None:
         self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery.level)
 
@@ -219,7 +239,7 @@ class SuaveEnv:
         change = self._thrusters.fail if event.fails else self._thrusters.recover
         change(event.thruster)
         self._judge(time, corrected=False)
-        self._thruster_monitor.notice(event.thruster, event.fails)
+        self._thruster_news += [(event.thruster, word) for word in thruster_words(self.settings, event.fails)]
         self._disturbances.append((time, f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}"))
 
     def _await_crossing(self, threshold: float, after: float) -> None:

@@ -1,10 +1,9 @@
-"""The monitors: what of the truth becomes known, and when, as plain data in the shape of ROS diagnostic_msgs."""
+"""What the monitors publish of the truth, as plain data in the shape of ROS diagnostic_msgs."""
 
 from collections.abc import Callable
 from typing import TypedDict
 
 from suave_env.settings import Settings
-from suave_env.water import Water
 
 EA_MEASUREMENT = "EA measurement"
 """Text of a measurement of the environment; kas-lab/suave v1.3.0."""
@@ -52,48 +51,6 @@ class Outbox:
         """Return what was published since the last call, in order of time."""
         messages, self._messages = self._messages, []
         return messages
-
-
-class VisibilityMonitor:
-    """Publishes the visibility at whole periods since its start, as kas-lab/suave v1.3.0 does at integer seconds.
-
-    Attributes:
-        visibility: Last published visibility [m], None before the first.
-    """
-
-    name = "water_visibility_monitor"
-
-    def __init__(self, settings: Settings, water: Water, outbox: Outbox) -> None:
-        self.visibility: float | None = None
-        self._water, self._outbox = water, outbox
-        self._period, self._count = settings.visibility_monitor_period_s, 0
-
-    def tick(self, time: float) -> None:
-        self.visibility = self._water.visibility(self._count * self._period)
-        self._count += 1
-        self._outbox.publish(time, self.name, EA_MEASUREMENT, "water_visibility", self.visibility)
-
-
-class ThrusterMonitor:
-    """Publishes each failure once, and each recovery that came by itself, at its next check.
-
-    Recoveries brought about by the recovery node are published by that node.
-    """
-
-    name = "thruster_monitor"
-
-    def __init__(self, settings: Settings, outbox: Outbox) -> None:
-        self._words = {fails: thruster_words(settings, fails) for fails in (True, False)}
-        self._outbox = outbox
-        self._news: list[tuple[int, str]] = []
-
-    def notice(self, thruster: int, fails: bool) -> None:
-        self._news += [(thruster, word) for word in self._words[fails]]
-
-    def tick(self, time: float) -> None:
-        for thruster, value in self._news:
-            self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{thruster}", value)
-        self._news.clear()
 
 
 def thruster_words(settings: Settings, fails: bool) -> tuple[str, ...]:

@@ -47,6 +47,11 @@ class Mode:
     parameters: Mapping[str, float] = field(repr=False)
     estimates: Mapping[str, float] = field(repr=False)
 
+    @property
+    def setup(self) -> tuple[object, ...]:
+        """What two modes have in common if nothing has to be switched from one to the other."""
+        return self.components, self.choice.configurations
+
 
 class Modes:
     """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.

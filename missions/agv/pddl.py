@@ -120,9 +120,10 @@ class PddlNames:
     def facts(self, task: Task) -> dict[str, bool]:
         """Return all that may change and whether it is so: where the robot is, how configured, what is possible."""
         possible = {(way, mode) for way, mode, *_ in self._crossings(task)}
-        at, configured = self.places["" if task.start[0].corridor else task.start[0].name], self._mode(task.start[1])
+        place, now = task.start
+        at, configured = self.places["" if place.corridor else place.name], self._mode(now)
         return {
-            **{f"(at {place})": place == at for place in self.places.values()},
+            **{f"(at {one})": one == at for one in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
             **{f"(possible {way} {mode})": (way, mode) in possible for way in self._ways for mode in self.by_mode},
         }
@@ -162,10 +163,7 @@ class PddlNames:
 
     def _mode(self, mode: Mode) -> str:
         """Return the object for how the robot is configured."""
-        for word, one in self.by_mode.items():
-            if (one.components, one.choice.configurations) == (mode.components, mode.choice.configurations):
-                return word
-        return self.now
+        return next((word for word, one in self.by_mode.items() if one.setup == mode.setup), self.now)
 
     def _distinct(self, wanted: str) -> str:
         while wanted in self._taken:

@@ -16,7 +16,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite
 
-from kb import KnowledgeBase, ReconfigurationPlan
+from kb import Choice, KnowledgeBase, ReconfigurationPlan
 from kb import Status as ElementStatus
 from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
@@ -28,8 +28,6 @@ from rosa_bt import RosaAction, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
 from rosa_pddl.generation import ActionSchema
-
-_DAYLIGHT: Final = 1.0
 
 RESERVE: Final = 0.1
 """Part of the energy that is not planned with, as driving round what stands in the way takes more; own choice."""
@@ -57,7 +55,9 @@ class Route:
 
     @property
     def answer(self) -> Answer:
-        believed = self._believes()
+        """The plan for where the robot is, what has failed and where the light has changed."""
+        failed = [name for name in self.kb.components if self.kb.components[name].status is ElementStatus.FAILURE]
+        believed = (self.at, self.inside, *failed, *self._light.items())
         if self._answer is None or believed != self._believed:
             self._believed, self._answer = believed, self._planner.plan(self.question)
         return self._answer
@@ -88,19 +88,13 @@ class Route:
     def standing(self) -> Mapping[str, float]:
         """What the robot demands where it stands: it passes nothing, and places are light."""
         corridor = self.building.corridors.get(self.inside)
-        if corridor is None:
-            return {"obstacles": 0.0, "light": _DAYLIGHT}
-        return {"obstacles": 0.0, "light": self._light.get(corridor.name, corridor.light)}
+        light = 1.0 if corridor is None else self._light.get(corridor.name, corridor.light)
+        return {"obstacles": 0.0, "light": light}
 
     @property
     def revision(self) -> tuple[object, ...]:
         """Differs when anything has happened; that it drives on and draws energy is nothing."""
         return self.kb.revision, self._percepts.revision, self.kb.attributes["energy"].value is None
-
-    def _believes(self) -> tuple[object, ...]:
-        """Return where the robot is, what has failed and where the light has changed: what plans depend on."""
-        failed = [name for name in self.kb.components if self.kb.components[name].status is ElementStatus.FAILURE]
-        return (self.at, self.inside, *failed, *self._light.items())
 
     @property
     def _light(self) -> Mapping[str, float]:
@@ -152,11 +146,13 @@ class Cross(RosaAction):
 
     def _select(self, leg: Leg) -> None:
         why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
-        self.kb.select(_designs(leg), _configurations(leg), why)
+        choice = _choice(leg)
+        self.kb.select(choice.designs, choice.configurations, why)
 
     def _is_selected(self, leg: Leg) -> bool:
-        designs = [self.kb.designs[name].is_selected for name in _designs(leg).values()]
-        return all(designs) and all(self.kb.configurations[name].is_selected for name in _configurations(leg).values())
+        choice, kb = _choice(leg), self.kb
+        chosen = [kb.designs[name].is_selected for name in choice.designs.values()]
+        return all([*chosen, *(kb.configurations[name].is_selected for name in choice.configurations.values())])
 
 
 class Switch(RosaAction):
@@ -178,10 +174,9 @@ class Switch(RosaAction):
         if self._plan is not None and self._plan.result == "failed":
             self.feedback_message = f"the robot cannot be configured so: {self._plan} failed"
             return Status.FAILURE
-        choice, running = self._mode.choice, running_mode(self.kb, NAVIGATE)
-        if (running.components, running.choice.configurations) == (self._mode.components, choice.configurations):
+        if running_mode(self.kb, NAVIGATE).setup == self._mode.setup:
             return Status.SUCCESS
-        why = f"{self._mode.name} is planned for what comes next"
+        choice, why = self._mode.choice, f"{self._mode.name} is planned for what comes next"
         self._plan = self.kb.select(choice.designs, choice.configurations, why)
         return Status.RUNNING
 
@@ -240,12 +235,9 @@ def _measure(route: Route, demands: Mapping[str, float]) -> None:
         route.kb.measure(attribute, value)
 
 
-def _designs(leg: Leg) -> dict[str, str]:
-    return {**leg.mode.choice.designs, FOLLOW: "by_navigator"}
-
-
-def _configurations(leg: Leg) -> dict[str, str]:
-    return {**leg.mode.choice.configurations, NAVIGATOR: heading(leg.corridor, leg.origin)}
+def _choice(leg: Leg) -> Choice:
+    mode, navigator = leg.mode.choice, {NAVIGATOR: heading(leg.corridor, leg.origin)}
+    return Choice({**mode.designs, FOLLOW: "by_navigator"}, {**mode.configurations, **navigator})
 
 
 class FollowRoute(Composite):

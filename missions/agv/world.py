@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -73,13 +73,9 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
             allowed = "text such as 'kinect fails in c1, dark in c3', or nothing"
             raise MissionError(f"incidents cannot be {text!r}; allowed is {allowed}")
         component, change, light, corridor = read.groups(default="")
-        if component and component not in DRAW_W:
-            raise MissionError(f"incidents name the component {component!r}; there are {', '.join(DRAW_W)}")
-        try:
-            building.check_corridor(corridor)
-        except MissionError as error:
-            advice = "name others, or none by --set incidents="
-            raise MissionError(f"incidents cannot be {text!r}: {error}; {advice}") from error
+        if component not in ("", *DRAW_W) or corridor not in building.corridors:
+            known = f"there are {', '.join(DRAW_W)}; {', '.join(building.corridors)}"
+            raise MissionError(f"incidents cannot be {text!r}: {known}; name others, or none by --set incidents=")
         found.append(Incident(change or light, component, corridor))
     return tuple(found)
 
@@ -98,7 +94,7 @@ class BuildingWorld(World):
         start = building.places[building.start]
         placed, pose = boxes(building, rng), (*start, rng.uniform(-math.pi, math.pi))
         self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
-        self._components = _Components((*DRAW_W, "base", NAVIGATOR))
+        self._components = _Components()
         takes = settings.switching_s, settings.switching_s, settings.parameter_s
         self._managed = SimulatedComponents(lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True)))
         self._waiting = _placed(incidents(settings.incidents, building), rng)
@@ -188,7 +184,7 @@ class BuildingWorld(World):
 
     def _take_orders(self) -> None:
         """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
-        ordered = self._components.parameters(NAVIGATOR) if self._components.is_active(NAVIGATOR) else {}
+        ordered = self._components.orders(NAVIGATOR)
         if not ordered or ordered == self._ordered:
             return
         self._ordered = ordered
@@ -276,8 +272,7 @@ class BuildingWorld(World):
 
     @property
     def _speed(self) -> float:
-        parameters = self._components.parameters("base") if self._components.is_active("base") else {}
-        return float(parameters.get("speed", 0.0))
+        return float(self._components.orders("base").get("speed", 0.0))
 
     def _draws_w(self, is_driving: bool) -> float:
         speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
@@ -289,19 +284,18 @@ class BuildingWorld(World):
 class _Components(NamedComponents):
     """One that has failed, or that the vehicle does not have, does not start."""
 
-    def __init__(self, names: Iterable[str]) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self._names, self.failed = frozenset(names), set[str]()
+        self.failed = set[str]()
 
     def activate(self, component: str, /) -> None:
-        if component not in self._names:
-            raise MissionError(f"the simulated vehicle has no component {component}")
-        if component in self.failed:
-            raise MissionError(f"{component} has failed and does not start")
+        if component in self.failed or component not in (*DRAW_W, "base", NAVIGATOR):
+            raise MissionError(f"the simulated vehicle has no component {component} that works")
         super().activate(component)
 
-    def parameters(self, component: str, /) -> Mapping[str, Any]:
-        return super().parameters(component)
+    def orders(self, component: str) -> Mapping[str, Any]:
+        """Return the parameters of a component; none if it does not run."""
+        return self.taken.get(component, {}) if self.is_active(component) else {}
 
     @property
     def running(self) -> set[str]:

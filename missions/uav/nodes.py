@@ -6,7 +6,6 @@ What moves the vehicle leaves it hovering where it is when it is stopped: that i
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from difflib import get_close_matches
 from math import dist, hypot, inf, tan
 from typing import ClassVar, Final
 
@@ -130,21 +129,13 @@ class Robot:
 
 
 class Node:
-    """A component that can be active or inactive.
-
-    Attributes:
-        moves: whether it steers the vehicle.
-        power: its power while it is active, a share of a setting [W].
-    """
+    """A component that can be active or inactive; it `moves` if it steers the vehicle."""
 
     name: ClassVar[str]
     moves: ClassVar[bool] = False
-    power: ClassVar[tuple[str, float]] = ("pick_up_w", 0.0)
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        setting, share = self.power
-        self.watts: float = getattr(robot.settings, setting) * share
         self._worked_s = 0.0
 
     def worked_s(self, works: bool) -> float:
@@ -210,7 +201,7 @@ class PickUpPlanner(Node):
 class Gripper(Node):
     """Unfolds, and grips the target when it is within reach; a worn one jams while it lifts, and drops the sample."""
 
-    name, power = "gripper", ("pick_up_w", 0.5)
+    name = "gripper"
 
     def begin(self) -> None:
         self.worked_s(False)
@@ -245,7 +236,7 @@ class Gripper(Node):
 class Analyser(Node):
     """Analyses what is held, once it is lifted."""
 
-    name, power = "analyser", ("pick_up_w", 0.5)
+    name = "analyser"
 
     def update(self) -> None:
         robot = self.robot
@@ -269,7 +260,7 @@ class HoverPlanner(Node):
 class InfraredCamera(Node):
     """Analyses the target from above; an unfolded gripper would be in its view."""
 
-    name, power = "infrared_camera", ("infrared_w", 1.0)
+    name = "infrared_camera"
 
     def update(self) -> None:
         robot, target = self.robot, self.robot.field.target
@@ -340,21 +331,20 @@ class Nodes(NamedComponents):
         super().__init__()
         kinds = (SearchPlanner, SampleCamera, PickUpPlanner, Gripper, Analyser, HoverPlanner, InfraredCamera)
         self._nodes = {one.name: one(robot) for one in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)}
-        self._hold = robot.vehicle.hold
+        self._hold, half_w = robot.vehicle.hold, robot.settings.pick_up_w / 2
+        self._powers_w = {"gripper": half_w, "analyser": half_w, "infrared_camera": robot.settings.infrared_w}
         self.acting: tuple[Node, ...] = ()
         self.watts = 0.0  # of those that act
 
     def _note(self) -> None:
         self.acting = tuple(one for name, one in self._nodes.items() if name in self.active)
-        self.watts = sum(one.watts for one in self.acting)
+        self.watts = sum(self._powers_w.get(one.name, 0.0) for one in self.acting)
 
     def check(self, component: str, parameters: Parameters, /) -> None:
         """Raise MissionError unless there is that component; none has parameters."""
-        if component not in self._nodes:
-            near = get_close_matches(component, self._nodes, n=3) or list(self._nodes)
-            raise MissionError(f"there is no component {component!r}; the nearest are {', '.join(near)}")
-        if parameters:
-            raise MissionError(f"{component} has no parameters; {', '.join(parameters)} cannot be set")
+        if component not in self._nodes or parameters:
+            known = f"there are {', '.join(self._nodes)}, which have no parameters"
+            raise MissionError(f"{component} with {dict(parameters)} cannot be; {known}")
 
     def activate(self, component: str, /) -> None:
         if component not in self.active:

@@ -38,7 +38,7 @@ class Settings(Constants):
     rotor_limit_n: float = setting(8.0, "N", "largest thrust of one rotor", _CONTROL, 5.5, 20)
     rotor_radius_m: float = setting(0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5)
     figure_of_merit: float = setting(0.6, "-", "ideal by actual power of a hovering rotor", _CONTROL, 0.1, 1)
-    drag: float = setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 2)
+    drag: float = setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 1.1)
     wind_m_s: float = setting(1.0, "m/s", "steady wind, from a direction of chance", _OWN, 0, 4)
     gravity_m_s2: float = setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
     air_kg_m3: float = setting(1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2)

@@ -116,10 +116,8 @@ def test_lift_gives_way_before_the_vehicle_loses_its_balance(thrust, torques):
     assert ARM_M * (-one + two + three - four) == pytest.approx(torques[1], abs=1e-9)
 
 
-def test_wind_that_would_blow_it_away_is_refused_and_the_strongest_that_is_not_is_flown_in():
-    with pytest.raises(MissionError, match=r"push with 8 N .* against 4.5 N; set drag or wind_m_s lower"):
-        Quadrotor(Settings(drag=2), (0.0, 4.0))
-    vehicle = Quadrotor(Settings(drag=1.12), (0.0, 4.0))
+def test_strongest_push_of_the_wind_that_can_be_set_is_flown_in():
+    vehicle = Quadrotor(Settings(drag=1.1), (0.0, 4.0))
     vehicle.go_to((0.0, -6.0, 3.0))
     assert flown(vehicle, 40).is_near((0.0, -6.0, 3.0), 0.3)
 
@@ -143,11 +141,11 @@ def test_wanted_velocity_keeps_its_limits_and_points_to_the_target(at, to, speed
     assert z * (to[2] - at[2]) >= 0
 
 
-def test_component_that_does_not_exist_is_refused_with_the_nearest_name():
+def test_component_that_does_not_exist_is_refused_with_those_that_do():
     world = UavWorld(Settings(), numpy.random.default_rng(0))
-    with pytest.raises(MissionError, match="nearest are gripper"):
+    with pytest.raises(MissionError, match="griper with .* cannot be; there are .*, gripper, "):
         world.managed.activate("griper")
-    with pytest.raises(MissionError, match="has no parameters"):
+    with pytest.raises(MissionError, match="gripper with .*force.* cannot be; .* have no parameters"):
         world.managed.set_parameters("gripper", {"force": 1.0})
 
 
