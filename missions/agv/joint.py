@@ -274,7 +274,8 @@ class JointPlanner:
         goal = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
         within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
         limits = f" within {' and '.join(within)}" if within else ""
-        amounts = f"{takes.time_s:.1f} s, {takes.energy_j:.0f} J, {takes.expected_collisions:.3f} collisions expected"
+        time_s, energy_j, collisions = takes.in_units.values()
+        amounts = f"{time_s:.1f} s, {energy_j:.0f} J, {collisions:.3f} collisions expected"
         return f"{route}: of all ways the best for {goal}{limits} ({amounts})"
 
     def _why_not(self, task: Task) -> str:
@@ -289,6 +290,8 @@ class JointPlanner:
             because = f"{named} cannot be crossed: {why}" if blocked else "no way"
             return f"{task.goal} cannot be reached from {task.start[0].name}; {because}"
         alone = {name: self.plan(replace(task.question, weights={name: 1e3}, limits={})) for name in task.limited}
-        least = {name: getattr(one.takes, name) / GOALS[name] for name, one in alone.items()}
-        limits = [f"{name} {limit:g} (alone {least[name]:.6g} or more)" for name, limit in task.question.limits.items()]
+        limits = [
+            f"{name} {task.question.limits[name]:g} (alone {one.takes.in_units[name]:.6g} or more)"
+            for name, one in alone.items()
+        ]
         return f"no way keeps within all limits: {', '.join(limits)}"

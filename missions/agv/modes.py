@@ -36,7 +36,7 @@ class Mode:
         name: of designs and configurations, such as "amcl_kinect fast"; empty if nothing runs.
         choice: a design for each function and a configuration for each component that has some.
         components: that run.
-        parameters: of these, by name.
+        speed: that its configurations set [m/s]; None if they set none.
         estimates: what designs, components and configurations are estimated to add to each attribute, summed up;
             less than 0 for what they take away.
     """
@@ -44,7 +44,7 @@ class Mode:
     name: str
     choice: Choice = field(repr=False)
     components: frozenset[str] = field(repr=False)
-    parameters: Mapping[str, float] = field(repr=False)
+    speed: float | None = field(repr=False)
     estimates: Mapping[str, float] = field(repr=False)
 
     @property
@@ -128,13 +128,9 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
         if id(one.causer) in chosen:
             sign = -1.0 if one.kind is EstimationKind.NEGATIVE else 1.0
             estimates[one.attribute] = estimates.get(one.attribute, 0.0) + sign * one.value
-    parameters = {
-        key: float(value)
-        for configuration in configurations
-        for key, value in configuration.parameters.items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    }
-    return Mode(" ".join(one.name for one in (*designs, *configurations)), choice, components, parameters, estimates)
+    speeds = [one.parameters["speed"] for one in configurations if "speed" in one.parameters]
+    speed = next((float(one) for one in speeds if isinstance(one, int | float) and not isinstance(one, bool)), None)
+    return Mode(" ".join(one.name for one in (*designs, *configurations)), choice, components, speed, estimates)
 
 
 class Amounts(NamedTuple):
@@ -145,19 +141,9 @@ class Amounts(NamedTuple):
     collisions: int
 
     @property
-    def time_s(self) -> float:
-        """Time [s]."""
-        return self.time / 1e3
-
-    @property
-    def energy_j(self) -> float:
-        """Energy [J]."""
-        return self.energy / 1e3
-
-    @property
-    def expected_collisions(self) -> float:
-        """How many collisions are expected."""
-        return self.collisions / 1e6
+    def in_units(self) -> Mapping[str, float]:
+        """By goal: [s], [J], and how many collisions are expected."""
+        return {name: amount / GOALS[name] for name, amount in zip(GOALS, self, strict=True)}
 
 
 def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
@@ -165,12 +151,11 @@ def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
 
     A collision is a matter of chance; what it costs, it costs as often as it is expected: the robot stands for a while.
     """
-    speed = mode.parameters.get("speed", math.nan)
-    if not speed > 0.0:
-        given = f"sets speed to {speed:g}" if "speed" in mode.parameters else "sets no speed"
+    if mode.speed is None or not mode.speed > 0.0:
+        given = "sets no speed" if mode.speed is None else f"sets speed to {mode.speed:g}"
         raise MissionError(f"{mode.name or 'a mode'} {given}; give its configurations a speed above 0 [m/s]")
     collisions = passed * _taken(mode, "safety")
-    time_s = length_m / speed + collisions * COLLISION_S
+    time_s = length_m / mode.speed + collisions * COLLISION_S
     return Amounts(round(time_s * 1e3), round(time_s * _taken(mode, "energy") * 1e3), round(collisions * 1e6))
 
 

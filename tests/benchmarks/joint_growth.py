@@ -47,7 +47,7 @@ def grown(folder: Path) -> dict[str, Points]:
             if number < AXIOMS.get(places, 0):
                 axioms.append(timed(by_axioms, Robot(building, MODEL, ()), question, folder)[0])
             if answer.is_solved:
-                budget = {"energy": 1.1 * answer.takes.energy_j}
+                budget = {"energy": 1.1 * answer.takes.in_units["energy"]}
                 within.append(timed(planner.plan, Question(question.start, question.goal, question.weights, budget))[0])
         for way, some in zip(WAYS, (joint_cold, warm, within, tested, axioms), strict=True):
             times[way][places] = some

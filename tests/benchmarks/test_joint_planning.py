@@ -30,8 +30,8 @@ def limited(question, **limits):
 
 def tight(planner, question, answer):
     """Return the question with half of the energy that the best plan takes beyond what is needed at least."""
-    least = planner.plan(Question(question.start, question.goal, {"energy": 1.0})).takes.energy_j
-    return limited(question, energy=(least + answer.takes.energy_j) / 2)
+    least = planner.plan(Question(question.start, question.goal, {"energy": 1.0})).takes.in_units["energy"]
+    return limited(question, energy=(least + answer.takes.in_units["energy"]) / 2)
 
 
 def test_joint_plan_in_a_building_as_large_as_the_published_one(tables, tmp_path):
@@ -55,14 +55,14 @@ def test_joint_plan_in_a_building_as_large_as_the_published_one(tables, tmp_path
             assert cost == (answer.cost if answer.is_solved else None)
             judged += 1
         if answer.is_solved:
-            energy_j, collisions = 1.1 * answer.takes.energy_j, answer.takes.expected_collisions + 0.05
+            energy_j, collisions = 1.1 * answer.takes.in_units["energy"], answer.takes.in_units["collisions"] + 0.05
             took, within = timed(planner.plan, limited(question, energy=energy_j, collisions=collisions))
             times["warm, within ample limits"].append(took)
             assert within.cost == answer.cost
             within_half = tight(planner, question, answer)
             took, within = timed(planner.plan, within_half)
             times["warm, within half of what is spare"].append(took)
-            assert not within.is_solved or within.takes.energy_j <= within_half.limits["energy"]
+            assert not within.is_solved or within.takes.in_units["energy"] <= within_half.limits["energy"]
             assert not within.is_solved or within.cost >= answer.cost
             least[number] = answer.cost
     assert judged >= 10

@@ -11,7 +11,6 @@ from numpy.random import default_rng
 from kb import KnowledgeBase
 from missions.agv.joint import JointPlanner, Place, Question
 from missions.agv.model import agv_model
-from missions.agv.modes import GOALS
 from rosa_pddl import Declarations, Outcome, Planner, Problem, initial_state
 
 pytestmark = pytest.mark.benchmark
@@ -30,7 +29,7 @@ def timed(act, *arguments):
 def limits_between(planner, ends):
     """Return limits in the middle between what the quickest plan takes and the least that any does."""
     plans = [planner.plan(Question(weights={name: 1.0}, **ends)).takes for name in ("time", *LIMITED)]
-    amounts = [dict(zip(GOALS, (one.time_s, one.energy_j, one.expected_collisions), strict=True)) for one in plans]
+    amounts = [one.in_units for one in plans]
     return {name: (amounts[0][name] + min(one[name] for one in amounts)) / 2 for name in LIMITED}
 
 

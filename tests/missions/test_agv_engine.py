@@ -10,7 +10,6 @@ from numpy.random import default_rng
 from kb import KnowledgeBase
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
-from missions.agv.modes import GOALS
 from missions.agv.pddl import left_of
 from rosa_pddl import Outcome, Planner, Problem, initial_state
 
@@ -22,7 +21,7 @@ SHARES = (-0.01, 0.0, 0.4, 1.0)
 
 def takes(answer):
     amounts = answer.takes
-    return dict(zip(GOALS, (amounts.time_s, amounts.energy_j, amounts.expected_collisions), strict=True))
+    return amounts.in_units
 
 
 def limits_of(planner, quickest):

@@ -97,9 +97,7 @@ def test_exhaustive_search_agrees_also_within_limits(seed, weighed_by, part, lim
     assert (answer.cost if answer.is_solved else None) == by_exhaustion(building, kb, free)
     if not answer.is_solved:
         return
-    takes = dict(
-        zip(GOALS, (answer.takes.time_s, answer.takes.energy_j, answer.takes.expected_collisions), strict=True)
-    )
+    takes = answer.takes.in_units
     tight = Question(weights=weighed_by, limits={limited: takes[limited] * part})
     within = planner.plan(tight)
     assert (within.cost if within.is_solved else None) == by_exhaustion(building, kb, tight)
@@ -200,8 +198,8 @@ def test_robot_within_a_corridor_goes_back_only_if_it_must():
     inside = Question(start=Place("a", "c1", 15.0), weights=WEIGHTS)
     assert [leg.corridor for leg in paper().plan(inside).legs] == ["c1"]
     assert [leg.corridor for leg in paper("kinect").plan(inside).legs] == ["c4", "c3", "c2"]
-    longer = paper("kinect").plan(inside).takes.time_s
-    assert longer > paper("kinect").plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS)).takes.time_s
+    longer = paper("kinect").plan(inside).takes.in_units["time"]
+    assert longer > paper("kinect").plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS)).takes.in_units["time"]
 
 
 def test_way_back_past_known_obstacles_is_not_taken_for_the_whole_corridor():
@@ -266,7 +264,7 @@ def test_limits_that_contradict_each_other_are_named_with_what_is_possible():
 
 def test_limit_that_is_too_low_is_told_with_the_least_that_would_do():
     planner = paper()
-    least = planner.plan(Question(weights={"energy": 1.0})).takes.energy_j
+    least = planner.plan(Question(weights={"energy": 1.0})).takes.in_units["energy"]
     reason = planner.plan(Question(limits={"energy": least - 0.001})).reason
     assert reason.startswith("no way keeps within all limits: energy ")
     assert reason.endswith(f"(alone {least:.6g} or more)")
@@ -276,11 +274,11 @@ def test_limit_that_is_too_low_is_told_with_the_least_that_would_do():
 def test_battery_limit_makes_the_robot_take_a_thriftier_way():
     planner = paper("kinect")
     free, least = planner.plan(Question()), planner.plan(Question(weights={"energy": 1.0}))
-    limit = (free.takes.energy_j + least.takes.energy_j) / 2
+    limit = (free.takes.in_units["energy"] + least.takes.in_units["energy"]) / 2
     thrifty = planner.plan(Question(limits={"energy": limit}))
     assert thrifty.is_solved
-    assert least.takes.energy_j <= thrifty.takes.energy_j <= limit < free.takes.energy_j
-    assert thrifty.takes.time_s > free.takes.time_s
+    assert least.takes.in_units["energy"] <= thrifty.takes.in_units["energy"] <= limit < free.takes.in_units["energy"]
+    assert thrifty.takes.in_units["time"] > free.takes.in_units["time"]
 
 
 @pytest.mark.parametrize(

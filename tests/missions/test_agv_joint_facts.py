@@ -103,11 +103,11 @@ def test_amended_speed_and_estimation_count_from_then_on():
     planner = JointPlanner(PAPER, robot.kb)
     before = planner.plan(Question()).takes
     robot.model.change(robot.model.configurations["fast"], parameters={"speed": 6.8})
-    assert planner.plan(Question()).takes.time_s < before.time_s / 3
+    assert planner.plan(Question()).takes.in_units["time"] < before.in_units["time"] / 3
     for one in robot.model.estimations:
         if one.attribute == "energy":
             robot.model.change(one, value=0.0)
     after = planner.plan(Question()).takes
     assert (
-        after.energy_j < before.energy_j / 50
+        after.in_units["energy"] < before.in_units["energy"] / 50
     )  # what is left is what it takes to stand while the first are switched on

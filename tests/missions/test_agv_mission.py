@@ -150,7 +150,7 @@ def test_generated_building_is_driven_through_as_planned():
     assert [one.action for one in run.kb.history.actions] == [f"cross_{leg.corridor}" for leg in planned.legs]
     assert {one.result for one in run.kb.history.actions} == {"completed"}
     assert run.world.results()["collisions"] == 0
-    assert run.world.now == pytest.approx(planned.takes.time_s, rel=0.25)
+    assert run.world.now == pytest.approx(planned.takes.in_units["time"], rel=0.25)
 
 
 def test_dark_corridor_is_entered_with_the_lamp_on():
