@@ -16,7 +16,7 @@ from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.agv.tree import Route
 from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
 from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
-from missions.engine.settings import Constants, setting
+from missions.engine.settings import Constants, declared, setting
 
 _OWN: Final = "own choice"
 _INCIDENT: Final = re.compile(r"(?:(\S+) (fails|recovers)|(dark|light)) in (\S+)")
@@ -321,7 +321,7 @@ class AgvKind(WorldKind):
         self._building, self._weights = building, weights
 
     def settings(self) -> tuple[Setting, ...]:
-        return Settings.describe()
+        return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
         return BuildingWorld(self._building, Settings.read(values), rng)

@@ -17,7 +17,7 @@ from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, ManagedSystem, Model
 from missions.engine.settings import MissionError as MissionError
-from missions.engine.settings import RunSettings, near, own_values
+from missions.engine.settings import RunSettings, declared, near, own_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import in_words
 
@@ -312,7 +312,7 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
     """Return every setting of a mission: how it is run, then its world."""
-    return (*RunSettings.describe(), *mission.world.settings())
+    return (*declared(RunSettings), *mission.world.settings())
 
 
 def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
@@ -323,7 +323,7 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
     Raises:
         MissionError: an unknown name or a value that is not allowed.
     """
-    run, rest = own_values(RunSettings.describe(), values)
+    run, rest = own_values(declared(RunSettings), values)
     world, unknown = own_values(mission.world.settings(), rest)
     for name in unknown:
         known = [one.name for one in settings_of(mission)]
@@ -331,5 +331,5 @@ def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSett
         some = f"there are {', '.join(known)}" if len(known) < 20 else f"`rosa settings {mission.name}` lists them"
         hint = f"did you mean {' or '.join(close)}?" if close else some
         raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
-    fixed_run, fixed_world = own_values(RunSettings.describe(), mission.fixed)
+    fixed_run, fixed_world = own_values(declared(RunSettings), mission.fixed)
     return RunSettings.read({**fixed_run, **run}), {**fixed_world, **world}

@@ -100,11 +100,6 @@ class Constants:
             one.checked(getattr(self, one.name))
 
     @classmethod
-    def describe(cls) -> tuple[Setting, ...]:
-        """Return each setting with its default, unit, meaning, source and range."""
-        return declared(cls)
-
-    @classmethod
     def read(cls, values: Mapping[str, str]) -> Self:
         """Return the settings as they are given on a command line, by name; what is not among them has its default.
 

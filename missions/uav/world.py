@@ -9,6 +9,7 @@ from numpy.random import Generator
 from kb import KnowledgeBase
 from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Percepts, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.settings import declared
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.settings import Settings
 from missions.uav.tree import analysed, is_all_analysed
@@ -156,7 +157,7 @@ class UavWorld(World):
 
 class _SkyKind(WorldKind):
     def settings(self) -> tuple[Setting, ...]:
-        return Settings.describe()
+        return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: Generator) -> UavWorld:
         return UavWorld(Settings.read(values), rng)

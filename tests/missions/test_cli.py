@@ -62,10 +62,10 @@ def test_settings_are_listed_with_unit_default_and_source(quick):
 @pytest.mark.parametrize(
     ("mission", "row"),
     [
-        ("agv", r"physics_step_s +0\.01 +s +0\.001 to 0\.01$"),
+        ("agv", r"physics_step_s +0\.01 +s +from 0\.001 to 0\.01$"),
         ("agv", r"capacity_j +20000 +J +from 1$"),
         ("agv", r"duration_s +300 +s +from 0\.001$"),
-        ("uav", r"samples +7 +\S+ +1 to 7$"),
+        ("uav", r"samples +7 +\S+ +from 1 to 7$"),
         ("suave", r"activation_s +\S+ +s +from 0$"),
     ],
 )
