@@ -78,8 +78,10 @@ class Field:
 
     def aim(self, place: tuple[float, float]) -> bool:
         """Choose the next target if there is none: reported ones first, then the nearest; whether that is new."""
+        if self.target is not None:
+            return False
         waiting = [one for one in self.samples if one.is_found and one.quality is None]
-        if self.target is not None or not waiting:
+        if not waiting:
             return False
         self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
         return True

@@ -19,12 +19,14 @@ Vector = tuple[float, float, float]
 
 ARM_M: Final = 0.18  # from the centre to a rotor, along x and along y
 REACTION_M: Final = 0.016  # torque about the mast for each newton of thrust
+_ARMS_M, _REACTIONS_M = 4 * ARM_M, 4 * REACTION_M  # of all rotors
 INERTIA: Final = (0.021, 0.021, 0.036)  # about x, y, z [kg m2], the arm included
 
 POSITION_GAIN: Final = 1.0  # [1/s]
 VELOCITY_GAIN: Final = 3.0  # [1/s]
 TILT_GAIN: Final = 8.0  # [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
+_STIFFNESS: Final = tuple(one * RATE_GAIN for one in INERTIA)
 YAW_GAIN: Final = 2.0  # [1/s]
 SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that is asked for
 VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
@@ -59,34 +61,29 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
     return mass * x * scale, mass * y * scale, mass * lift
 
 
-def mast(quaternion: Sequence[float]) -> tuple[Vector, Vector, Vector]:
-    """Return the axes x, y, z of the body in the world frame, from a unit quaternion (w, x, y, z)."""
-    w, x, y, z = quaternion
-    return (
-        (1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)),
-    )
+def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple[float, Vector]:
+    """Return the thrust [N] along the mast, and the torques [N m], body frame, that turn the mast towards a force.
 
-
-def attitude_torques(axes: tuple[Vector, Vector, Vector], rates: Vector, force: Vector) -> Vector:
-    """Return the torques [N m], body frame, that turn the mast towards a force, and the nose to the east.
+    They turn the nose to the east, too.
 
     Args:
-        axes: of the body in the world frame.
+        quaternion: attitude of the body, a unit quaternion (w, x, y, z).
         rates: angular velocity [rad/s], body frame.
         force: wanted force [N], world frame.
     """
-    (a, b, c), (d, e, f), (g, h, i), (x, y, z) = *axes, force
-    size = math.sqrt(x * x + y * y + z * z)
-    forward, left, up = (a * x + b * y + c * z) / size, (d * x + e * y + f * z) / size, (g * x + h * y + i * z) / size
+    w, i, j, k = quaternion
+    east, north, up = force
+    size = math.sqrt(east * east + north * north + up * up)
+    nose, aside = 1 - 2 * (j * j + k * k), 2 * (i * j + w * k)  # of the body's x axis, to the east and to the north
+    thrust = 2 * (i * k + w * j) * east + 2 * (j * k - w * i) * north + (1 - 2 * (i * i + j * j)) * up
+    forward = (nose * east + aside * north + 2 * (i * k - w * j) * up) / size
+    left = (2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up) / size
     # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
-    turn_x, turn_y = (-left, forward) if up > 0 else _unit(-left, forward)
-    yaw = math.atan2(b, a)
-    return (
-        INERTIA[0] * RATE_GAIN * (TILT_GAIN * turn_x - rates[0]),
-        INERTIA[1] * RATE_GAIN * (TILT_GAIN * turn_y - rates[1]),
-        INERTIA[2] * RATE_GAIN * (-YAW_GAIN * yaw - rates[2]),
+    turn_x, turn_y = (-left, forward) if thrust / size > 0 else _unit(-left, forward)
+    return thrust, (
+        _STIFFNESS[0] * (TILT_GAIN * turn_x - rates[0]),
+        _STIFFNESS[1] * (TILT_GAIN * turn_y - rates[1]),
+        _STIFFNESS[2] * (-YAW_GAIN * math.atan2(aside, nose) - rates[2]),
     )
 
 
@@ -95,12 +92,14 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
 
     Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
     """
-    x, y, z = torques[0] / (4 * ARM_M), torques[1] / (4 * ARM_M), torques[2] / (4 * REACTION_M)
+    x, y, z = torques[0] / _ARMS_M, torques[1] / _ARMS_M, torques[2] / _REACTIONS_M
     most = 0.1 * limit
     z = -most if z < -most else most if z > most else z  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     low, high = min(turning), max(turning)
-    even = max(-low, min(limit - high, thrust / 4))
+    even = thrust / 4
+    if not -low <= even <= limit - high:
+        even = max(-low, min(limit - high, even))
     if even + low >= 0.0 and even + high <= limit:  # mostly
         return [even + turning[0], even + turning[1], even + turning[2], even + turning[3]]
     return [max(0.0, min(limit, even + one)) for one in turning]
@@ -209,9 +208,9 @@ class Quadrotor:
         mujoco.mj_step(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d))
-        x, y, z, *self._turned = self._qpos.tolist()[:7]
+        x, y, z, a, b, c, d, *_ = self._qpos.tolist()
         u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
-        self.position, self.velocity, self._rates = (x, y, z), (u, v, w), (roll, pitch, yaw)
+        self.position, self.velocity, self._turned, self._rates = (x, y, z), (u, v, w), (a, b, c, d), (roll, pitch, yaw)
         self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
 
     def _touches_down(self, thrusts: list[float]) -> bool:
@@ -229,9 +228,7 @@ class Quadrotor:
         x, y, z = self._trim
         self._trim = trim = _trimmed(x, error[0], step_s), _trimmed(y, error[1], step_s), _trimmed(z, error[2], step_s)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
-        torques = attitude_torques(axes := mast(self._turned), self._rates, force)
-        thrust = axes[2][0] * force[0] + axes[2][1] * force[1] + axes[2][2] * force[2]
-        return mixed(thrust, torques, settings.rotor_limit_n)
+        return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)
 
     def _aim(self) -> Vector:
         """Return where to go now: up first, then along, then down."""

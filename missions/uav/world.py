@@ -1,7 +1,7 @@
 """The field with the vehicle above it as a world of missions; MuJoCo is imported when it is opened."""
 
 from collections.abc import Mapping
-from math import cos, pi, sin
+from math import cos, dist, pi, sin
 from typing import Any
 
 from numpy.random import Generator
@@ -33,7 +33,7 @@ class UavWorld(World):
         self._now, self._steps, self._nodes_due = 0.0, 0, 0.0
         self._outbox: list[Message] = []
         self._disturbances: list[tuple[float, str]] = []
-        self._flown_m, self._least = 0.0, 1.0
+        self._flown_m, self._least, self._between = 0.0, 1.0, (1.0, 1.0)
         bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
@@ -77,15 +77,14 @@ class UavWorld(World):
         robot, vehicle, before = self._robot, self._robot.vehicle, self._robot.vehicle.position
         robot.now = self._now
         vehicle.step()
-        x, y, z = vehicle.position
-        self._flown_m += ((x - before[0]) ** 2 + (y - before[1]) ** 2 + (z - before[2]) ** 2) ** 0.5
+        self._flown_m += dist(before, vehicle.position)
         self._drain(step_s)
         if self._now >= self._nodes_due - 1e-9:
             self._nodes_due += self._nodes_period_s
             self._want()
             for node in self._nodes.acting:
                 node.update()
-            if robot.field.aim((x, y)) and robot.field.target is not None:
+            if robot.field.aim(vehicle.position[:2]) and robot.field.target is not None:
                 self._publish(STATUS, f"{robot.field.target.name}_target", "true")
         if self._now >= self._battery_due - 1e-9:
             self._battery_due += self._settings.battery_period_s
@@ -95,8 +94,18 @@ class UavWorld(World):
         robot, settings, before = self._robot, self._settings, self._robot.level
         watts = robot.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if robot.is_charging else 0.0
-        robot.level = after = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
-        self._least = after if after < self._least else self._least
+        after = before + gained - watts * step_s / settings.capacity_j
+        if self._between[0] < after < self._between[1]:  # mostly
+            robot.level = after
+            self._least = after if after < self._least else self._least
+        else:
+            self._cross(before, max(0.0, min(1.0, after)))
+
+    def _cross(self, before: float, after: float) -> None:
+        """Take in a charge on the other side of a level, and note what that means."""
+        robot, levels = self._robot, (0.0, *LEVELS, 1.0)
+        self._between = max(one for one in levels if one <= after), min(one for one in levels if one >= after)
+        robot.level, self._least = after, min(self._least, after)
         for level, what in LEVELS.items():
             if before >= level > after:
                 self._disturb(f"the battery fell below {level:g}, which {what}")

@@ -15,8 +15,7 @@ from missions.uav.vehicle import (
     REACTION_M,
     SUBSTEPS,
     Quadrotor,
-    attitude_torques,
-    mast,
+    attitude,
     mixed,
     velocity_wanted,
 )
@@ -126,7 +125,8 @@ def test_strongest_push_of_the_wind_that_can_be_set_is_flown_in():
 def test_torque_turns_the_mast_back_up(angle, axis):
     quaternion = [math.cos(angle / 2), 0.0, 0.0, 0.0]
     quaternion[1 + axis] = math.sin(angle / 2)
-    torques = attitude_torques(mast(quaternion), (0.0, 0.0, 0.0), (0.0, 0.0, 10.0))
+    thrust, torques = attitude(quaternion, (0.0, 0.0, 0.0), (0.0, 0.0, 10.0))
+    assert thrust == pytest.approx(10.0 * math.cos(angle))
     assert torques[axis] * angle <= 1e-12
     assert abs(angle) < 1e-6 or torques[axis] != 0
 
