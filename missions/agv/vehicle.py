@@ -92,6 +92,7 @@ _RAYS: Final = {
     name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
     for name, (half, reach_m) in SENSORS.items()
 }
+_TOUCHING: Final = (1, 2), (2, 1)  # groups of geoms: what stands around, and the vehicle
 _MEMORY: Final = 30  # scans that are remembered; what was passed is out of sight, but not away
 
 
@@ -103,6 +104,10 @@ class Vehicle:
         placed: x, y [m] and yaw [rad] of each box in the way.
         pose: x, y [m] and yaw [rad] at the start.
         step_s: of the physics [s].
+
+    Attributes:
+        position: X and y (2,) [m], world frame.
+        yaw: Heading [rad], from x to y.
     """
 
     def __init__(self, building: Building, placed: list[Pose], pose: Pose, step_s: float) -> None:
@@ -116,23 +121,13 @@ class Vehicle:
         self._touched = False
         self.collisions = 0
         mujoco.mj_forward(self._model, self._data)
-
-    @property
-    def position(self) -> Array:
-        """X and y (2,) [m], world frame."""
-        where: Array = self._qpos[:2].copy()
-        return where
-
-    @property
-    def yaw(self) -> float:
-        """Heading [rad], from x to y."""
-        w, x, y, z = self._qpos[3:7].tolist()
-        return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+        self._stand()
 
     def drive(self, aim: Aim, steps: int) -> None:
         """Let time pass with wheels turning as is wanted."""
         self._data.ctrl[:] = wheel_speeds(aim, WHEEL_M, HALF_TRACK_M)
         mujoco.mj_step(self._model, self._data, steps)
+        self._stand()
         touches = self._touches()
         self.collisions += touches and not self._touched
         self._touched = touches
@@ -159,7 +154,13 @@ class Vehicle:
         """Forget what was seen, as another sensor looks on."""
         self._seen.clear()
 
+    def _stand(self) -> None:
+        x, y, _, *turned = self._qpos.tolist()[:7]
+        w, i, j, k = turned
+        self.position: Array = np.array((x, y))
+        self.yaw = math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
+
     def _touches(self) -> bool:
         contacts = self._data.contact
         pairs, group = contacts.geom[: self._data.ncon].tolist(), self._group_of
-        return any({group[one], group[other]} == {1, 2} for one, other in pairs)
+        return any((group[one], group[other]) in _TOUCHING for one, other in pairs)

@@ -275,7 +275,8 @@ class BuildingWorld(World):
         return float(self._components.orders("base").get("speed", 0.0))
 
     def _draws_w(self, is_driving: bool) -> float:
-        speed = next((name for name, value in SPEEDS.items() if value == self._speed), "")
+        now = self._speed
+        speed = next((name for name, value in SPEEDS.items() if value == now), "")
         base_w = DRIVING_W[speed] if is_driving and speed else self._settings.standing_w
         running = self._components.running
         return base_w + sum(watts for name, watts in DRAW_W.items() if name in running)
