@@ -7,7 +7,7 @@ and go: a tree switches between two behaviours of one action, and a plan makes a
 import json
 import logging
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -223,7 +223,37 @@ def _ports(of: type = str, default: str | None = None, **described: str) -> dict
     return {name: PortInformation(of, False, said, default) for name, said in described.items()}
 
 
-class KbBehaviour(PortsMixin, Behaviour):
+class Careful(Behaviour):
+    """A behaviour whose exceptions are its FAILURE, with the text as feedback; an interrupt stops it."""
+
+    def advance(self) -> Generator[Behaviour, None, Status]:
+        """Do what is done in a tick; yield what is visited before this one, and return the outcome."""
+        raise NotImplementedError
+
+    def tick(self) -> Iterator[Behaviour]:
+        try:
+            try:
+                new_status = yield from self.advance()
+            except Exception as error:
+                self.feedback_message = in_words(error)
+                _log.debug("%s failed", self.name, exc_info=True)
+                new_status = Status.FAILURE
+            if new_status is Status.RUNNING:
+                self.status = new_status
+            else:
+                self.stop(new_status)
+        except BaseException:
+            self.stop(Status.INVALID)
+            raise
+        yield self
+
+    def shutdown(self) -> None:
+        """Stop if still running; called when the tree is shut down."""
+        if self.status is Status.RUNNING:
+            self.stop(Status.INVALID)
+
+
+class KbBehaviour(PortsMixin, Careful):
     """A leaf that knows a knowledge base; what its constructor is not given, its ports carry.
 
     An exception in it is its FAILURE, with the text as feedback.
@@ -258,23 +288,6 @@ class KbBehaviour(PortsMixin, Behaviour):
         value = self.port_arguments[port]
         return self.get_input(port) if value is None else value
 
-    def tick(self) -> Iterator[Behaviour]:
-        try:
-            try:
-                new_status = self._advance()
-            except Exception as error:
-                self.feedback_message = in_words(error)
-                _log.debug("%s failed", self.name, exc_info=True)
-                new_status = Status.FAILURE
-            if new_status is Status.RUNNING:
-                self.status = new_status
-            else:
-                self.stop(new_status)
-        except BaseException:
-            self.stop(Status.INVALID)
-            raise
-        yield self
-
     def stop(self, new_status: Status) -> None:
         """Terminate the round; an exception in that turns success into failure, an interruption stays one."""
         self.status = self._terminated(new_status)
@@ -287,6 +300,10 @@ class KbBehaviour(PortsMixin, Behaviour):
             self.feedback_message = f"{in_words(error)} (at the end)"
             return Status.FAILURE if new_status is Status.SUCCESS else new_status
         return new_status
+
+    def advance(self) -> Generator[Behaviour, None, Status]:
+        yield from ()  # it has no children
+        return self._advance()
 
     def _advance(self) -> Status:
         with self.kb.reading():  # what it is asked belongs to one moment, which a trace can name
@@ -586,11 +603,6 @@ class RosaAction(ActionBehaviour):
             self._request.close(ended, self.feedback_message)
         self.status = ended
         self.iterator = self.tick()
-
-    def shutdown(self) -> None:
-        """Stop if still running; called when the tree is shut down."""
-        if self.status is Status.RUNNING:
-            self.stop(Status.INVALID)
 
     def _advance(self) -> Status:
         if not self._request.is_open:

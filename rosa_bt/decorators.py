@@ -1,18 +1,18 @@
 """Decorators that py_trees has no namesake for."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import ActionRequest, halt, why
+from rosa_bt.behaviours import ActionRequest, Careful, halt, why
 from rosa_bt.exceptions import in_words
 
 
-class ForAction(Decorator):
+class ForAction(Careful, Decorator):
     """Puts any behaviour, as it is, under a ROSA action: done only while that is feasible, requested meanwhile.
 
     In each tick the knowledge base is asked first. While the action is unfeasible this is FAILURE with the reason, and
@@ -51,24 +51,12 @@ class ForAction(Decorator):
         self._request = ActionRequest(kb, timeout if wait else None)
         self._is_ready = False
 
-    def tick(self) -> Iterator[Behaviour]:
-        try:
-            try:
-                new_status = self._admit()
-                if new_status is Status.SUCCESS:
-                    yield from self.decorated.tick()
-                    new_status = self.update()
-            except Exception as error:
-                self.feedback_message = in_words(error)
-                new_status = Status.FAILURE
-            if new_status is Status.RUNNING:
-                self.status = new_status
-            else:
-                self.stop(new_status)
-        except BaseException:
-            self.stop(Status.INVALID)
-            raise
-        yield self
+    def advance(self) -> Generator[Behaviour, None, Status]:
+        new_status = self._admit()
+        if new_status is Status.SUCCESS:
+            yield from self.decorated.tick()
+            new_status = self.update()
+        return new_status
 
     def update(self) -> Status:
         self.feedback_message = self.decorated.feedback_message
@@ -89,10 +77,6 @@ class ForAction(Decorator):
             halt(self.decorated)
             self._request.close(new_status, self.feedback_message)
         self.status = new_status
-
-    def shutdown(self) -> None:
-        if self.status is Status.RUNNING:
-            self.stop(Status.INVALID)
 
     def _admit(self) -> Status:
         """Return SUCCESS if the child may be ticked, what to return otherwise."""

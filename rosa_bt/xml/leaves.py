@@ -109,17 +109,6 @@ class Sleep(XmlLeaf):
         return Status.SUCCESS if is_over else Status.RUNNING
 
 
-class StandIn(Behaviour):
-    """Returns what it is told to, tick by tick, and what it was told last from then on."""
-
-    def __init__(self, name: str, statuses: Sequence[Status]) -> None:
-        super().__init__(name)
-        self._left = list(statuses)
-
-    def update(self) -> Status:
-        return self._left.pop(0) if len(self._left) > 1 else self._left[0]
-
-
 _KINDS: Final[list[type[XmlLeaf]]] = [Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated]
 _CONSTANT: Final = {"AlwaysSuccess": Status.SUCCESS, "AlwaysFailure": Status.FAILURE}
 LEAVES: Final[dict[str, type[XmlLeaf]]] = {

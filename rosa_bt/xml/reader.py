@@ -13,13 +13,14 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from py_trees.behaviour import Behaviour
+from py_trees.behaviours import StatusQueue
 from py_trees.common import Status
 
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.leaves import LEAVES, StandIn, XmlLeaf
+from rosa_bt.xml.leaves import LEAVES, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
 from rosa_bt.xml.ports import Ports, key_of
@@ -442,9 +443,9 @@ class _Builder:
         statuses = () if callable(what) else (what,) if isinstance(what, Status) else tuple(what)
         if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
             raise element.error(f"{pattern!r} is substituted by py_trees statuses or by a function, not by {what!r}")
-        leaf = what(name) if callable(what) else StandIn(name, statuses)
+        leaf = what(name) if callable(what) else StatusQueue(name, list(statuses[:-1]), statuses[-1])
         entry = self._registry[element.node] if element.node in self._registry else None  # noqa: SIM401  # it has no get
-        original = (entry.made if entry else None) or leaf
+        original = (entry.made if entry else None) or (leaf if callable(what) else Behaviour)
         return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)
 
     def _subtree(self, element: Element, place: _Place) -> SubTree:
