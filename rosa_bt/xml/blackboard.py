@@ -6,6 +6,7 @@ A whole number is an int, a double a float, a text a str; what the program or a 
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final, get_args, get_origin
@@ -254,12 +255,10 @@ class Blackboard(MutableMapping[str, Any]):
 
 def _constant(text: str) -> int | float | str:
     """Return what a SubTree's literal is: a whole number, a double, else a text."""
-    for kind in (int, float):
-        if re.fullmatch(r"-?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
-            try:
+    if re.fullmatch(r"-?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
+        for kind in (int, float):
+            with suppress(ValueError):
                 return kind(text)
-            except ValueError:
-                continue
     return text
 
 
