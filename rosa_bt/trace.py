@@ -1,9 +1,8 @@
 """A trace: the log of events beside the ticks of a tree; written and read as lines of JSON, and replayed.
 
-The first line says what it is a trace of. Each event that came between two ticks is a line, each tick is a line with
-the events that came within it, and a line with the tree comes before the first tick and whenever the tree has changed.
-What a tick does not mention is as in the tick before. Each line is on disk as soon as its tick is over, so a program
-that is killed leaves all but the tick that it was in.
+The first line says what it is a trace of, each other is a tick with the events since the one before. What it does not
+say of the tree and of what was ticked is as in the tick before. Each line is on disk as soon as its tick is over, so a
+program that is killed leaves all but the tick that it was in.
 """
 
 import json
@@ -11,7 +10,6 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from operator import attrgetter
 from pathlib import Path
 from threading import get_ident
 from typing import Any, Final, NamedTuple, Self, TextIO
@@ -26,12 +24,11 @@ from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
 from rosa_bt.trees import TreeRunner
 
-_VERSION: Final = 2
+_VERSION: Final = 3
 _KEPT: Final = 10_000
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 _ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
 """What ends a line, or has no place in a file; text may hold it all the same."""
-_NUMBER: Final = attrgetter("number")
 _NO_LINE: Final = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 """What reading raises if a line is JSON, but not what it should be."""
 
@@ -62,6 +59,14 @@ class Decision(NamedTuple):
     """Why, in the words of the knowledge base; empty where none was given."""
 
 
+class Told(NamedTuple):
+    """An event that the knowledge base came to know since the tick before."""
+
+    event: Event
+    place: int | None
+    """Before a behaviour of which place in `visited` others told it, -1 if before the tick; None if the tree did."""
+
+
 class Tick(NamedTuple):
     """One tick, numbered from 0, at a time [s]."""
 
@@ -71,23 +76,18 @@ class Tick(NamedTuple):
     """The behaviours of the tree, parents before children; the number of one is its place."""
     visited: tuple[Visit, ...]
     """What was ticked, in order: children before parents."""
-    events: tuple[Event, ...] = ()
-    """What the knowledge base came to know since the tick before; a replay tells it again."""
-    own_events: tuple[Event, ...] = ()
-    """What it came to know in this tick, from the tree: from the thread that ticked."""
+    events: tuple[Told, ...] = ()
+    """What became known, in order; a replay tells what others told again."""
     reasons: tuple[str, ...] = ()
     """Why an action became unfeasible, for each time that one did in these events."""
-    within: tuple[tuple[int, Event], ...] = ()
-    """What others told within this tick, each with how many behaviours had been visited before one could know it."""
     is_interrupted: bool = False
-    """Whether it was cut short, by Ctrl-C for instance, and the tree was halted; all that came to know is `events`."""
+    """Whether it was cut short, by Ctrl-C for instance, and the tree was halted; all events are as if before it."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
         """What became of actions since the end of the tick before."""
         found, reasons = [], iter(self.reasons)
-        within = [event for _, event in self.within]
-        for event in sorted((*self.events, *self.own_events, *within), key=_NUMBER):
+        for event, _ in self.events:
             if event.verb == "request_action":
                 found.append(Decision(event.subject, "requested", ""))
             elif event.verb == "cancel_action":
@@ -191,14 +191,9 @@ class TraceVisitor(VisitorBase):
             last = max([self._begun, *self._known, *self._own])
             events = [one for one in events if one.number <= last]
         self._done = events[-1].number if events else self._done
-        inside = [] if is_interrupted else [one for one in events if one.number > self._begun]
-        tick = Tick(
-            *(self._count, time, self._tree, self._visited, tuple(events[: len(events) - len(inside)])),
-            tuple(one for one in inside if one.number in self._own),
-            tuple(reason for one in events for reason in self._why(one)),
-            tuple((self._place(one.number), one) for one in inside if one.number not in self._own),
-            is_interrupted,
-        )
+        told = tuple(Told(one, -1 if is_interrupted else self._place(one.number)) for one in events)
+        reasons = tuple(reason for one in events for reason in self._why(one))
+        tick = Tick(self._count, time, self._tree, self._visited, told, reasons, is_interrupted)
         if self._file is not None:
             self._file.write("".join(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None)))
         self._ticks.append(tick)
@@ -206,7 +201,9 @@ class TraceVisitor(VisitorBase):
         self._thread = None
         self._own.clear()
 
-    def _place(self, number: int) -> int:
+    def _place(self, number: int) -> int | None:
+        if number <= self._begun or number in self._own:
+            return -1 if number <= self._begun else None
         return next((place for place, known in enumerate(self._known) if known >= number), len(self._known))
 
     def _why(self, event: Event) -> list[str]:
@@ -265,19 +262,15 @@ def _written(model: str, ticks: Iterable[Tick], before: Tick | None = None) -> I
     if before is None:
         yield _line({"rosa_bt_trace": _VERSION, "model": model})
     for tick in ticks:
-        for event in tick.events:
-            yield _line(event.to_json())
-        if before is None or tick.tree != before.tree:
-            yield _line({"tree": tick.tree})
         line: dict[str, object] = {"tick": tick.number, "time": tick.time}
+        if before is None or tick.tree != before.tree:
+            line["tree"] = tick.tree
         if before is None or tick.visited != before.visited:
             line["visited"] = tick.visited
-        if tick.own_events:
-            line["events"] = [event.to_json() for event in tick.own_events]
+        if tick.events:
+            line["events"] = [(event.to_json(), place) for event, place in tick.events]
         if tick.reasons:
             line["reasons"] = tick.reasons
-        if tick.within:
-            line["within"] = [(place, event.to_json()) for place, event in tick.within]
         if tick.is_interrupted:
             line["interrupted"] = True
         yield _line(line)
@@ -302,21 +295,16 @@ def read_trace(path: str | Path) -> Trace:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
     if not lines:
         raise TraceError(f"{path} is empty; a trace begins with a line that says what it is")
-    model, ticks, tree, events = "", list[Tick](), tuple[Node, ...](), list[Event]()
+    model, ticks = "", list[Tick]()
     for number, text in enumerate(lines, start=1):
         try:
             line = json.loads(text)
-            if number == 1 and line["rosa_bt_trace"] != _VERSION:
+            if number > 1:
+                ticks.append(_tick_of(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
+                continue
+            if line["rosa_bt_trace"] != _VERSION:
                 raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
-            if number == 1:
-                model = str(line["model"])
-            elif "verb" in line:
-                events.append(Event.from_json(line))
-            elif "tree" in line:
-                tree = tuple(Node(*node) for node in line["tree"])
-            else:
-                ticks.append(_tick_of(line, tree, tuple(events), ticks[-1].visited if ticks else ()))
-                events.clear()
+            model = str(line["model"])
         except json.JSONDecodeError as error:
             where = f"{path}:{number}:{error.colno}"
             raise TraceError(f"{where}: not JSON ({error.msg}); one object per line is expected") from None
@@ -325,16 +313,12 @@ def read_trace(path: str | Path) -> Trace:
     return Trace(model, tuple(ticks))
 
 
-def _tick_of(
-    line: dict[str, Any], tree: tuple[Node, ...], events: tuple[Event, ...], visited: tuple[Visit, ...]
-) -> Tick:
-    if "visited" in line:
-        visited = tuple(Visit(*visit) for visit in line["visited"])
-    own = tuple(map(Event.from_json, line.get("events", ())))
+def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
+    tree = tuple(Node(*node) for node in line["tree"]) if "tree" in line else before.tree
+    visited = tuple(Visit(*visit) for visit in line["visited"]) if "visited" in line else before.visited
+    told = tuple(Told(Event.from_json(event), place) for event, place in line.get("events", ()))
     reasons = tuple(map(str, line.get("reasons", ())))
-    within = tuple((int(place), Event.from_json(event)) for place, event in line.get("within", ()))
-    is_interrupted = line.get("interrupted", False) is True
-    return Tick(int(line["tick"]), float(line["time"]), tree, visited, events, own, reasons, within, is_interrupted)
+    return Tick(int(line["tick"]), float(line["time"]), tree, visited, told, reasons, line.get("interrupted") is True)
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
@@ -353,9 +337,7 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
     """
     if trace.ticks and trace.ticks[0].number:
         raise TraceError(f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file")
-    within = [event for tick in trace.ticks for _, event in tick.within]
-    events = [*within, *(event for tick in trace.ticks for event in tick.events + tick.own_events)]
-    first = min((event.number for event in events), default=1)
+    first = min((event.number for tick in trace.ticks for event, _ in tick.events), default=1)
     if first != 1:
         raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
     now = [trace.ticks[0].time if trace.ticks else 0.0]
@@ -364,7 +346,7 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
     with _Replay(kb, now, len(trace.ticks) or 1) as visitor:
         runner.tree.add_visitor(visitor)
         for tick in trace.ticks:
-            visitor.tell(tick.events)
+            visitor.tell(event for event, place in tick.events if place == -1)
             if tick.is_interrupted:
                 now[0] = tick.time
                 halt(runner.tree.root)
@@ -387,7 +369,8 @@ class _Replay(TraceVisitor):
     def __init__(self, kb: KnowledgeBase, now: list[float], keep: int) -> None:
         super().__init__(kb, keep=keep)
         self._now, self._tick = now, Tick(0, now[0], (), ())
-        self._within: deque[tuple[int, Event]] = deque()
+        self._within: deque[tuple[Event, int]] = deque()
+        self._own_events: list[Event] = []
         self._stop_following = kb.subscribe(lambda event: self._follow())
 
     def tell(self, events: Iterable[Event]) -> None:
@@ -401,8 +384,10 @@ class _Replay(TraceVisitor):
         self._thread = thread
 
     def expect(self, tick: Tick) -> None:
-        self._tick, self._within = tick, deque(tick.within)
-        self._now[0] = tick.own_events[0].time if tick.own_events else tick.time
+        self._tick = tick
+        self._within = deque((event, place) for event, place in tick.events if place is not None and place >= 0)
+        self._own_events = [event for event, place in tick.events if place is None]
+        self._now[0] = self._own_events[0].time if self._own_events else tick.time
 
     def initialise(self) -> None:
         super().initialise()
@@ -414,7 +399,7 @@ class _Replay(TraceVisitor):
 
     def finalise(self) -> None:
         self._now[0] = self._tick.time
-        self.tell(event for _, event in self._within)
+        self.tell(event for event, _ in self._within)
         super().finalise()
 
     def _follow(self) -> None:
@@ -422,7 +407,7 @@ class _Replay(TraceVisitor):
         if self._thread is None:
             return
         last = self._kb.log.last
-        while self._within and self._within[0][0] <= len(self._seen) and self._within[0][1].number == last + 1:
-            self.tell([self._within.popleft()[1]])
+        while self._within and self._within[0][1] <= len(self._seen) and self._within[0][0].number == last + 1:
+            self.tell([self._within.popleft()[0]])
             last = self._kb.log.last
-        self._now[0] = next((one.time for one in self._tick.own_events if one.number > last), self._tick.time)
+        self._now[0] = next((one.time for one in self._own_events if one.number > last), self._tick.time)

@@ -323,7 +323,8 @@ def readable(trace: "Trace") -> Iterator[str]:
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:
-        lines = [f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in tick.events]
+        told = [event for event, place in tick.events if place is not None]  # by others than the tree
+        lines = [f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in told]
         if before is None or tick.tree != before.tree:
             lines += [f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree]
         if before is None or tick.visited != before.visited:

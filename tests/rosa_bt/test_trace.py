@@ -124,10 +124,10 @@ def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_
     ]
     shown = {first.tree[visit.node].name: visit for visit in first.visited}
     assert (shown["explore"].status, shown["explore"].feedback[:8]) == ("RUNNING", "waiting:")
-    assert [one[:4] for one in first.events] == [(1, 0.0, "measure", ("energy", 1.0))]
-    assert [(one.verb, one.subject) for one in first.own_events] == [("request_action", "explore")]
+    assert [one[:4] for one, place in first.events if place == -1] == [(1, 0.0, "measure", ("energy", 1.0))]
+    assert [(one.verb, one.subject) for one, place in first.events if place is None] == [("request_action", "explore")]
     assert first.decisions == (("explore", "requested", ""),)
-    assert [one[1:4] for one in third.events if one.verb == "measure"] == [(1.0, "measure", ("energy", 0.1))]
+    assert [one[1:4] for one, _ in third.events if one.verb == "measure"] == [(1.0, "measure", ("energy", 0.1))]
     why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
     assert third.decisions == (
         ("explore", "unfeasible", why),
@@ -185,7 +185,7 @@ def test_trace_that_begins_late_holds_what_was_known_already_and_is_replayed():
         runner.tree.add_visitor(visitor)
         runner.tick()
         runner.shutdown()
-    assert [one.verb for one in visitor.trace.ticks[0].events] == ["request_action", "measure"]
+    assert [one.verb for one, place in visitor.trace.ticks[0].events if place == -1] == ["request_action", "measure"]
     assert replay_trace(visitor.trace, rover(), tree).ticks[0].visited == visitor.trace.ticks[0].visited
 
 
@@ -209,7 +209,7 @@ def test_any_text_is_read_as_it_was_written(tmp_path_factory, reason):
     assert read_trace(path) == visitor.trace
 
 
-HEAD = '{"rosa_bt_trace":2,"model":"x"}\n'
+HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ HEAD = '{"rosa_bt_trace":2,"model":"x"}\n'
         ("", "is empty"),
         ("nonsense\n", r":1:1: not JSON"),
         ("[]\n", r":1: no line of a trace"),
-        ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 2"),
+        ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
         (HEAD + '{"tick":0}\n', r":2: no line of a trace"),
         (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
         (HEAD + '"tick"\n', r":2: no line of a trace"),
@@ -237,7 +237,7 @@ def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message)
 def test_event_that_cannot_be_told_again_is_named(tmp_path, verb, arguments):
     path = tmp_path / "run.jsonl"
     event = json.dumps({"number": 1, "time": 0.0, "verb": verb, "arguments": arguments})
-    path.write_text(f'{HEAD}{event}\n{{"tick":0,"time":0.0,"visited":[]}}\n')
+    path.write_text(f'{HEAD}{{"tick":0,"time":0.0,"visited":[],"events":[[{event},-1]]}}\n')
     with pytest.raises(TraceError, match=rf"{verb}\(.*\) cannot be told again"):
         replay_trace(read_trace(path), rover(), tree)
 
@@ -298,7 +298,7 @@ def test_facts_that_another_thread_tells_within_a_tick_are_replayed_in_their_pla
             runner.tick()
         runner.shutdown()
         trace = visitor.trace
-    assert sum(len(tick.within) + len(tick.events) for tick in trace.ticks) >= 1
+    assert any(place is not None for tick in trace.ticks for _, place in tick.events)
     assert read_trace(path) == trace
     assert replay_trace(read_trace(path), rover(), lambda kb: tree_between(kb, [])) == trace
 
@@ -327,7 +327,7 @@ def test_facts_that_threads_tell_as_fast_as_they_can_are_replayed_as_they_were_k
                 for _ in range(100):
                     runner.tick()
                 trace = visitor.trace
-                if any(tick.within for tick in trace.ticks):
+                if any((place or 0) > 0 for tick in trace.ticks for _, place in tick.events):
                     break
     finally:
         is_over.set()
@@ -338,7 +338,7 @@ def test_facts_that_threads_tell_as_fast_as_they_can_are_replayed_as_they_were_k
         can = [IsActionFeasible(f"can {number}?", kb, "explore") for number in range(5)]
         return Parallel("all", policy=ParallelPolicy.SuccessOnAll(synchronise=False), children=can)
 
-    assert any(tick.within for tick in trace.ticks)
+    assert any((place or 0) > 0 for tick in trace.ticks for _, place in tick.events)
     assert replay_trace(trace, rover(), again) == trace
 
 
@@ -380,7 +380,7 @@ def test_trace_goes_on_after_an_interrupted_tick_and_is_replayed(tmp_path, by_ru
     assert [tick.is_interrupted for tick in trace.ticks] == [False, False, True, False, True, False]
     assert [one.what for one in trace.ticks[2].decisions] == ["abandoned"]
     assert [one.what for one in trace.ticks[3].decisions] == ["requested"]
-    assert [one.verb for one in trace.ticks[3].events] == ["measure"]
+    assert [one.verb for one, place in trace.ticks[3].events if place == -1] == ["measure"]
     assert read_trace(tmp_path / "run.jsonl") == trace
     assert replay_trace(trace, rover(), build) == trace
 
@@ -406,7 +406,7 @@ def test_program_that_is_killed_leaves_a_trace_of_every_tick(tmp_path):
     path = tmp_path / "run.jsonl"
     subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=300, check=False)
     trace = read_trace(path)
-    assert [tick.events[0].arguments for tick in trace.ticks] == [("light", number) for number in (0.0, 1.0, 2.0)]
+    assert [tick.events[0].event.arguments for tick in trace.ticks] == [("light", number) for number in (0.0, 1.0, 2.0)]
     whole = path.read_bytes()
     for cut in range(whole.rindex(b"\n", 0, -1) + 1, len(whole)):
         path.write_bytes(whole[:cut])
