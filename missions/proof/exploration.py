@@ -6,11 +6,10 @@ import json
 import os
 import pickle
 import time
-from collections.abc import Sequence
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.proof.leaves import Answer
 from missions.proof.rig import Predicate, Rig, Setup
 from missions.proof.rounds import Changed, Doing, Known, Rounds, Situation, Step, Ticked
 from missions.proof.surroundings import Change
@@ -23,23 +22,7 @@ _ALONE_S: Final = 1.0
 """For so long one process explores: most missions are known then [s]."""
 
 
-class Move(NamedTuple):
-    """A round that may follow a situation, up to its tick: changes lead to a moment."""
-
-    moment: Situation
-    changes: tuple[Change, ...]
-    is_late: bool
-
-
-class Tick(NamedTuple):
-    """What follows a moment: answers lead to a situation, of that number."""
-
-    situation: int
-    answers: tuple[Answer, ...]
-    is_late: bool
-
-
-_PARTS: Final = (Situation, Step, Change, Changed, Move, Tick, Known, Doing, frozenset)
+_PARTS: Final = (Situation, Step, Change, Changed, Ticked, Known, Doing, frozenset)
 _APART: Final = {"rig", "known", "doing", "holds", "_rounds"}
 """What an exploration does not leave as it is, but as what its rounds have noted."""
 
@@ -50,7 +33,7 @@ class Exploration:
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number, that in the beginning first, then by the fewest rounds that lead there.
-        moves: by number of situation, the rounds that may follow.
+        count: how many of them it is known of what follows, the first ones.
         ticks: by moment, what may follow.
         known, doing: what matters of states, by their keys.
         faults: of the manager, in words, with the rounds that lead there first.
@@ -66,14 +49,13 @@ class Exploration:
         self.rig, self.known, self.doing = rounds.rig, rounds.known, rounds.doing
         self.faults = {fault: list[Step]() for fault in rounds.faults}
         self.situations: list[Situation] = []
-        self.moves: list[list[Move]] = []
-        self.ticks: dict[Situation, list[Tick]] = {}
+        self.count = 0
+        self.ticks: dict[Situation, list[Ticked]] = {}
         self._steps: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
         self._changed: dict[int, list[Changed]] = {}
         self.is_finished, self.transitions, self.seconds, self.megabytes = False, 0, 0.0, 0.0
-        self._waiting: list[int] = []
         self._is_stopped = False
         self._reach(rounds.first, -1, Step())
 
@@ -91,19 +73,16 @@ class Exploration:
         collected = gc.get_threshold()
         gc.set_threshold(100_000, *collected[1:])  # what is found is kept: to look for garbage took a sixth
         try:
-            while self._waiting and len(self.situations) < most and time.perf_counter() < begun + seconds:
+            while self.unexplored and len(self.situations) < most and time.perf_counter() < begun + seconds:
                 if self._is_stopped:
                     break
                 if isinstance(crew, Alone) and cores > 1 and time.perf_counter() > begun + _ALONE_S:
                     crew = Workers(self._rounds, self._way, cores)
-                size = 1 if isinstance(crew, Alone) else _AT_A_TIME * cores
-                batch = self._waiting[:size]
-                self._round(batch, crew)
-                del self._waiting[: len(batch)]
+                self._round(self.unexplored[: 1 if isinstance(crew, Alone) else _AT_A_TIME * cores], crew)
         finally:
             gc.set_threshold(*collected)
             crew.close()
-            self.is_finished = not self._waiting
+            self.is_finished = not self.unexplored
             self.seconds += time.perf_counter() - begun
             self.megabytes = megabytes() + crew.megabytes
         return self
@@ -113,9 +92,18 @@ class Exploration:
         self._is_stopped = True
 
     @property
-    def unexplored(self) -> frozenset[int]:
+    def unexplored(self) -> range:
         """The situations of which it is not known yet what follows."""
-        return frozenset(self._waiting)
+        return range(self.count, len(self.situations))
+
+    def following(self, number: int) -> Iterator[tuple[Step, Situation, int]]:
+        """Yield each round that may follow a situation, the moment of its tick, and where it leads."""
+        tree, known = self.situations[number]
+        is_over = number >= self.count or self.doing[tree].is_over
+        for after_changes, changes, was_late, _ in () if is_over else self._changed[known]:
+            moment = Situation(tree, after_changes)
+            for after, answers, is_late, _ in self.ticks[moment]:
+                yield Step(changes, answers, (was_late, is_late)), moment, self._numbers[after]
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
@@ -148,7 +136,7 @@ class Exploration:
         vars(self).update(own)
         self.holds.update(zip(self.holds, holds, strict=True))
         self._rounds.hear(news)
-        for number in self._waiting[:1]:
+        for number in self.unexplored[:1]:
             self.load(number)
 
     def _mark(self) -> str:
@@ -181,32 +169,28 @@ class Exploration:
             for change in self._changed[one.known]:
                 moment = Situation(one.tree, change.known)
                 self._note(change.faults, number, Step(change.changes))
-                self.moves[number].append(Move(moment, change.changes, change.is_late))
                 self.transitions += 1
                 if moment not in self.ticks:
-                    self.ticks[moment] = [self._tick(number, change, tick) for tick in ticked[moment]]
-
-    def _tick(self, before: int, change: Changed, tick: Ticked) -> Tick:
-        step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
-        self._note(tick.faults, before, step)
-        self.transitions += 1
-        return Tick(self._reach(tick.after, before, step), tick.answers, tick.is_late)
+                    self.ticks[moment] = ticked[moment]
+                    for tick in ticked[moment]:
+                        step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
+                        self._note(tick.faults, number, step)
+                        self._reach(tick.after, number, step)
+                        self.transitions += 1
+        self.count += len(batch)
 
     def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
         for fault in faults:
             self.faults.setdefault(fault, [*self.path(before), step])
 
-    def _reach(self, situation: Situation, before: int, step: Step) -> int:
+    def _reach(self, situation: Situation, before: int, step: Step) -> None:
         number = self._numbers.setdefault(situation, len(self.situations))
         if number == len(self.situations):
             self.situations.append(situation)
             self._steps.append((before, step))
-            self.moves.append([])
-            self._waiting.append(number)
             for holds, is_so in zip(self.holds.values(), self._rounds.holds.get(situation, ()), strict=True):
                 if is_so:
                     holds.add(number)
-        return number
 
 
 class _Reader(pickle.Unpickler):

@@ -77,7 +77,7 @@ def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = 
     def check(graph: "Graph") -> Wrong | None:
         met, begun = graph.found.holds[then], sorted(graph.found.holds[first])
         if within is None:
-            good = graph.reaching(met | graph.found.unexplored)
+            good = graph.reaching(met.union(graph.found.unexplored))
             bad = next((one for one in begun if one not in good), None)
             return None if bad is None else ("it cannot come about any more", graph.found.path(bad))
         trails = ((number, graph.avoiding(number, met, within)) for number in begun)
@@ -98,10 +98,9 @@ class Graph:
 
     def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Situation, int]]:
         """Yield each round that may follow, its moment and where it leads; if still, those in which nothing happens."""
-        for moment, changes, was_late in self.found.moves[number]:
-            for after, answers, is_late in self.found.ticks[moment] if not (still and (changes or was_late)) else ():
-                if not (still and is_late):
-                    yield Step(changes, answers, (was_late, is_late)), moment, after
+        for one in self.found.following(number):
+            if not still or not (one[0].changes or any(one[0].late)):
+                yield one
 
     def reaching(
         self, wanted: Collection[int], *, still: bool = False, within: Collection[int] | None = None
@@ -204,7 +203,7 @@ def _stuck(graph: Graph) -> Wrong | None:
     """Look for a situation that does not lead to the end while facts stand, though another of its stage does."""
     found = graph.found
     ended = {one for one in graph.every if found.doing[found.situations[one].tree].is_over}
-    good = graph.reaching(graph.goals | ended | found.unexplored, still=True)
+    good = graph.reaching((graph.goals | ended).union(found.unexplored), still=True)
     both = [(found.doing[tree], found.known[known]) for tree, known in found.situations]
     here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known in both]
     possible = {here[number] for number in graph.reaching(graph.goals, still=True).difference(graph.goals)}

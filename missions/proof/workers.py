@@ -3,6 +3,7 @@
 import multiprocessing
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from multiprocessing.connection import Connection
 from resource import RUSAGE_SELF, getrusage
@@ -97,8 +98,9 @@ class Workers:
         pipes = [context.Pipe() for _ in range(count)]
         self._pipes = [ours for ours, _ in pipes]
         self._copies = [context.Process(target=_work, args=(rounds, theirs), daemon=True) for _, theirs in pipes]
-        for one in self._copies:
-            one.start()
+        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which a copy lacks
+            for one in self._copies:
+                one.start()
 
     @property
     def megabytes(self) -> float:

@@ -97,10 +97,9 @@ def edges(setup, *, is_on=None):
     assert found.is_finished
     seen = [(found.known[one.known], found.doing[one.tree]) for one in found.situations]
     rounds = {
-        (seen[before], move.changes, move.is_late, tick.answers, tick.is_late, seen[tick.situation])
-        for before, moves in enumerate(found.moves)
-        for move in moves
-        for tick in found.ticks[move.moment]
+        (seen[before], step, seen[after])
+        for before in range(len(found.situations))
+        for step, _, after in found.following(before)
     }
     return (rounds, set(found.faults), found.transitions), found.rig.tape.is_on
 
@@ -119,7 +118,8 @@ def all_of(found):
     holds = [sorted(one) for one in found.holds.values()]
     paths = [found.path(number) for number in range(len(found.situations))]
     nodes_ = sorted(one.name for one in found.rig.ticked)
-    return found.situations, paths, found.moves, found.ticks, found.faults, holds, found.transitions, nodes_
+    onward = [[*found.following(number)] for number in range(len(found.situations))]
+    return found.situations, paths, onward, found.faults, holds, found.transitions, nodes_
 
 
 SHARED = [
