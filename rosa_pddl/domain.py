@@ -120,15 +120,14 @@ class Domain:
         name: as the domain file gives it.
         file: the domain file.
         problem_file: the problem file.
-        rosa_actions: names of the objects of type `action`, in the order of the files.
-        schemas: names of the PDDL actions, in the order of the file.
         up_problem: unified-planning's `Problem` without actions and metric, in the names of `inside`.
-        schema_of: the PDDL actions by name.
+        schema_of: the PDDL actions by name, in the order of the file.
         outside: the files' spelling by the unique name that unified-planning was given.
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
-        goals: the conditions of the problem file that shall hold in the end, as text.
-        places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
         types: for each object its type and the ancestors of that, in lower case.
+        places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
+        rosa_actions: names of the objects of type `action`, in the order of the files.
+        goals: the conditions of the problem file that shall hold in the end, as text.
         oversights: what may be one in the files, in sentences.
         derived: what derived predicates stand for, by their names in lower case; it is put in where they are met.
         axioms: the same of those that are derived from themselves, in each state.
@@ -140,15 +139,14 @@ class Domain:
     name: str
     file: str
     problem_file: str
-    rosa_actions: tuple[str, ...]
-    schemas: tuple[str, ...]
     up_problem: UpThing = field(repr=False)
     schema_of: Mapping[str, Schema] = field(repr=False)
     outside: Mapping[str, str] = field(repr=False)
     inside: Mapping[tuple[str, str], str] = field(repr=False)
-    goals: tuple[str, ...] = field(repr=False)
-    places: Mapping[tuple[str, str], tuple[str, int]] = field(repr=False)
     types: Mapping[str, tuple[str, ...]] = field(repr=False)
+    places: Mapping[tuple[str, str], tuple[str, int]] = field(default_factory=dict, repr=False)
+    rosa_actions: tuple[str, ...] = ()
+    goals: tuple[str, ...] = ()
     oversights: tuple[str, ...] = ()
     metric: str = ""
     limits: tuple[UpThing, ...] = ()
@@ -205,6 +203,11 @@ class Domain:
         if text not in self._atoms:
             self._atoms[text] = self._canonical(text)
         return self._atoms[text]
+
+    @property
+    def schemas(self) -> tuple[str, ...]:
+        """Names of the PDDL actions, in the order of the file."""
+        return tuple(self.schema_of)
 
     @property
     def limited(self) -> tuple[str, ...]:

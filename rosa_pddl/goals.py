@@ -192,7 +192,6 @@ class SoftGoals:
             self.goal = this
         self.domain = replace(
             base,
-            schemas=tuple(self._schemas),
             schema_of=self._schemas,
             up_problem=self._problem,
             inside=self._inside,

@@ -552,25 +552,9 @@ def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
         return *patterns_of(domain, Problem(domain, frozenset()).build().actions), *axioms_of(domain)
 
 
-def grounded(
-    problem: Problem, named: Iterable[str], before: Grounded | None, process: ProcessHandle, limit_s: float
-) -> Grounded:
-    """Ground a domain in so much wall-clock time [s], for a state and what fitted before; raises Trouble, or Cancelled.
-
-    What is named, and what may be feasible, may hold too.
-    """
-    domain, deadline = problem.domain, time.monotonic() + limit_s
-
-    def go_on(instances: int) -> None:
-        process.check()
-        if time.monotonic() > deadline:
-            message = f"the task of {domain.name} was not grounded in {limit_s:.3g} s; allow more time or ask for less"
-            raise Trouble(Outcome.OUT_OF_TIME, message)
-        if instances > _MOST_INSTANCES:
-            message = f"{domain.name} has more than {_MOST_INSTANCES} actions with their arguments; name fewer objects"
-            raise Trouble(Outcome.OUT_OF_MEMORY, message)
-
-    go_on(0)
+def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Callable[[int], None]) -> Grounded:
+    """Ground a domain for a state and what fitted before; what is named, and what may be feasible, may hold too."""
+    domain = problem.domain
     feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
     base, states = (before.base, before.states) if before else (frozenset[str](), ())
     may_hold = base.union(feasible, named, (atom for atom in problem.state if not atom.startswith("(= ")))
@@ -594,18 +578,25 @@ class Groundings:
         return known if known is not None and known.covers(problem.state) else None
 
     def ask(self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()) -> Grounded:
-        """Return a task that fits, made in so much wall-clock time [s] if need be; raises as `grounded` does."""
+        """Return a task that fits, made in so much wall-clock time [s] if need be; raises Trouble, or Cancelled."""
         deadline, domain = time.monotonic() + limit_s, problem.domain
-        while not self._making.acquire(timeout=_LOOKS_S):
+
+        def go_on(instances: int = 0) -> None:
             process.check()
             if time.monotonic() > deadline:
-                message = f"the task of {domain.name} was not grounded in time; allow more or ask for less"
+                message = f"the task of {domain.name} was not grounded in {limit_s:.3g} s; allow more or ask for less"
                 raise Trouble(Outcome.OUT_OF_TIME, message)
+            if instances > _MOST_INSTANCES:
+                message = f"{domain.name} has more than {_MOST_INSTANCES} actions with their arguments"
+                raise Trouble(Outcome.OUT_OF_MEMORY, f"{message}; name fewer objects")
+
+        go_on()
+        while not self._making.acquire(timeout=_LOOKS_S):
+            go_on()
         try:
-            named, known = frozenset(changing), self._made.get(domain)
+            named, known = frozenset(changing), self._made.pop(domain, None)
             if known is None or not known.covers(problem.state) or not named <= known.base:
-                known = grounded(problem, named, known, process, deadline - time.monotonic())
-            self._made.pop(domain, None)
+                known = _grown(known, problem, named, go_on)
             if len(self._made) >= _MOST_DOMAINS:
                 self._made.pop(next(iter(self._made)))
             self._made[domain] = known

@@ -27,7 +27,6 @@ from rosa_pddl.grounding import (
     Groundings,
     NotRepresentableError,
     UnreachableGoalError,
-    grounded,
 )
 from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
@@ -356,11 +355,9 @@ class _Portfolio:
         if limited and self._engine_of(way) in fast_downward.SEARCHES:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
-        if way == "warm":
-            task = self._planner.groundings.ask(self._problem, self._process, _left_s(deadline))
-            return self._searched(task, deadline, self._planner.engine)
-        if way in ("cold", LABEL_SETTING):
-            task = grounded(self._problem, (), None, self._process, _left_s(deadline))
+        if way in ("warm", "cold", LABEL_SETTING):
+            groundings = self._planner.groundings if way == "warm" else Groundings()
+            task = groundings.ask(self._problem, self._process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
         if self._problem.domain.axioms:
             names = ", ".join(self._problem.domain.axioms)

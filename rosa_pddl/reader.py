@@ -112,13 +112,10 @@ class _Reader:
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
             problem_file=problem.file,
-            rosa_actions=(),
-            schemas=(),
             up_problem=self._up_problem,
             schema_of=self._schemas,
             outside=self._outside,
             inside=self._inside,
-            goals=(),
             places=self._places,
             types=self._lineages,
         )
@@ -165,7 +162,6 @@ class _Reader:
         return replace(
             self._draft,
             rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
-            schemas=tuple(self._schemas),
             goals=tuple(text for text, goal in goals if goal not in uses.limits),
             computed=frozenset(self._outside[one.name] for one in uses.computed),
             metric=metric,

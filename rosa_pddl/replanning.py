@@ -110,11 +110,6 @@ def news_of(expected: PlanningState | None, now: PlanningState, matters: Callabl
     return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "") if changed else None
 
 
-def wait_s(policy: ReplanningPolicy, now_s: float, last_s: float | None) -> float:
-    """Return how long the next planning has to wait [s]; 0 if it may begin now."""
-    return 0.0 if last_s is None else max(0.0, last_s + policy.at_most_every_s - now_s)
-
-
 class Setbacks:
     """What has failed, a step or, by None, the planner: how often in a row, and until when it is left alone."""
 
@@ -382,7 +377,7 @@ class Replanning:
         self._goals, self._effects, self._task, self._monitor = goals, effects, task, monitor
         self._client, self._clock, self._policy = client, clock, policy
         self._relevance = Relevance(effects.domain, goals)
-        self._last_asked_s: float | None = None
+        self._last_asked_s = -inf
         self._wanted: Decision | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
         self._asked_in = effects.domain
@@ -398,7 +393,7 @@ class Replanning:
 
     def wait_no_more(self) -> None:
         """Forget when it was asked last, and what has failed."""
-        self._last_asked_s = None
+        self._last_asked_s = -inf
         self.setbacks.clear()
         self._in_vain.clear()
 
@@ -448,7 +443,7 @@ class Replanning:
         if self._wanted is None:
             return None
         now_s = self._clock()
-        left_s = max(wait_s(self._policy, now_s, self._last_asked_s), self.setbacks.wait_s(None))
+        left_s = max(self._last_asked_s + self._policy.at_most_every_s - now_s, self.setbacks.wait_s(None))
 
         def problem() -> Problem:
             made, until = self._task.problem(state, self._goals, self.setbacks.weights), self._monitor.until()

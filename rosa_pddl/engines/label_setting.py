@@ -127,14 +127,10 @@ def _domain_of(problem: UpThing) -> Domain:
         name="d",
         file=where,
         problem_file=where,
-        rosa_actions=(),
-        schemas=tuple(one.name for one in problem.actions),
         up_problem=stated,
         schema_of={},
         outside={"object": "object", **{name: name for _, name in names}},
         inside=inside,
-        goals=(),
-        places={},
         types={
             one.name: tuple(kind.name.lower() for kind in (one.type, *one.type.ancestors))
             for one in problem.all_objects

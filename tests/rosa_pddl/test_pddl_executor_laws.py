@@ -1,5 +1,7 @@
 """Whatever happens, in whatever order: no tick raises, nothing unfeasible runs on, and the goal is reached at last."""
 
+from itertools import pairwise
+
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pddl_world import World
@@ -56,6 +58,8 @@ def check(world):
     assert names == [str(step) for step in executor.current_steps]
     assert all(child.status is Status.RUNNING and child.parent is executor for child in executor.children)
     assert not executor.children or executor.status is Status.RUNNING
+    asked = [record.at_s for record in executor.plans]
+    assert all(later - before >= executor._policy.at_most_every_s - 1e-9 for before, later in pairwise(asked))
     begun = sum(what == "begins" for _, _, what in world.log)
     assert begun - len(executor.current_steps) == sum(what != "begins" for _, _, what in world.log)
 

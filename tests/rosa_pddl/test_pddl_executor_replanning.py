@@ -11,7 +11,7 @@ from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy, SensingError
-from rosa_pddl.replanning import decide, wait_s
+from rosa_pddl.replanning import decide
 
 WAYS = """(define (domain ways) (:requirements :typing)
   (:types action)
@@ -282,15 +282,6 @@ def test_a_plan_is_given_up_exactly_when_it_has_a_flaw(policy, flaw, changed, ne
     decision = decide(policy, flaw=flaw, goals_changed=changed, news=news)
     assert (decision is not None and decision.is_needed) == (flaw is not None)
     assert (decision is None) == (flaw is None and not changed and not (policy.eager and news is not None))
-
-
-@given(policy=POLICIES, moments=st.lists(st.floats(0.0, 100.0), max_size=30).map(sorted))
-def test_no_two_plannings_begin_within_the_time_of_the_policy(policy, moments):
-    last = None
-    for now in moments:
-        if wait_s(policy, now, last) == 0.0:
-            assert last is None or now - last >= policy.at_most_every_s - 1e-9
-            last = now
 
 
 @pytest.mark.parametrize(
