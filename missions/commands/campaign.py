@@ -71,7 +71,7 @@ def _conduct(
     shown = CampaignProgress(console)
     started = perf_counter()
     try:
-        with closing(open_workers()) as workers, shown:
+        with closing(open_workers()) as workers, shown.progress:
             console.print(f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time")
             written = conduct(store, folder, workers, retry=retry, progress=shown)
     except (KeyboardInterrupt, SystemExit, MissionError):

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +20,7 @@ from missions.engine.registry import find_mission
 from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
 
 COLOURS = {"error": "red", "warning": "yellow"}
+Judged = tuple[str, Sequence[Finding]]
 
 
 def check(
@@ -33,45 +34,33 @@ def check(
 ) -> None:
     """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
     of = find_mission(mission) if mission else None
-    judged = judge(files or [], of, tree or [], pddl or [])
+    model, findings = judge(files or [], of, tree or [], pddl or [])
     contradictions = list(_contradictions(files or [], of)) if reason else []
     for one in contradictions:
         complain(one)
     if as_json:
-        typer.echo(judged.as_json())
+        counts = {f"{severity}s": len(_of(severity, findings)) for severity in COLOURS}
+        told = {"model": model, **counts, "findings": [asdict(one) for one in findings]}
+        typer.echo(json.dumps(told, indent=2))
     else:
-        _print(judged)
+        _print(model, findings)
         if reason and not contradictions:
             typer.echo("HermiT finds no contradiction")
-    if judged.of("error") or contradictions or (strict and judged.findings):
+    if _of("error", findings) or contradictions or (strict and findings):
         raise typer.Exit(FAILED)
 
 
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """What was found about a model, the errors first."""
+def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]) -> Judged:
+    """Return a model's name and what is found about it, from files or else the mission's, with what uses it.
 
-    model: str
-    findings: tuple[Finding, ...]
-
-    def of(self, severity: str) -> list[Finding]:
-        """Return the findings that are as bad as that: "error" or "warning"."""
-        return [one for one in self.findings if one.severity == severity]
-
-    def as_json(self) -> str:
-        counts = {f"{severity}s": len(self.of(severity)) for severity in COLOURS}
-        return json.dumps({"model": self.model, **counts, "findings": [asdict(one) for one in self.findings]}, indent=2)
-
-
-def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]) -> Judgement:
-    """Judge a model, from files or else the mission's, with the trees (module:callable) and PDDL files that use it.
+    Trees are given as module:callable.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something cannot be read or built; the message says where.
     """
     model = model_of(files, mission)
     if not (trees or pddl or mission):
-        return Judgement(model.name, model.check())
+        return model.name, model.check()
     built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
     built += [] if mission is None or mission.tree is None else [(mission.tree, f"the tree of {mission.name}")]
     used = [names_in_tree(tree, model, title) for tree, title in built]
@@ -89,7 +78,7 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
     is_complete = "" not in places  # what a tree is given later may be any action
     places.pop("", None)
     findings = [*_placed(model.check(places), places, is_complete), *unguarded]
-    return Judgement(model.name, (*findings, *(() if mission is None else _oversights(mission, model, findings))))
+    return model.name, (*findings, *(() if mission is None else _oversights(mission, model, findings)))
 
 
 def _oversights(mission: Mission, model: Model, findings: Sequence[Finding]) -> Iterator[Finding]:
@@ -131,15 +120,20 @@ def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[
             yield f"{where}: {what}"
 
 
-def _print(judgement: Judgement) -> None:
+def _of(severity: str, findings: Iterable[Finding]) -> list[Finding]:
+    """Return those that are as bad as that: "error" or "warning"."""
+    return [one for one in findings if one.severity == severity]
+
+
+def _print(model: str, findings: Iterable[Finding]) -> None:
     console = open_console()
     for severity, colour in COLOURS.items():
-        findings = sorted(judgement.of(severity), key=lambda one: list(rules()).index(one.code))
-        for code, group in groupby(findings, key=lambda one: one.code):
+        sorted_by_rule = sorted(_of(severity, findings), key=lambda one: list(rules()).index(one.code))
+        for code, group in groupby(sorted_by_rule, key=lambda one: one.code):
             console.print(f"[bold {colour}]{severity}[/] {code}")
             for one in group:
                 console.print(f"  {escape(one.where_and_what)}", soft_wrap=True)
             console.print(f"  -> {escape(rules()[code].advice)}", soft_wrap=True)
-    counts = [(len(judgement.of(severity)), severity) for severity in COLOURS]
+    counts = [(len(_of(severity, findings)), severity) for severity in COLOURS]
     shown = [f"{count} {severity}{'s' if count > 1 else ''}" for count, severity in counts if count]
-    console.print(f"model {escape(judgement.model)}: {' and '.join(shown) or 'nothing found'}")
+    console.print(f"model {escape(model)}: {' and '.join(shown) or 'nothing found'}")

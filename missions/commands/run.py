@@ -93,7 +93,7 @@ def run(
             from missions.wires.mcap import record_run
 
             opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
-        with narrator if progress else nullcontext():
+        with narrator.progress if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
             start = time.perf_counter()

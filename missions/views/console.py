@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
@@ -20,29 +20,19 @@ if TYPE_CHECKING:
 COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
 
 
-class _WithBar:
-    """Shows a bar while it is open; not on anything but a terminal."""
-
-    def __init__(self, console: Console, *columns: ProgressColumn) -> None:
-        self._console = console
-        self._progress = Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *reason: object) -> None:
-        self._progress.stop()
+def _progress(console: Console, *columns: ProgressColumn) -> Progress:
+    """Return what shows a bar while it is open; not on anything but a terminal."""
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
-class Narrator(_WithBar, Listener):
-    """Prints what happens, above a bar of so many simulated seconds."""
+class Narrator(Listener):
+    """Prints what happens, above a bar of so many simulated seconds, which is there while `progress` is open."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
         begin, end = TextColumn("{task.completed:5.1f} s"), TextColumn("{task.total:.0f} s  {task.description}")
-        super().__init__(console, begin, BarColumn(), end)
+        self._console, self.progress = console, _progress(console, begin, BarColumn(), end)
         self._known_problems: set[tuple[str, str]] = set()
-        self._bar = self._progress.add_task("", total=duration_s)
+        self._bar = self.progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
         short = text.partition(" because ")[0] if " is unfeasible because " in text else text  # the adaptation says why
@@ -62,28 +52,32 @@ class Narrator(_WithBar, Listener):
             _say(self._console, time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
 
     def tick(self, run: MissionRun) -> None:
-        if self._progress.disable:
+        if self.progress.disable:
             return
         doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
         measured = run.controller.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
-        self._progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
+        self.progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
 
 
-class CampaignProgress(_WithBar):
-    """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes."""
+class CampaignProgress:
+    """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes.
+
+    The bar is there while `progress` is open.
+    """
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
         rate, left = TextColumn("{task.fields[rate]:.2f} a second,"), TextColumn("left  [dim]{task.description}[/]")
-        super().__init__(console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
+        self._console = console
+        self.progress = _progress(console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
         self._started = time.perf_counter()
-        self._bar = self._progress.add_task("", total=None, rate=0.0)
+        self._bar = self.progress.add_task("", total=None, rate=0.0)
 
     def begin(self, done: int, total: int) -> None:
         self._started = time.perf_counter()
         self.count, self.total = done, total
-        self._progress.update(self._bar, completed=done, total=total)
+        self.progress.update(self._bar, completed=done, total=total)
 
     def done(self, record: Mapping[str, Any]) -> None:
         """Move the bar; without a terminal, print a line for each tenth of the campaign."""
@@ -92,8 +86,8 @@ class CampaignProgress(_WithBar):
             self.crashed += 1
             self._print("bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}")
         rate = self.new / max(time.perf_counter() - self._started, 1e-9)
-        self._progress.update(self._bar, completed=self.count, rate=rate, description=escape(record["run"]))
-        if self._progress.disable and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
+        self.progress.update(self._bar, completed=self.count, rate=rate, description=escape(record["run"]))
+        if self.progress.disable and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
             left = (self.total - self.count) / rate
             self._print("dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left")
 

@@ -45,8 +45,6 @@ _PAST: Final = 20_000
 _LONGEST: Final = 65_536
 """The longest message that a page may send [bytes]."""
 _MOST_PAGES: Final = 200
-_MISTAKES: Final = 20
-"""After so many messages that mean nothing a page is shown out."""
 _PATIENCE_S: Final = 2.0
 """How long pages get for the last rows when the view is closed [s], of this machine's time."""
 _HEADERS: Final = {
@@ -228,8 +226,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         page.next = following
 
     async def _listen(self, page: "_Page") -> None:
-        """Answer what a page asks, until it goes or says nothing that means anything."""
-        mistakes = 0
+        """Answer what a page asks, until it goes."""
         async for text in page.websocket:
             asked: Any = None
             try:
@@ -238,14 +235,10 @@ class LiveView(AbstractContextManager["LiveView"]):
             except (KnowledgeBaseError, MissionError) as error:
                 answer = {"error": str(error)}
             except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                mistakes += 1
                 answer = {"error": f"that is nothing a page says: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
                 await page.websocket.send(encoded(answer if number is None else {"id": number, **answer}))
-            if mistakes >= _MISTAKES:
-                await page.websocket.close(1008, f"{mistakes} messages that mean nothing; goodbye")
-                return
 
     def _answer(self, asked: Mapping[str, Any]) -> dict[str, Any] | None:
         if "past" in asked:

@@ -306,8 +306,7 @@ class _TreeRows(VisitorBase):
         self._known: dict[Behaviour, tuple[str, str]] = {}
         self._below: list[tuple[Behaviour, list[Behaviour]]] = []
         self._planning: list[Behaviour] = []
-        self._seen: list[tuple[Behaviour, Status, str]] = []
-        self._before: list[tuple[Behaviour, Status, str]] = []
+        self._ticked: dict[Behaviour, tuple[str, str]] = {}
         self._count, self._numbers = 0, count()
         self.about: dict[int, list[int]] = {}
         self._describe()
@@ -318,11 +317,11 @@ class _TreeRows(VisitorBase):
             self._behaviours.visitors.remove(self)
 
     def initialise(self) -> None:
-        self._seen = []
+        self._ticked.clear()
         self._harmlessly(self._recorder.ticking)
 
     def run(self, behaviour: Behaviour) -> None:
-        self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
+        self._ticked[behaviour] = _LETTERS[behaviour.status], behaviour.feedback_message
 
     def finalise(self) -> None:
         self._harmlessly(self._note)
@@ -336,18 +335,17 @@ class _TreeRows(VisitorBase):
 
     def _note(self) -> None:
         recorder = self._recorder
-        if not self._below or any(one.children != children for one, children in self._below):
+        is_news = not self._below or any(one.children != children for one, children in self._below)
+        if is_news:
             self._describe()
-        if self._seen != self._before:
-            ticked = {behaviour: (_LETTERS[status], feedback) for behaviour, status, feedback in self._seen}
-            for behaviour, uid in self._ids.items():
-                since = _LETTERS[behaviour.status].lower(), behaviour.feedback_message
-                now = ticked.get(behaviour, since)
-                if now != self._known.get(behaviour):
-                    self._known[behaviour] = now
-                    recorder.put("node", uid, list(now))
+        present = {one: (_LETTERS[one.status].lower(), one.feedback_message) for one in self._ids} | self._ticked
+        for behaviour, uid in self._ids.items():
+            if present[behaviour] != self._known.get(behaviour):
+                self._known[behaviour] = present[behaviour]
+                recorder.put("node", uid, list(present[behaviour]))
+                is_news = True
+        if is_news:
             recorder.put("tick", 0, self._count)
-            self._before = self._seen
         self._count += 1
         recorder.ticked(self._planning)
 
@@ -375,7 +373,6 @@ class _TreeRows(VisitorBase):
                 self._known.pop(behaviour, None)
         self._ids = present
         recorder.put("tree", 0, {"name": self._behaviours.root.name, "nodes": nodes})
-        self._before = []
 
 
 def _shape(behaviour: Behaviour) -> str:

@@ -6,6 +6,7 @@ from math import inf
 from threading import Condition
 from typing import Any, Final
 
+from kb import UnknownName
 from kb.diagnostics import MEASUREMENTS
 from kb.elements import finite_number
 from missions.engine.mission import Message, MissionError
@@ -47,7 +48,7 @@ class Steering(Listener):
         """Do what a page asks for; see `docs/see_it.md`.
 
         Raises:
-            MissionError: there is no such thing to be done, or not with that.
+            MissionError, kb.UnknownName: there is no such thing to be done, or not with that.
         """
         what = asked.get("do")
         with self._change:
@@ -113,7 +114,7 @@ def _with(message: Message, held: Mapping[str, float]) -> Message:
 def _known(kind: str, name: Any, names: frozenset[str]) -> str:  # noqa: ANN401  # whatever a page sends
     if name in names:
         return str(name)
-    raise MissionError(f"unknown {kind} {name!r}; there are {', '.join(sorted(names)) or 'none'}")
+    raise UnknownName(kind, name, sorted(names))
 
 
 def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends

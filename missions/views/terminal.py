@@ -193,12 +193,12 @@ class TerminalView(App[None]):
     VerticalScroll { border: round $primary; padding: 0 1; }
     VerticalScroll:focus { border: round $accent; }
     """
-    BINDINGS: ClassVar[Any] = [("q", "quit", "leave"), ("tab", "focus_next", "next pane"), ("p", "hold", "hold")]
+    BINDINGS: ClassVar[Any] = [("q", "quit", "leave"), ("tab", "focus_next", "next pane")]
     PANES: Final = ("tree", "known", "adaptations", "measurements")
 
     def __init__(self, feed: Feed, title: str) -> None:
         super().__init__()
-        self.title, self._feed, self._fold, self._is_held = title, feed, Fold(), False
+        self.title, self._feed, self._fold = title, feed, Fold()
         self._shown = {name: Static(id=name) for name in self.PANES}
 
     def compose(self) -> ComposeResult:
@@ -212,20 +212,13 @@ class TerminalView(App[None]):
     def on_mount(self) -> None:
         self.set_interval(_PERIOD_S, self.look)
 
-    def action_hold(self) -> None:
-        """Hold the view still, or let it go on; the robot goes on anyway."""
-        self._is_held = not self._is_held
-
     def look(self) -> None:
         rows, wrong = self._feed.take()
         for row in rows:
             self._fold.put(row)
         outcome = self._fold.track("result").get(0)
         over = f"over: {outcome['outcome']}, {outcome['reason']}" if outcome else ""
-        told = f"{self._fold.now:.1f} s", "held" if self._is_held else "", over, wrong
-        self.sub_title = "  ".join(filter(None, told))
-        if self._is_held:
-            return
+        self.sub_title = "  ".join(filter(None, (f"{self._fold.now:.1f} s", over, wrong)))
         lines = {"tree": self._fold.tree(), "known": self._fold.known(), "adaptations": self._fold.adaptations()}
         lines["measurements"] = self._fold.measurements(self.size.width // 2 - 6)
         for name, shown in lines.items():

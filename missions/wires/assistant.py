@@ -144,16 +144,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
             takes = signature(tools[name]).parameters if name in tools else arguments
             if unknown := arguments.keys() - takes:  # without it, another question would be answered
                 raise ToolError(f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}")
-            try:
-                return await super().call_tool(name, arguments, context)
-            except ToolError as error:
-                found: list[Any] = getattr(error.__cause__, "errors", list)()  # those of its check of the arguments
-                if not found:
-                    raise
-                wrong = found[0]
-                given = "not given" if wrong["type"] == "missing" else f"given as {wrong['input']!r:.80}"
-                said = f"{wrong['loc'][0]} of {name} is {given}; it takes {', '.join(map(str, takes.values()))}"
-                raise ToolError(said) from None
+            return await super().call_tool(name, arguments, context)
 
     server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
     for tool in tools.values():

@@ -5,9 +5,8 @@ through a queue with an end.
 """
 
 import logging
-import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from threading import Condition, Thread
 from typing import Any, Final, Protocol
@@ -49,15 +48,6 @@ class Node(Protocol):
 
     def close(self) -> None:
         """Let go of everything."""
-
-
-def plain(value: object) -> object:
-    """Return a value as JSON has it: NaN and infinities are null."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, Mapping):
-        return {key: plain(one) for key, one in value.items()}
-    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)

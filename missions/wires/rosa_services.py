@@ -17,6 +17,14 @@ _BY_TYPE: Final = {bool: (1, "bool"), int: (2, "integer"), float: (3, "double"),
 """Types of a parameter in rcl_interfaces/ParameterValue; an array of one has the type 5 more."""
 
 
+_FIELDS: Final = {
+    **{"action": ("name", "status", "is_required"), "function": ("name", "status")},
+    "component": ("name", "status", "package", "executable", "is_active", "always_improve"),
+    **dict.fromkeys(("design", "configuration"), ("name", "status", "priority")),
+}
+"""What of a view is a field of the same name in the original's type."""
+
+
 class RosaServices:
     """Serves ROSA's table of services under `/rosa_kb/` with a knowledge base; requests go through its gate.
 
@@ -48,7 +56,7 @@ class RosaServices:
             yield f"{what}/priority", f"Get{kind}Priority", partial(self._named, field)
         yield from (
             ("action/request", "ActionQuery", self._request_action),
-            ("action/exists", "ActionQuery", lambda one: {"action": self._action(_name(one, "action"))}),
+            ("action/exists", "ActionQuery", lambda one: {"action": self._thing("action", _name(one, "action"))}),
             ("action/selectable", "ActionQueryArray", self._selectable_actions),
             ("function/adaptable", "AdaptableFunctions", lambda _: self._told("functions", kb.adaptable_functions())),
             ("component/adaptable", "AdaptableComponents", self._adaptable_components),
@@ -85,7 +93,7 @@ class RosaServices:
             self._kb.cancel_action(name)
         elif not (reply := self._kb.request_action(name, preference=str(one.get("preference") or "") or None)):
             raise RosError(reply.reason)
-        return {"action": self._action(name)}
+        return {"action": self._thing("action", name)}
 
     def _selectable_actions(self, one: Message) -> Message:
         asked = _names(one, "actions")
@@ -126,7 +134,7 @@ class RosaServices:
         return self._told_component(_name(one, "component"))
 
     def _told_component(self, name: str) -> Message:
-        return {"component": self._component(name)}
+        return {"component": self._thing("component", name)}
 
     def _parameters(self, one: Message) -> Message:
         view = self._kb.configurations[_name(one, "c_config")]
@@ -149,7 +157,7 @@ class RosaServices:
         name = _name(one, kind)
         if name not in getattr(self._kb, f"{kind}s"):
             getattr(self._kb.model, kind)(name)
-        return {kind: getattr(self, f"_{kind}")(name)}
+        return {kind: self._thing(kind, name)}
 
     def _insert_design(self, one: Message) -> Message:
         given = _part(one, "function_design")
@@ -157,7 +165,7 @@ class RosaServices:
         components = [self._kb.model.components[c] for c in _names(given, "required_components")]
         if name not in self._kb.designs:
             function.design(name, components, priority=given.get("priority", 1.0))
-        return {"function_design": self._design(name)}
+        return {"function_design": self._thing("design", name)}
 
     def _insert_requirement(self, one: Message) -> Message:
         given, model = _part(one, "functional_requirement"), self._kb.model
@@ -171,32 +179,22 @@ class RosaServices:
     def _told(self, field: str, names: Iterable[str]) -> Message:
         """Return a field of an answer: these things, each as the type that its field is of."""
         kind = {"fds": "design", "c_configs": "configuration"}.get(field, field.removesuffix("s"))
-        return {field: [getattr(self, f"_{kind}")(name) for name in names]}
+        return {field: self._things(kind, names)}
 
-    def _action(self, name: str) -> Message:
-        view = self._kb.actions[name]
-        return {"name": name, "status": str(view.status), "is_required": view.is_required}
+    def _things(self, kind: str, names: Iterable[str]) -> list[Message]:
+        return [self._thing(kind, name) for name in names]
 
-    def _function(self, name: str) -> Message:
-        return {"name": name, "status": str(self._kb.functions[name].status)}
-
-    def _component(self, name: str) -> Message:
-        view = self._kb.components[name]
-        told: Message = {"name": name, "status": str(view.status)}
-        told |= {"package": view.package, "executable": view.executable}
-        told |= {"node_type": str(view.kind), "is_active": view.is_active, "always_improve": view.always_improve}
-        return {**told, "parameters": parameter_messages(view.parameters_in_force)}
-
-    def _design(self, name: str) -> Message:
-        view = self._kb.designs[name]
-        told = {"name": name, "status": str(view.status), "priority": float(view.priority or 0.0)}
-        parts = list(map(self._component, view.components))
-        return {**told, "function": self._function(view.function), "required_components": parts}
-
-    def _configuration(self, name: str) -> Message:
-        view = self._kb.configurations[name]
-        told = {"name": name, "status": str(view.status), "priority": float(view.priority or 0.0)}
-        return {**told, "component": self._component(view.component)}
+    def _thing(self, kind: str, name: str) -> Message:
+        view = getattr(self._kb, f"{kind}s")[name]
+        told: Message = {field: getattr(view, field) for field in _FIELDS[kind]} | {"status": str(view.status)}
+        if kind == "component":
+            told |= {"node_type": str(view.kind), "parameters": parameter_messages(view.parameters_in_force)}
+        elif kind == "design":
+            told |= {"priority": float(view.priority or 0.0), "function": self._thing("function", view.function)}
+            told["required_components"] = self._things("component", view.components)
+        elif kind == "configuration":
+            told |= {"priority": float(view.priority or 0.0), "component": self._thing("component", view.component)}
+        return told
 
     def _plan(self, plan: ReconfigurationPlan | None) -> Message:
         if plan is None:
@@ -204,14 +202,14 @@ class RosaServices:
         told = {
             **_span(plan),
             "result": plan.result or "",
-            "components_activate": list(map(self._component, plan.activate)),
-            "components_deactivate": list(map(self._component, plan.deactivate)),
-            "component_configurations": list(map(self._configuration, plan.parameters)),
+            "components_activate": self._things("component", plan.activate),
+            "components_deactivate": self._things("component", plan.deactivate),
+            "component_configurations": self._things("configuration", plan.parameters),
         }
         return {"reconfig_plan": told}
 
     def _process(self, one: Process) -> Message:
-        return {"pid": one.pid, **_span(one), "component": self._component(one.component)}
+        return {"pid": one.pid, **_span(one), **self._told_component(one.component)}
 
 
 def _refuse_query(one: Message) -> Message:

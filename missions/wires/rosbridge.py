@@ -14,7 +14,8 @@ from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Outbox, Refusals, RosError, plain
+from missions.views.facts import plain
+from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Outbox, Refusals, RosError
 
 PORT: Final = 9090
 LARGEST: Final = 2**20

@@ -14,7 +14,8 @@ from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
 from missions.extras import needs
-from missions.wires.node import LOOPBACK, NONSENSE, Answer, Message, plain
+from missions.views.facts import plain
+from missions.wires.node import LOOPBACK, NONSENSE, Answer, Message
 from missions.wires.rosbridge import LARGEST, PORT, Peer, Wire, dict_of, read, text_of
 
 _REFUSALS_TOLD: Final = 100

@@ -12,7 +12,8 @@ from threading import RLock
 from time import monotonic
 from typing import Any, Final, NamedTuple, Protocol
 
-from missions.wires.node import Answer, Heard, Message, Refusals, RosError, plain
+from missions.views.facts import plain
+from missions.wires.node import Answer, Heard, Message, Refusals, RosError
 
 _FIND_S: Final = 3.0
 """How long a service is sought before a call fails [s]."""

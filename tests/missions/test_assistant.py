@@ -134,16 +134,15 @@ def test_argument_that_a_tool_does_not_take_is_refused_and_not_passed_over(kb):
     assert all(is_error for is_error, *_ in answers)
 
 
-def test_argument_that_is_missing_or_of_another_type_is_told_in_a_sentence(kb):
+def test_argument_that_is_missing_or_of_another_type_is_named(kb):
     calls = [("why", {}), ("why", {"element": 3}), ("what_if", {"measured": {"battery_level": "much"}})]
     _, answers = asked(kb, calls)
     assert all(is_error for is_error, *_ in answers)
-    assert [text for *_, text in answers] == [
-        "element of why is not given; it takes element: str",
-        "element of why is given as 3; it takes element: str",
-        "measured of what_if is given as 'much'; it takes measured: dict[str, float] | None = None, "
-        "failed: list[str] | None = None",
-    ]
+    for (*_, text), name, wrong in zip(
+        answers, ("element", "element", "battery_level"), ("required", "string", "number"), strict=True
+    ):
+        assert name in text
+        assert wrong in text
 
 
 def test_refusals_are_told_in_words(kb):

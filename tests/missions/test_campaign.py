@@ -459,11 +459,12 @@ def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypa
 
 def test_bar_shows_how_far_how_fast_and_how_long():
     shown = StringIO()
-    with CampaignProgress(Console(file=shown, force_terminal=True, width=120)) as teller:
+    teller = CampaignProgress(Console(file=shown, force_terminal=True, width=120))
+    with teller.progress:
         teller.begin(1, 4)
         teller.done(first().record)
         teller.note("no worker is left")
-        teller._progress.refresh()
+        teller.progress.refresh()
     text = shown.getvalue()
     for part in ("2/4", "a second", "left", first().run.name, "no worker is left"):
         assert part in text

@@ -200,7 +200,7 @@ def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     given_later = dataclasses.replace(
         MISSIONS["suave"], model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
     )
-    assert judge([], dataclasses.replace(given_later, problem=None), [], []).findings == ()
+    assert judge([], dataclasses.replace(given_later, problem=None), [], [])[1] == ()
 
 
 def test_files_are_judged_with_the_tree_of_a_mission(rosa):

@@ -23,13 +23,8 @@ def recorder():
     return page.recorder
 
 
-def shown(feed, *pressed):
-    """Return what the panes show at the end of the run, the line at the top, and how wide that is.
-
-    Args:
-        feed: what is looked at.
-        pressed: keys, each with whether the line at the top says that the view is held after it.
-    """
+def shown(feed):
+    """Return what the panes show at the end of the run, the line at the top, and how wide that is."""
 
     async def look():
         app = TerminalView(feed, "robot")
@@ -42,9 +37,6 @@ def shown(feed, *pressed):
                     await pilot.pause(0.05)
 
             await until(lambda: "inspect_pipeline -> recharge" in str(app.query_one("#adaptations", Static).content))
-            for key, is_held in pressed:
-                await pilot.press(key)
-                await until(lambda is_held=is_held: ("held" in app.sub_title) == is_held)
             panes = {name: str(app.query_one(f"#{name}", Static).content) for name in app.PANES}
             return panes, app.sub_title, max(pane.region.right for pane in app.query("VerticalScroll"))
 
@@ -63,11 +55,6 @@ def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
     assert "█" in panes["measurements"]
     assert "over: " in title
     assert right <= 80
-
-
-def test_view_is_held_and_goes_on(recorder):
-    _, title, _ = shown(RecorderFeed(recorder), ("p", True), ("p", False))
-    assert "over: " in title
 
 
 def test_live_view_elsewhere_is_watched(recorder):
