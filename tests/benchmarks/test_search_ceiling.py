@@ -78,7 +78,7 @@ def row(name, seeds, altitudes, **how):
 def test_what_the_search_may_gain_at_most(tables):
     """The last of these break the rules: they look at no constraint of the water."""
     tuned = climbed(BUILDING, TRIALS["tuned"])
-    known = {seed: climbed([seed], TRIALS["omniscient"]) for seed in SEEDS[:20]}
+    known = {seed: climbed([seed], TRIALS["omniscient"]) for seed in SEEDS}
     turned = {"pipe_turn_rad": 1.0}, {"pipe_turn_rad": 2.5}, {"pipe_turn_rad": 4.0}
     rows = {
         "highest": row("as high as the water allows, without delay", SEEDS, lambda seed: HIGHEST),
@@ -88,10 +88,8 @@ def test_what_the_search_may_gain_at_most(tables):
             for how in turned
             for name, one in (("as high as the water allows", HIGHEST), ("tuned to this place", tuned))
         },
-        "highest of 20": row("as high as the water allows, 20 seeds", SEEDS[:20], lambda seed: HIGHEST),
-        "omniscient": row("the best that was found for each of 20 seeds", SEEDS[:20], known.__getitem__),
+        "omniscient": row("the best that was found for each seed", SEEDS, known.__getitem__),
         "blind": row("always at 3 m", SEEDS, lambda seed: HIGHEST, obeys_water=False),
     }
     tables["search"] = lambda: "\n".join(line for _, line in rows.values())
-    assert rows["highest"][0] < rows["tuned"][0] < 66.0 < rows["blind"][0]
-    assert rows["highest of 20"][0] < rows["omniscient"][0]
+    assert rows["highest"][0] < rows["tuned"][0] < rows["omniscient"][0] < 66.0 < rows["blind"][0]
