@@ -75,53 +75,6 @@ class Problem:
     load_units: tuple[Decimal, ...]  # what a load of 1 stands for, for each budget
     resolution: float  # choices that differ by no more than this can seem equally good; 0 if all numbers are exact
 
-    @property
-    def first(self) -> Picks:
-        return (0,) * len(self.slots)
-
-    @property
-    def now(self) -> Picks:
-        """What is selected now, and the first option of what has nothing selected."""
-        places = ((place for place, option in enumerate(slot.options) if option.is_now) for slot in self.slots)
-        return tuple(next(one, 0) for one in places)
-
-    @property
-    def kept(self) -> Picks | None:
-        """What is selected now, if that is something for everything."""
-        picks = self.now
-        chosen = [self.slots[place].options[picks[place]] for place in self.needed(picks)]
-        return picks if all(option.is_now or option.node is None for option in chosen) else None
-
-    @property
-    def bound(self) -> int:
-        """What no choice gains more than, budgets or not."""
-        highest, effects, levels = self.fixed.gain, [self.fixed], dict[str, int]()
-        for slot in self.slots:
-            possible = [option.effect for option in slot.options] + ([] if slot.is_function else [slot.idle])
-            highest += max(effect.gain for effect in possible)
-            effects += possible
-        for name, level in (one for effect in effects for one in effect.levels):
-            levels[name] = max(level, levels.get(name, 0))
-        return sum(levels.values(), highest)
-
-    def needed(self, picks: Picks) -> set[int]:
-        """Return the positions of the slots that a choice needs."""
-        needed = {place for place, slot in enumerate(self.slots) if slot.is_needed}
-        return needed.union(*(slot.options[pick].needs for slot, pick in zip(self.slots, picks, strict=True)))
-
-    def effect(self, picks: Picks) -> Effect:
-        """Return what a choice adds in all, each attribute's worst level counted as gain."""
-        total, needed = self.fixed, self.needed(picks)
-        for place, (slot, pick) in enumerate(zip(self.slots, picks, strict=True)):
-            total = total.plus(slot.options[pick].effect if place in needed else slot.idle)
-        worst: dict[str, int] = {}
-        for name, level in total.levels:
-            worst[name] = min(level, worst.get(name, level))
-        return Effect(sum(worst.values(), total.gain), total.loads, (), total.cost)
-
-    def fits(self, effect: Effect) -> bool:
-        return all(load <= limit for load, limit in zip(effect.loads, self.limits, strict=True))
-
     def choice(self, picks: Picks) -> Choice:
         """Return a choice by name; configurations that use more of a budget than now come after the others."""
         chosen = list(zip(self.slots, picks, strict=True))

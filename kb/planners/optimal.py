@@ -89,11 +89,16 @@ class OptimalPlanner:
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
-        """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority."""
+        """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority.
+
+        That is so where nothing is estimated or limited, and where no choice at all was found with the effort allowed.
+        """
         criterion = self.criterion(kb)
         with kb.reading() as state:
             problem = encode(state, criterion)
-        return None if problem.is_by_priority else self._solver.solve(problem, self._effort)
+        found = None if problem.is_by_priority else self._solver.solve(problem, self._effort)
+        is_lost = found is not None and found.choice is None and not (found.is_proven or criterion.budgets)
+        return None if is_lost else found
 
     def _is_due(self, kb: KnowledgeBase) -> bool:
         if kb.adaptable_functions() or kb.adaptable_components():

@@ -55,16 +55,18 @@ class _Program:
         self._users: list[list[Literals]] = [[] for _ in problem.slots]
         self.picks = [self._slot(slot, users) for slot, users in zip(problem.slots, self._users, strict=True)]
         self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
+        self.cost = cp_model.LinearExpr.sum(self._sum(lambda effect: effect.cost))
 
     def load(self, place: int) -> Untyped:
         return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
 
-    def hint(self, picks: Picks) -> None:
+    def set_first_of(self, value: int) -> None:
+        """Ask for the choice of a value that comes first; the search has to go in this order, and to keep them all."""
+        self.model.add(self.gain >= value)
+        self.model.clear_objective()
         self.model.clear_hints()
-        needed = self._problem.needed(picks)
-        for slot, (literals, pick) in enumerate(zip(self.picks, picks, strict=True)):
-            for place, literal in enumerate(literals):
-                self.model.add_hint(literal, slot in needed and place == pick)
+        for literals in self.picks:
+            self.model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
 
     def read(self, solver: Untyped) -> Picks:
         found = ((place for place, one in enumerate(literals) if solver.value(one)) for literals in self.picks)
@@ -74,6 +76,8 @@ class _Program:
         """Encode that one option is chosen exactly if the slot is needed, and enter who needs which component."""
         literals = [self.model.new_bool_var("") for _ in slot.options]
         options = list(zip(literals, slot.options, strict=True))
+        for literal, option in options:
+            self.model.add_hint(literal, option.is_now)
         self._effects += [(literal, option.effect) for literal, option in options]
         if slot.is_function:
             self.model.add_exactly_one(literals)
@@ -129,90 +133,51 @@ class _Search:
         for place, limit in enumerate(problem.limits):
             program.model.add(program.load(place) <= limit)
         program.model.maximize(program.gain)
-        known = self._known()
-        status = self._run(program, known or problem.first)
+        status = self._run(program)
         if status == cp_model.INFEASIBLE:
             return Optimum(None, None, None, None, 0.0, True, self._why_nothing_fits())
-        bound, is_best = problem.bound, status == cp_model.OPTIMAL
-        if is_best or status == cp_model.FEASIBLE:
-            found = program.read(self._solver)
-            if known is None or is_best or problem.effect(found).gain > problem.effect(known).gain:
-                known = found
-            bound = min(bound, round(self._solver.best_objective_bound))
-        if known is None:
-            limits = problem.criterion.limits
-            reason = f"no choice that keeps within {limits} was found with an effort of {self._effort:g}"
+        if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+            within = f" that keeps within {problem.criterion.limits}" if problem.criterion.limits else ""
+            reason = f"no choice{within} was found with an effort of {self._effort:g}"
             return Optimum(None, None, None, None, problem.resolution, False, reason)
-        value = problem.effect(known).gain
-        if not is_best:
-            return self._found(known, value, bound, is_proven=False)
-        known, is_first = self._first_of_the_best(program, known, value)
-        return self._found(known, value, value, is_first)
-
-    def _found(self, picks: Picks, value: int, bound: int, is_proven: bool) -> Optimum:
-        problem, cost = self._problem, self._problem.effect(picks).cost
-        worth, switching, most = (float(amount * problem.unit) for amount in (value, cost, bound))
+        gains = round(self._solver.objective_value), round(self._solver.best_objective_bound)
+        picks, cost, is_proven = program.read(self._solver), self._solver.value(program.cost), False
+        if status == cp_model.OPTIMAL:
+            program.set_first_of(gains[0])
+            self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
+            self._solver.parameters.keep_all_feasible_solutions_in_presolve = True
+            is_proven = self._run(program) in (cp_model.OPTIMAL, cp_model.FEASIBLE)
+            if is_proven:
+                picks, cost = program.read(self._solver), self._solver.value(program.cost)
+        worth, most, switching = (float(amount * problem.unit) for amount in (*gains, cost))
         found = Optimum(problem.choice(picks), worth, switching, most, problem.resolution, is_proven, "")
-        return replace(found, reason=self._reason(found, value))
+        return replace(found, reason=self._reason(found))
 
-    def _reason(self, found: Optimum, value: int) -> str:
+    def _reason(self, found: Optimum) -> str:
         """Say what makes it the best, what it is worth, and how sure that is."""
         problem, effort = self._problem, f"an effort of {self._effort:g}"
         within = f" within {problem.criterion.limits}" if problem.criterion.limits else ""
         best = f"the best for {problem.criterion.goal}" if problem.criterion.goal else "the first by priority"
         if found.switching and not problem.criterion.goal:
             best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
-        worth = f", worth {found.worth}{self._otherwise(value)}" if problem.criterion.goal else ""
+        worth = f", worth {found.worth}" if problem.criterion.goal else ""
         rounded = (
             f" by more than {number(found.resolution)}, to which its worth was rounded" if found.resolution else ""
         )
         if found.is_proven and not rounded:
             return f"of all choices{within} this is {best}{worth}"
-        if found.is_proven:
-            return f"no choice{within} is better than this one{rounded}{worth}"
         if not found.gap:
-            return (
-                f"no choice{within} is better than this one{rounded}{worth}; {effort} did not prove that it comes first"
-            )
+            unsure = "" if found.is_proven else f"; {effort} did not prove that it comes first"
+            return f"no choice{within} is better than this one{rounded}{worth}{unsure}"
         assert found.bound is not None
         left = f"none is worth more than {number(found.bound)} (a gap of {number(found.gap)})"
         return f"this is {best}{within} that {effort} found{worth}; {left}"
 
-    def _otherwise(self, value: int) -> str:
-        """Say what is gained over what is selected now, or else over the first by priority."""
-        problem = self._problem
-        kept = problem.kept
-        effect = problem.effect(problem.first if kept is None else kept)
-        if effect.gain == value or not problem.fits(effect):
-            return ""
-        words = ", by priority alone" if kept is None else " instead of"
-        return f"{words} {number(float(effect.gain * problem.unit))}"
-
-    def _known(self) -> Picks | None:
-        """Return the better of what is selected now and what is first by priority, if one keeps within the budgets."""
-        known = [(self._problem.effect(picks), picks) for picks in (self._problem.now, self._problem.first)]
-        fitting = [(effect.gain, picks) for effect, picks in known if self._problem.fits(effect)]
-        return max(fitting, key=lambda one: one[0])[1] if fitting else None
-
-    def _run(self, program: _Program, hint: Picks | None = None) -> Untyped:
-        if hint is not None:
-            program.hint(hint)
+    def _run(self, program: _Program) -> Untyped:
         self._solver.parameters.max_deterministic_time = max(self._left, 0.0)
         status = self._solver.solve(program.model)
         self._left -= self._solver.response_proto.deterministic_time
         return status
-
-    def _first_of_the_best(self, program: _Program, picks: Picks, value: int) -> tuple[Picks, bool]:
-        """Return the first choice of this value, and whether it is proven to be the first."""
-        program.model.add(program.gain >= value)
-        program.model.clear_objective()
-        program.model.clear_hints()
-        for literals in program.picks:
-            program.model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
-        self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
-        self._solver.parameters.keep_all_feasible_solutions_in_presolve = True
-        is_first = self._run(program) in (cp_model.OPTIMAL, cp_model.FEASIBLE)
-        return (program.read(self._solver) if is_first else picks), is_first
 
     def _why_nothing_fits(self) -> str:
         """Say which budget is too small for any choice, as far as the effort that is left allows."""
