@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from struct import Struct
 from typing import TYPE_CHECKING, Any, Final
 
 from missions.extras import needs
@@ -156,31 +155,8 @@ def transform(time_s: float, position: Sequence[float]) -> Message:
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:
-    """Return what the bytes of a DiagnosticArray say, as a message of ours says it; an hour of them is many.
-
-    Raises:
-        ValueError, struct.error: these are no such bytes.
-    """
-    number, place = Struct("<I" if data[1:2] == b"\x01" else ">I").unpack_from, 12  # after the encoding and the stamp
-
-    def count() -> int:
-        nonlocal place
-        place = (place + 3 & -4) + 4
-        found: int = number(data, place - 4)[0]
-        return found
-
-    def text() -> str:
-        nonlocal place
-        start = place + 3 & -4
-        place = start + 4 + number(data, start)[0]
-        if place > len(data):
-            raise ValueError(f"a DiagnosticArray is cut off after {len(data)} bytes")
-        return data[start + 4 : place - 1].decode()
-
-    found = []
-    text()
-    for _ in range(count()):
-        place += 1  # the level
-        name, message, _ = text(), text(), text()
-        found.append({"name": name, "message": message, "values": {text(): text() for _ in range(count())}})
-    return found
+    """Return what the bytes of a DiagnosticArray say, as a message of ours says it."""
+    return [
+        {"name": one.name, "message": one.message, "values": {pair.key: pair.value for pair in one.values}}
+        for one in types().decode(DIAGNOSTICS, data).status
+    ]
