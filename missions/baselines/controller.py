@@ -21,23 +21,6 @@ LOW_LEVEL = 0.25
 T = TypeVar("T")
 
 
-class _Timer:
-    """Due at a phase, then at every period after it."""
-
-    def __init__(self, period_s: float, phase: float) -> None:
-        self._period_s, self._first, self._count = period_s, phase * period_s, 0
-
-    @property
-    def due(self) -> float:
-        return self._first + self._count * self._period_s
-
-    def is_up(self, now: float) -> bool:
-        if now < self.due:
-            return False
-        self._count += 1
-        return True
-
-
 class BaselineController(Controller):
     """Has a manager of the sea's vehicle decide; of its options, those that were published show among the results.
 
@@ -62,13 +45,17 @@ class BaselineController(Controller):
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world, rng, options, deadline_s)
         self._manager = self._ask(manager, self.robot)
-        self._mission_timer = _Timer(world.settings.mission_period_s, phases[0])
-        self._manager_timer = _Timer(self._ask(_checked, self._manager.period_s), phases[1])
+        for period_s, phase, what in (
+            (world.settings.mission_period_s, phases[0], self._decide_task),
+            (self._ask(_checked, self._manager.period_s), phases[1], self._update),
+        ):
+            self.robot.agenda.every(period_s, phase * period_s, what)
+        self._is_ticked = False
         self._tasks_reported = self._changes_reported = 0
 
     @property
     def due(self) -> float:
-        return min(self._manager_timer.due, self._mission_timer.due, self.robot.due)
+        return self.robot.agenda.next_time
 
     @property
     def is_done(self) -> bool:
@@ -93,17 +80,12 @@ class BaselineController(Controller):
 
     def decide(self) -> bool:
         started = perf_counter()
-        now = self._world.now
-        if self.robot.due <= now:
-            self._ask(self.robot.catch_up)
-        if self._mission_timer.is_up(now) and not self._manager.decides_tasks:
-            self._decide_task()
-        is_ticked = self._manager_timer.is_up(now)
-        if is_ticked:
-            self._ask(self._manager.update)
+        self._is_ticked = False
+        while self.due <= self._world.now:
+            self._ask(self.robot.agenda.happen)
         self.compute_s["manager"] += perf_counter() - started
         self._report()
-        return is_ticked
+        return self._is_ticked
 
     def end(self) -> None:
         if self.robot.task is not None:
@@ -122,9 +104,15 @@ class BaselineController(Controller):
             said = in_words(error, "suave_env")
             raise MissionError(f"manager {self.manager} failed after {self._world.now:.2f} s: {said}") from error
 
-    def _decide_task(self) -> None:
+    def _update(self, time: float) -> None:
+        self._manager.update()
+        self._is_ticked = True
+
+    def _decide_task(self, time: float) -> None:
         """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""
         task = self.robot.task
+        if self._manager.decides_tasks:
+            return
         if task is None:
             self._begin(SEARCH)
         elif task == SEARCH and self.robot.percepts.holds("pipeline_found"):
@@ -135,11 +123,11 @@ class BaselineController(Controller):
 
     def _begin(self, task: str) -> None:
         self.robot.begin(task)
-        self._ask(self._manager.begin, task)
+        self._manager.begin(task)
 
     def _end(self, task: str) -> None:
         self.robot.end("completed")
-        self._ask(self._manager.end, task)
+        self._manager.end(task)
 
     def _report(self) -> None:
         """Tell the listeners what has been done since the last time."""

@@ -35,6 +35,7 @@ class Robot:
         deadline_s: when the mission ends at the latest [s].
         way_m: says how far it is from the station, by its own odometry [m].
         tasks: every task that was begun, in order.
+        agenda: what is to happen when.
     """
 
     def __init__(
@@ -51,7 +52,7 @@ class Robot:
         managed = world.managed
         self.activate, self.deactivate, self.is_active = managed.activate, managed.deactivate, managed.is_active
         self.set_parameters, self.parameters = managed.set_parameters, managed.parameters
-        self._world, self._later = world, Agenda()
+        self._world, self.agenda = world, Agenda()
 
     @property
     def now(self) -> float:
@@ -70,16 +71,7 @@ class Robot:
         """
         if not 0 <= delay_s < inf:
             raise MissionError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
-        self._later.at(self.now + delay_s, lambda time: what())
-
-    @property
-    def due(self) -> float:
-        return self._later.next_time
-
-    def catch_up(self) -> None:
-        """Call what was put off until now, in order of time."""
-        while self.due <= self.now:
-            self._later.happen()
+        self.agenda.at(self.now + delay_s, lambda time: what())
 
     def begin(self, task: str) -> None:
         """Take down that a task is begun; called by whoever decides about tasks, and refused while one is done."""
