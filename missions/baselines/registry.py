@@ -5,7 +5,7 @@ from typing import Any
 
 from missions.baselines.manager import Manager
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.controller import OURS, TASK_KINDS, RosaController, check_task, rosa_run
+from missions.engine.controller import OURS, TASK_KINDS, RosaController, check_task
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry
 from missions.engine.runner import Controller, Listener, MissionRun
@@ -113,10 +113,11 @@ def open_run(
     rng = numpy.random.default_rng(seed)
     with needs("sim", f"the world of {mission.name}"):
         world = mission.world.open(world_settings, rng)
-    if managed_by is None:
-        return rosa_run(mission, task, world, run_settings, listeners)
-    name, chance = name_of(managed_by), rng.spawn(1)[0]
     controller: Controller
+    if managed_by is None:
+        controller = RosaController(mission, task, world, run_settings)
+        return MissionRun(mission, controller, world, run_settings, listeners)
+    name, chance = name_of(managed_by), rng.spawn(1)[0]
     if issubclass(managed_by, Policy):
         policy = managed_by(mission.model(), chance, chosen)
         mission = policy.alter(mission, world)

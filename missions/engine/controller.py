@@ -15,7 +15,7 @@ from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, Knowle
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World, built
-from missions.engine.runner import Controller, Listener, MissionRun
+from missions.engine.runner import Controller, Listener
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
 
@@ -275,18 +275,6 @@ class TaskLayer:
 def has_plans(behaviour: Behaviour) -> bool:
     """Whether a behaviour plans: its `plans`, a tuple of `rosa_pddl.PlanRecord`, are then those of the run."""
     return isinstance(getattr(behaviour, "plans", None), tuple)
-
-
-def rosa_run(
-    mission: Mission,
-    task: str,
-    world: World,
-    settings: RunSettings | None = None,
-    listeners: Sequence[Listener] = (),
-) -> MissionRun:
-    """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
-    settings = settings or RunSettings()
-    return MissionRun(mission, RosaController(mission, task, world, settings), world, settings, listeners)
 
 
 def check_task(kind: str) -> None:

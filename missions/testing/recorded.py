@@ -81,8 +81,8 @@ def replay(
     takes_s = recorded.get("switching_s", {}) if switching_s is None else {}
     default_s = SWITCHING_S if switching_s is None else switching_s
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
-    world.managed.follow(recorded.get("commands", ()) if switching_s is None else ())
-    world.managed.take({verb: takes_s.get(verb, default_s) for verb in VERBS})
+    commands = recorded.get("commands", ()) if switching_s is None else ()
+    world.managed.follow(commands, {verb: takes_s.get(verb, default_s) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})

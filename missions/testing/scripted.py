@@ -119,19 +119,17 @@ class ScriptedManaged(SimulatedComponents):
         self._is_timed = takes is not None
         self._recorded: dict[tuple[str, str], list[Script]] = {}
 
-    def follow(self, commands: Iterable[tuple[str, str, float, bool]]) -> None:
+    def follow(self, commands: Iterable[tuple[str, str, float, bool]], usual: Mapping[str, float]) -> None:
         """Have commands that no script is about go as they did: what, to which component, how long [s], if well.
 
-        One that was not given then goes as the last one of its kind.
+        One that was not given then goes as the last one of its kind, or takes as long as usual by its verb [s],
+        unless the system was made with times of its own.
         """
+        if not self._is_timed:
+            self.takes, self._is_timed = checked_times(usual), True
         for verb, component, takes, is_well in commands:
             script = Script(takes, 0 if is_well else math.inf)
             self._recorded.setdefault((verb, component), []).append(script)
-
-    def take(self, takes: Mapping[str, float]) -> None:
-        """Say how long commands take [s] that no script is about, unless that was said before."""
-        if not self._is_timed:
-            self.takes, self._is_timed = checked_times(takes), True
 
     def _script(self, verb: str, component: str) -> Script:
         recorded = self._recorded.get((verb, component))

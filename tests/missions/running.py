@@ -7,9 +7,11 @@ from types import ModuleType
 from missions import cli
 from missions.baselines import open_run
 from missions.engine import registry
+from missions.engine.controller import RosaController
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener, MissionRun
+from missions.engine.settings import RunSettings
 from missions.views.output import as_json, summary
 
 
@@ -20,6 +22,12 @@ def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[Mis
     run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=watching)
     verdict = run.run()
     return run, verdict, summary(run, verdict, seed, values)
+
+
+def rosa_run(mission, task, world, settings=None, listeners=()) -> MissionRun:
+    """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
+    settings = settings or RunSettings()
+    return MissionRun(mission, RosaController(mission, task, world, settings), world, settings, listeners)
 
 
 @cache

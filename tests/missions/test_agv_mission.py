@@ -8,7 +8,7 @@ import pytest
 from agv_worlds import building_from, generated_building
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from running import result, run_mission, text
+from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase
 from missions.agv import PAPER, WEIGHTS, agv_mission
@@ -17,7 +17,7 @@ from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.tree import Route, Switch
 from missions.agv.world import Settings
-from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.controller import TASK_KINDS
 from missions.engine.declared import mission_domain
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.settings import RunSettings

@@ -6,13 +6,13 @@ import math
 import numpy
 import pytest
 from agv_worlds import building_from, generated_building
+from running import rosa_run
 
 from missions.agv import agv_mission
 from missions.agv.model import NAVIGATOR, SPEEDS
 from missions.agv.steering import Aim
 from missions.agv.vehicle import Vehicle, boxes, check_walls
 from missions.agv.world import BuildingWorld, Settings
-from missions.engine.controller import rosa_run
 from missions.engine.mission import MissionError
 from missions.engine.settings import RunSettings
 

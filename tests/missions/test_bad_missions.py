@@ -7,11 +7,10 @@ import numpy
 import pytest
 from py_trees.behaviours import Running
 from py_trees.common import Status
-from running import register, run_mission
+from running import register, rosa_run, run_mission
 
 from missions import cli, suave_extended
 from missions.engine import runner
-from missions.engine.controller import rosa_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction

@@ -8,11 +8,11 @@ import numpy
 import pytest
 from agv_worlds import building_from
 from py_trees.behaviours import Running, Success
-from running import register, run_mission
+from running import register, rosa_run, run_mission
 from small_rover import rover_model, rover_tree
 
 from missions.agv import agv_mission
-from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.controller import TASK_KINDS
 from missions.engine.mission import Mission, MissionError, Verdict, World, WorldKind, split_settings
 from missions.engine.recording import measured, sensed
 from missions.engine.registry import find_mission

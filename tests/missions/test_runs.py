@@ -10,11 +10,11 @@ import pytest
 from py_trees.behaviours import Running
 from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel
-from running import result, run_mission, text
+from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase, Status
 from missions.baselines import open_run
-from missions.engine.controller import TASK_KINDS, build_task, rosa_run
+from missions.engine.controller import TASK_KINDS, build_task
 from missions.engine.mission import Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.engine.runner import Listener

@@ -4,8 +4,9 @@ import numpy
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from running import rosa_run
 
-from missions.engine.controller import TASK_KINDS, rosa_run
+from missions.engine.controller import TASK_KINDS
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
