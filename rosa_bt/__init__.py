@@ -5,7 +5,6 @@ from rosa_bt.behaviours import (
     IsActionFeasible,
     Measurement,
     RosaAction,
-    WaitForArchitecture,
     forget_progress,
 )
 from rosa_bt.decorators import ForAction
@@ -35,7 +34,6 @@ __all__ = [
     "TraceVisitor",
     "TreeChangeError",
     "TreeRunner",
-    "WaitForArchitecture",
     "WhatNext",
     "Worth",
     "WorthPlanner",

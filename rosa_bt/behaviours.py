@@ -160,7 +160,8 @@ class ActionRequest:
 
     def open(self, action: str, preference: str | None) -> Reply:
         """Request an action, or join those who hold it; what is requested is held before it is."""
-        self.begin()
+        if self.timeout is not None:
+            self._since = self._kb.now
         self._held = action
         _ledger(self._kb).holders.setdefault(action, {})[self._token] = preference
         reply = self._kb.request_action(action, preference)
@@ -176,11 +177,6 @@ class ActionRequest:
             return "" if action is None or kb.is_feasible(action) else why(kb, action)
         except UnknownName:
             return f"{action} is no longer in the model"
-
-    def begin(self) -> None:
-        """Count the time from now."""
-        if self.timeout is not None:
-            self._since = self._kb.now
 
     def look(self, action: str) -> tuple[Status, str]:
         """Return SUCCESS when the behaviour may begin, RUNNING before that, FAILURE if it never may; and why."""
@@ -470,34 +466,6 @@ class Measurement(KbBehaviour):
             return self._unknown
         holds = OPERATORS[sign](measured, threshold)
         return self._answer("" if holds else f"{attribute.name} {measured:.6g} is not {sign} {threshold:.6g}")
-
-
-class WaitForArchitecture(ActionBehaviour):
-    """Condition that waits: SUCCESS once the robot is configured for an action that somebody has requested.
-
-    That is when every function of the action is solved (a design and configurations are selected, the components are
-    active) and no reconfiguration plan is open. RUNNING before that, with what is lacking as feedback; FAILURE with
-    the reason when the action is unfeasible, or when the time is over.
-
-    Args:
-        action: name of the ROSA action; without it, the port `action` gives it.
-        timeout: how long to wait [s], by the clock of the knowledge base.
-
-    Raises:
-        kb.UnknownName: no such action; the message lists the nearest ones.
-    """
-
-    def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, timeout: float = math.inf) -> None:
-        super().__init__(name, kb, action)
-        self.timeout = timeout
-        self._request = ActionRequest(kb, timeout)
-
-    def initialise(self) -> None:
-        self._request.begin()
-
-    def update(self) -> Status:
-        status, self.feedback_message = self._request.look(self.action)
-        return status
 
 
 class RosaAction(ActionBehaviour):

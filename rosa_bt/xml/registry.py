@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
-from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement, WaitForArchitecture
+from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
@@ -168,8 +168,7 @@ def _safe_switch(
 
 
 _OURS: Final[Mapping[str, Factory]] = {
-    **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, WaitForArchitecture)},
-    **{"ForAction": ForAction, "UntilSuccess": UntilSuccess},
+    **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, ForAction, UntilSuccess)},
     **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
 }
 
@@ -179,8 +178,8 @@ class BehaviourRegistry:
 
     Args:
         bound: arguments for every factory that has a parameter of that name, e.g. `kb=kb`. With a `kb`,
-            IsActionFeasible, HasStatus, Measurement and WaitForArchitecture are there already, and ForAction,
-            UntilSuccess, DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
+            IsActionFeasible, HasStatus and Measurement are there already, and ForAction, UntilSuccess,
+            DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
 
     Example::
 

@@ -19,7 +19,6 @@ from rosa_bt import (
     IsActionFeasible,
     Measurement,
     RosaAction,
-    WaitForArchitecture,
     do_until_unfeasible,
     feasible_then_act,
     first_feasible,
@@ -372,7 +371,7 @@ MUTANTS = [
     Case(
         "waits before it requests",
         lambda kb: until(
-            Sequence("m", memory=False, children=[WaitForArchitecture("ready?", kb, "explore"), explore(kb)])
+            Sequence("m", memory=False, children=[HasStatus("ready?", kb, "explore", "solved"), explore(kb)])
         ),
         broken=GOAL,
     ),

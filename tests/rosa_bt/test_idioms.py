@@ -19,7 +19,6 @@ from rosa_bt import (
     RosaAction,
     TreeChangeError,
     TreeRunner,
-    WaitForArchitecture,
     do_until_unfeasible,
     feasible_then_act,
     first_feasible,
@@ -234,21 +233,10 @@ def test_action_that_waits_too_long_fails_with_what_is_lacking_and_never_begins(
     assert (task.begun, history(kb)) == (0, [("inspect", "failed")])
 
 
-def test_waiting_condition_ends_when_the_action_cannot_be_done(kb):
-    condition = WaitForArchitecture("ready?", kb, "inspect")
-    kb.request_action("inspect")
-    condition.tick_once()
-    assert condition.status is Status.RUNNING
-    kb.measure("energy", 0.1)
-    condition.tick_once()
-    assert condition.status is Status.FAILURE
-    assert "energy 0.1 violates >= 0.25" in condition.feedback_message
-
-
 @pytest.mark.parametrize("timeout", [0.0, -1.0, math.nan])
 def test_time_out_is_more_than_zero(kb, timeout):
     with pytest.raises(ValueError, match="more than 0 s"):
-        WaitForArchitecture("x", kb, "inspect", timeout=timeout)
+        Act(kb, "inspect", wait=True, timeout=timeout)
 
 
 # ---------------------------------------------------------------- preference lists
