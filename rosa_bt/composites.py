@@ -63,38 +63,31 @@ class DoUntilUnfeasible(_Parts):
         super().__init__(name, [task, meanwhile])
         self.memory = memory
 
-    @property
-    def task(self) -> Behaviour:
-        return self.children[0]
-
-    @property
-    def meanwhile(self) -> Behaviour:
-        return self.children[1]
-
     def tick(self) -> Iterator[Behaviour]:
         if self.status is not Status.RUNNING:
             self._begin()
-        if self.memory and self.meanwhile.status is Status.RUNNING:
-            yield from self.meanwhile.tick()
-        if not (self.memory and self.meanwhile.status is Status.RUNNING):
-            yield from self._do()
-        is_instead = self.current_child is not self.task
-        self.feedback_message = f"instead of {self.task.name}" if is_instead else ""
-        self._end(Status.RUNNING if is_instead else self.task.status)
+        task, meanwhile = self.children
+        if self.memory and meanwhile.status is Status.RUNNING:
+            yield from meanwhile.tick()
+        if not (self.memory and meanwhile.status is Status.RUNNING):
+            yield from self._do(task, meanwhile)
+        is_instead = self.current_child is not task
+        self.feedback_message = f"instead of {task.name}" if is_instead else ""
+        self._end(Status.RUNNING if is_instead else task.status)
         yield self
 
-    def _do(self) -> Iterator[Behaviour]:
+    def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
         """Tick the task and, if it gives way, the other; once more if that is finished in this tick."""
         for _ in range(2):
-            yield from self.task.tick()
-            if self.task.status is not Status.FAILURE or not gave_way(self.task):
-                self.current_child = self.task
-                if self.meanwhile.status is not Status.INVALID:
-                    self.meanwhile.stop(Status.INVALID)
+            yield from task.tick()
+            if task.status is not Status.FAILURE or not gave_way(task):
+                self.current_child = task
+                if meanwhile.status is not Status.INVALID:
+                    meanwhile.stop(Status.INVALID)
                 return
-            self.current_child = self.meanwhile
-            yield from self.meanwhile.tick()
-            if self.meanwhile.status is not Status.SUCCESS:
+            self.current_child = meanwhile
+            yield from meanwhile.tick()
+            if meanwhile.status is not Status.SUCCESS:
                 return
 
 

@@ -29,8 +29,6 @@ _KEPT: Final = 10_000
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
 _ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
 """What ends a line, or has no place in a file; text may hold it all the same."""
-_NO_LINE: Final = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
-"""What reading raises if a line is JSON, but not what it should be."""
 
 
 class Node(NamedTuple):
@@ -305,10 +303,7 @@ def read_trace(path: str | Path) -> Trace:
             if line["rosa_bt_trace"] != _VERSION:
                 raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
             model = str(line["model"])
-        except json.JSONDecodeError as error:
-            where = f"{path}:{number}:{error.colno}"
-            raise TraceError(f"{where}: not JSON ({error.msg}); one object per line is expected") from None
-        except _NO_LINE as error:
+        except Exception as error:  # whatever reading raises of a line that is not what it should be
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
     return Trace(model, tuple(ticks))
 

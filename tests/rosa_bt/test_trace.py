@@ -216,7 +216,7 @@ HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
     ("text", "message"),
     [
         ("", "is empty"),
-        ("nonsense\n", r":1:1: not JSON"),
+        ("nonsense\n", r":1: no line of a trace .JSONDecodeError: Expecting value: line 1 column 1"),
         ("[]\n", r":1: no line of a trace"),
         ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
         (HEAD + '{"tick":0}\n', r":2: no line of a trace"),
