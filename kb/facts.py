@@ -99,14 +99,8 @@ class PlanFact:
 
 
 ROSA: Final[Mapping[type, str]] = {
-    elements.Attribute: "attribute",
-    elements.Component: "component",
+    **elements.KINDS,
     elements.Configuration: "component configuration",
-    elements.Function: "function",
-    elements.FunctionDesign: "function design",
-    elements.Action: "action",
-    elements.Constraint: "constraint",
-    elements.Estimation: "estimation",
     MeasurementFact: "measurement",
     StatusFact: "asserted status",
     RequiredFact: "asserted requirement",

@@ -72,7 +72,7 @@ class Store:
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
-        self._ends_itself = self.is_orphan = False
+        self._ends_itself, self._owner = False, os.getpid()
         self._past: list[Event] = []
         self._thread: threading.Thread | None = None
         self._knowledge: Knowledge
@@ -95,7 +95,7 @@ class Store:
         except BaseException:
             self._release()
             raise
-        _OPEN.add(self)
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))  # a child of a fork that drops it would write
 
     # ---------------------------------------------------------------- read
 
@@ -142,7 +142,7 @@ class Store:
 
     def check_owner(self) -> None:
         """Raise StoreError in a process that was forked from the one that has opened the store."""
-        if self.is_orphan:
+        if os.getpid() != self._owner:
             raise store_file.StoreError(
                 f"{self.path}: the store is open in the process that this one was forked from, which goes on with it. "
                 "Make a knowledge base with a store of its own here"
@@ -213,7 +213,7 @@ class Store:
         Raises:
             StoreError: not all could be saved. It is kept, and tried again: make room and close again.
         """
-        if self._closing or self._is_stopping or self.is_orphan:
+        if self._closing or self._is_stopping or os.getpid() != self._owner:
             return
         self._is_stopping = True
         self._wake.set()
@@ -245,11 +245,6 @@ class Store:
         self._release()
         with self._progress:
             self._progress.notify_all()
-
-    def orphan(self) -> None:
-        """Be of no use in a forked process; the connection is never dropped there."""
-        self.is_orphan = True
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))
 
     def _release(self) -> None:
         self._closing = True
@@ -403,7 +398,6 @@ def _blamed(path: Path) -> Iterator[None]:
 
 HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
 """The locks of all knowledge bases."""
-_OPEN: Final[WeakSet[Store]] = WeakSet()
 
 
 def _hold() -> None:
@@ -411,7 +405,6 @@ def _hold() -> None:
     for lock in tuple(HELD_OVER_FORKS):
         lock.acquire()
         _HELD.append(lock)
-    _HELD.extend(store.using for store in _OPEN if store.using.acquire(timeout=1.0))
 
 
 def _let_go() -> None:
@@ -419,12 +412,5 @@ def _let_go() -> None:
         _HELD.pop().release()
 
 
-def _orphaned() -> None:
-    """Leave the files to the process that has them open: a child that only drops a connection would write to them."""
-    _let_go()
-    for store in _OPEN:
-        store.orphan()
-
-
 _HELD: Final[list[Any]] = []
-os.register_at_fork(before=_hold, after_in_parent=_let_go, after_in_child=_orphaned)
+os.register_at_fork(before=_hold, after_in_parent=_let_go, after_in_child=_let_go)
