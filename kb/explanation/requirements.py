@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Final, NamedTuple
 
-from kb.elements import Component, Constraint, Element, Function, StalePolicy, called, exact
+from kb.elements import Component, Constraint, Element, Function, StalePolicy, exact
 from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import State
@@ -82,39 +82,28 @@ def bounds(*nodes: Node) -> dict[str, Interval]:
     return intervals
 
 
-@dataclass(frozen=True, slots=True)
-class Recovered:
-    """A component that has failed works again; an asserted failure is taken back by that too."""
-
-    component: str
-
-    def __str__(self) -> str:
-        return f"{self.component} recovered"
+_REPAIRS: Final = {
+    "recovered": "{} recovered",
+    "retracted": "asserted status of {} retracted",
+    "designed": "a design for {}",
+}
 
 
-@dataclass(frozen=True, slots=True)
-class Retracted:
-    """An asserted status is taken back."""
+class Repair(NamedTuple):
+    """A fact that has to change and is no measurement.
 
+    Attributes:
+        what: a component is "recovered", an asserted status "retracted", or a function that the model has no design for
+            "designed".
+        element: of the model, which this is about.
+    """
+
+    what: str
     element: Element | Constraint
 
     def __str__(self) -> str:
-        name = self.element if isinstance(self.element, Constraint) else called(self.element)
-        return f"asserted status of {name} retracted"
-
-
-@dataclass(frozen=True, slots=True)
-class MissingDesign:
-    """A function has no design: the model lacks one."""
-
-    function: str
-
-    def __str__(self) -> str:
-        return f"a design for {self.function}"
-
-
-Repair = Recovered | Retracted | MissingDesign
-"""A fact that has to change and is no measurement."""
+        name = self.element if isinstance(self.element, Constraint) else self.element.name
+        return _REPAIRS[self.what].format(name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +187,7 @@ class Requirements:
             return self._needs(node)
         if asserted not in (Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED):
             return FREE
-        repair = Recovered(node.name) if asserted is Status.FAILURE else Retracted(node.element)
+        repair = Repair("recovered" if asserted is Status.FAILURE else "retracted", node.element)
         return self._all_of([self._repaired(repair), self._needs(node)])
 
     def _needs(self, node: Node) -> Alternatives:
@@ -208,12 +197,12 @@ class Requirements:
         if isinstance(element, Function):
             if node.parts:
                 return self._any_of(self.of(part) for part in node.parts)
-            return NOTHING if self._state is None else self._repaired(MissingDesign(element.name))
+            return NOTHING if self._state is None else self._repaired(Repair("designed", element))
         needed = [self.of(constraint) for constraint in node.constraints]
         if not isinstance(element, Component):
             return self._all_of([*needed, *(self.of(part) for part in node.parts)])
         if self._state is not None and self._state.failed[node.index]:
-            needed.append(self._repaired(Recovered(node.name)))
+            needed.append(self._repaired(Repair("recovered", element)))
         if node.parts:
             needed.append(self._any_of(self.of(part) for part in node.parts))
         return self._all_of(needed)

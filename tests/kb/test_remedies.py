@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from models import NUMBERS, OPERATORS, Clock, amount, compare, state_of, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation.requirements import Measured, MissingDesign, Recovered, Retracted, remedies
+from kb.explanation.requirements import Measured, Repair, remedies
 from kb.inference import infer_anew, propagate
 from kb.network import Network
 from kb.state import Overlay, State
@@ -25,15 +25,19 @@ def subject(fact):
     return fact.attribute if isinstance(fact, Measured) else fact
 
 
+def lacks(fact):
+    return isinstance(fact, Repair) and fact.what == "designed"
+
+
 def changed(state, changes):
     """Return a state in which measurements, by name, and repairs, with None, have come about."""
     network, overlay, touched = state.network, Overlay(state), []
     for what, value in changes.items():
-        if isinstance(what, Retracted):
+        if isinstance(what, Repair) and what.what == "retracted":
             node = network.find(what.element)
             overlay.asserted[node.index] = None
-        elif isinstance(what, Recovered):
-            node = network.components[what.component]
+        elif isinstance(what, Repair):
+            node = network.find(what.element)
             overlay.failed[node.index] = False
             if overlay.asserted[node.index] is Status.FAILURE:
                 overlay.asserted[node.index] = None
@@ -114,16 +118,12 @@ def test_each_remedy_makes_it_feasible_and_no_fact_of_it_is_idle(data):
         found, complete = remedies(state, node)
         assert complete
         for remedy in found:
-            lacks_design = any(isinstance(fact, MissingDesign) for fact in remedy.facts)
+            lacks_design = any(lacks(fact) for fact in remedy.facts)
             for changes in ways(remedy):
                 if not lacks_design:
                     assert changed(state, changes).status[node.index] not in IMPOSSIBLE, remedy
                 for dropped in changes:
-                    rest = {
-                        what: value
-                        for what, value in changes.items()
-                        if what != dropped and not isinstance(what, MissingDesign)
-                    }
+                    rest = {what: value for what, value in changes.items() if what != dropped and not lacks(what)}
                     assert changed(state, rest).status[node.index] in IMPOSSIBLE, (remedy, dropped)
 
 
@@ -134,9 +134,9 @@ def worlds(state):
     for node in network.nodes:
         asserted = state.asserted[node.index]
         if asserted in (Status.UNFEASIBLE, Status.VIOLATED):
-            repairs.append(Retracted(node.element))
+            repairs.append(Repair("retracted", node.element))
         if node.kind == "component" and (state.failed[node.index] or asserted is Status.FAILURE):
-            repairs.append(Recovered(node.name))
+            repairs.append(Repair("recovered", node.element))
     assume(len(repairs) <= 4)
     attributes = list(network.attributes)
     for values in product((None, *GRID), repeat=len(attributes)):
@@ -157,11 +157,7 @@ def test_the_remedies_are_the_smallest_sets_of_facts_that_trying_everything_find
         good = [changes for changes, world in tried if world.status[node.index] not in IMPOSSIBLE]
         sets = {frozenset(changes) for changes in good}
         smallest = {one for one in sets if not any(other < one for other in sets)}
-        found = [
-            remedy
-            for remedy in remedies(state, node).found
-            if not any(isinstance(fact, MissingDesign) for fact in remedy.facts)
-        ]
+        found = [remedy for remedy in remedies(state, node).found if not any(lacks(fact) for fact in remedy.facts)]
         assert {frozenset(map(subject, remedy.facts)) for remedy in found} == smallest
         for changes, world in tried:
             if frozenset(changes) in smallest:
