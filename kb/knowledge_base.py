@@ -50,11 +50,10 @@ from kb.views import views_of
 
 _log = logging.getLogger(__name__)
 
-_BY_ITSELF: Final = frozenset({"stale", "dwell", "lapse", "begin", "store"})
+_BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
 """What time, the model and the store do, in every knowledge base by itself."""
-_TOLD: Final[set[str]] = {"measure", "amend"}
-_BEHIND: Final = {"stale": "_outdate", "progress": "_keep_progress"}
-"""The verbs that can be told: `_telling` adds the others."""
+_TOLD: Final = {"measure": "measure", "amend": "_amend"}
+"""The method for each verb that can be told: `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
 """How far a clock may go back: threads that read it at once tell in any order, and it may be corrected a little [s]."""
@@ -69,8 +68,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     Whoever gives the time or a mapping, and who is called, is not ours and may wait for another thread: no lock is held
     then.
     """
-    if not method.__name__.startswith("_"):
-        _TOLD.add(method.__name__)
+    _TOLD[method.__name__.removeprefix("_")] = method.__name__
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
@@ -589,15 +587,13 @@ class KnowledgeBase:
             InvalidValue: it is no event that can be told; nothing has changed.
         """
         verb = event.verb if isinstance(event, Event) else None
-        if verb in _BY_ITSELF and verb != "stale":
+        if verb in _BY_ITSELF:
             self._catch_up()
             return
-        if verb not in _TOLD and verb not in _BEHIND:
+        if verb not in _TOLD:
             known = ", ".join(sorted(_TOLD))
             raise InvalidValue(f"{event!r} cannot be told; an event that can has one of the verbs {known}")
-        tell: Callable[..., object] = partial(amend, self.model, self._knowledge.serials)
-        if verb != "amend":
-            tell = getattr(self, _BEHIND.get(event.verb, event.verb))
+        tell = getattr(self, _TOLD[verb])
         caused = {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
         try:
             tell(*event.arguments, **caused)
@@ -606,13 +602,16 @@ class KnowledgeBase:
                 raise
             raise InvalidValue(f"{verb} cannot be told with {event.arguments!r}: {error}") from None
 
+    def _amend(self, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+        amend(self.model, self._knowledge.serials, how, written)
+
     @_telling
-    def _keep_progress(self, action: str, behaviour: str, saved: str) -> None:
+    def _progress(self, action: str, behaviour: str, saved: str) -> None:
         if self._knowledge.records.progress.get((action, behaviour), "") != text("what is saved", saved):
             self._tell("progress", action, behaviour, saved)
 
     @_telling
-    def _outdate(self, name: str) -> None:
+    def _stale(self, name: str) -> None:
         node, state = self._knowledge.network.attributes[name], self._knowledge.state
         if state.value[node.index] is not None and not state.stale[node.index]:
             self._tell("stale", name)
