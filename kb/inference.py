@@ -13,6 +13,7 @@ from kb.events import StatusChange
 from kb.network import LEVELS, Node
 from kb.state import State
 from kb.status import (
+    IMPOSSIBLE,
     Status,
     action_status,
     component_status,
@@ -25,7 +26,6 @@ from kb.status import (
 Agenda = list[dict[Node, None]]
 
 _TOP: Final = LEVELS["attribute"]
-_IMPOSSIBLE: Final = frozenset({Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED})
 
 
 def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
@@ -54,7 +54,7 @@ def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
 
 
 def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[Node]:
-    if (old in _IMPOSSIBLE) == (new in _IMPOSSIBLE):
+    if (old in IMPOSSIBLE) == (new in IMPOSSIBLE):
         if node.kind == "constraint":
             return ()
         if node.kind in ("function", "component"):

@@ -8,8 +8,6 @@ remembered; inference reads it there.
 import heapq
 import math
 from collections.abc import Iterable, Sequence
-from decimal import Decimal
-from functools import lru_cache
 from typing import NamedTuple
 
 from kb.elements import Constraint
@@ -196,10 +194,4 @@ def turning_point(constraint: Constraint, before: Status | None) -> float:
     if before is not Status.VIOLATED or not constraint.hysteresis:
         return constraint.value
     sign = 1 if constraint.operator in (">=", ">") else -1
-    return _sum(constraint.value, sign * constraint.hysteresis)
-
-
-@lru_cache(maxsize=1024)
-def _sum(value: float, margin: float) -> float:
-    """Add as one does on paper: 0.1 and 0.2 are 0.3."""
-    return float(Decimal(repr(value)) + Decimal(repr(margin)))
+    return float(f"{constraint.value + sign * constraint.hysteresis:.15g}")  # as on paper: 0.1 and 0.2 are 0.3

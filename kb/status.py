@@ -46,6 +46,10 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
 """The statuses that an element of each kind can have, in the order of its table."""
 
 
+IMPOSSIBLE = frozenset({Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED})
+"""With one of these an element, and what needs it, cannot be."""
+
+
 def constraint_status(measured: float | None, relation: str, threshold: float) -> Status:
     """Status of a constraint: the latest measurement, if any, against `measured (relation) threshold`."""
     if measured is None:

@@ -11,14 +11,13 @@ from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import Reason, State
-from kb.status import OPERATORS, Status
+from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
 """How many causes of one status a sentence names before it only counts the rest."""
 _MOST_REMEDIES: Final = 3
 _IN: Final = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
 _ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
-_IMPOSSIBLE: Final = (Status.UNFEASIBLE, Status.FAILURE)
 _POSSIBLE: Final = {
     "action": "none of its constraints is violated and none of its functions is unfeasible",
     "function": "it has a design that is not unfeasible",
@@ -115,7 +114,7 @@ class Explanation:
         return f"{statement} because {why}" if why else statement
 
     def _what_would_help(self) -> str:
-        if self.kind == "constraint" or self.status not in _IMPOSSIBLE:
+        if self.kind == "constraint" or self.status not in IMPOSSIBLE:
             return ""
         if not self.remedies:
             return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
@@ -147,7 +146,7 @@ Reasons = tuple[tuple[Explanation, ...], ...]
 def explain(state: State, node: Node, now: float) -> Explanation:
     """Explain the status of one element in one state; now [s] is for the age of measurements."""
     explained = _Explainer(state, now).status(node)
-    if explained.status not in _IMPOSSIBLE:
+    if explained.status not in IMPOSSIBLE:
         return explained
     found, complete = remedies(state, node)
     return replace(explained, remedies=found, has_all_remedies=complete)
@@ -239,7 +238,7 @@ class _Explainer:
 
     def _faults(self, node: Node) -> Reasons:
         violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
-        impossible = [part for part in node.parts if self._is(part, *_IMPOSSIBLE)]
+        impossible = [part for part in node.parts if self._is(part, *IMPOSSIBLE)]
         if node.kind in ("action", "function design"):
             return *violated, *self._each(impossible)
         return *violated, *(self._all(impossible) if len(impossible) == len(node.parts) else ())
@@ -247,7 +246,7 @@ class _Explainer:
     def _witnesses(self, node: Node) -> list[Explanation]:
         parts = node.parts
         if node.kind in ("function", "component"):
-            possible = [part for part in parts if not self._is(part, *_IMPOSSIBLE)]
+            possible = [part for part in parts if not self._is(part, *IMPOSSIBLE)]
             selected = [part for part in possible if self._state.selected[part.index]]
             parts = (selected or possible)[:1]
         feasible = [self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts]

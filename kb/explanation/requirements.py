@@ -16,7 +16,7 @@ from kb.elements import Component, Constraint, Element, Function, StalePolicy, e
 from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import State
-from kb.status import OPERATORS, Status
+from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 LIMIT: Final = 64
 """How many boxes are kept for one element."""
@@ -150,7 +150,6 @@ class Requirements:
             and a function without a design is impossible.
         limit: how many boxes are kept for each element.
         changing: if given, only these attributes (by name) and repairs may change.
-        free: the elements, by index, that are known to need nothing.
     """
 
     def __init__(
@@ -158,12 +157,9 @@ class Requirements:
         state: State | None = None,
         limit: int = LIMIT,
         changing: Collection[str | Repair] | None = None,
-        free: Iterable[int] = (),
     ) -> None:
-        self._state = state
-        self._limit = limit
-        self._changing = changing
-        self._known = dict.fromkeys(free, FREE)
+        self._state, self._limit, self._changing = state, limit, changing
+        self._known: dict[int, Alternatives] = {}
         self._fixed: dict[int, bool] = {}
 
     def of(self, node: Node) -> Alternatives:
@@ -173,19 +169,14 @@ class Requirements:
 
     @property
     def size(self) -> int:
-        """How many elements were looked at that need something."""
-        return sum(found is not FREE for found in self._known.values())
-
-    def only(self, changing: Collection[str | Repair]) -> "Requirements":
-        """Return the same with less that may change; what needs nothing is not looked at again."""
-        free = (index for index, found in self._known.items() if found is FREE)
-        return Requirements(self._state, self._limit, changing, free)
+        """How many elements were looked at."""
+        return len(self._known)
 
     def _with_assertion(self, node: Node) -> Alternatives:
         asserted = None if self._state is None else self._state.asserted[node.index]
         if asserted is None:
             return self._needs(node)
-        if asserted not in (Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED):
+        if asserted not in IMPOSSIBLE:
             return FREE
         repair = Repair("recovered" if asserted is Status.FAILURE else "retracted", node.element)
         return self._all_of([self._repaired(repair), self._needs(node)])
@@ -366,7 +357,7 @@ class Remedies(NamedTuple):
 
 def remedies(state: State, node: Node) -> Remedies:
     """Return what would make an element feasible that is unfeasible or in failure."""
-    if state.status[node.index] not in (Status.UNFEASIBLE, Status.FAILURE):
+    if node.kind == "constraint" or state.status[node.index] not in IMPOSSIBLE:
         return Remedies((), True)
     requirements = Requirements(state)
     ways = requirements.of(node)
@@ -406,7 +397,7 @@ def _reduced(state: State, node: Node, requirements: Requirements, found: list[R
             break
         subjects = remedy.subjects
         for subject in sorted(subjects, key=str):
-            if requirements.only(subjects - {subject}).of(node).boxes:
+            if Requirements(state, changing=subjects - {subject}).of(node).boxes:
                 subjects -= {subject}
-        reduced += [_remedy(state, box) for box in requirements.only(subjects).of(node).boxes]
+        reduced += [_remedy(state, box) for box in Requirements(state, changing=subjects).of(node).boxes]
     return _smallest(reduced) or found

@@ -255,7 +255,7 @@ def test_steadiness_can_be_changed_while_the_base_is_at_work():
     assert kb.components["camera"].constraints[0].status is Status.SATISFIED
 
 
-@pytest.mark.parametrize("wrong", [(1, 2), (0, 1), (3, 2), (2,), "2 of 3", (1.0, 1), (True, True), None])
+@pytest.mark.parametrize("wrong", [(1, 2), (0, 1), (3, 2), (2,), "2 of them", (1.0, 1), (True, True), None])
 def test_an_agreement_is_of_more_than_half(wrong):
     with pytest.raises(ModelError, match="agreement of 'light' is two whole numbers"):
         Model("rover").quality_attribute("light", agreement=wrong)
