@@ -293,7 +293,7 @@ class Owner(Protocol):
         self, cls: type[ElementT], name: str, constraints: Iterable["Expression"] = (), /, **given: object
     ) -> ElementT: ...
     def constrain_all(
-        self, element: "Constrainable", constraints: Iterable["Expression"]
+        self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
     ) -> tuple["Constraint", ...]: ...
     def add_estimation(
         self, causer: "Estimable", attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive"
@@ -375,7 +375,7 @@ class Element:
 class _Constrainable(Element):
     def constrain(self, *expressions: Expression) -> tuple[Constraint, ...]:
         """Add one constraint per expression to this element, or none if one of them is refused."""
-        return self.model.constrain_all(self, expressions)  # type: ignore[arg-type]  # a subclass is one of the four
+        return self.model.constrain_all([self], expressions)  # type: ignore[list-item]  # a subclass is one of the four
 
 
 @dataclass(frozen=True, slots=True, eq=False)

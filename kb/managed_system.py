@@ -115,7 +115,6 @@ class ActivityMonitor:
 
     def __init__(self, managed: ManagedSystem) -> None:
         self._managed = managed
-        self._known: KnowledgeBase | None = None
         self._unmanaged: set[str] = set()
         self._believed: list[str] = []
         self._believed_at = -1
@@ -125,7 +124,8 @@ class ActivityMonitor:
     def observe(self, kb: KnowledgeBase) -> None:
         if kb.pending_plan is not None:
             return
-        if kb is not self._known or kb.revision != self._believed_at:
+        is_first = self._believed_at < 0
+        if kb.revision != self._believed_at:
             self._look_up(kb)
             with kb.reading() as state:
                 active = [node.element for node in state.network.components.values() if state.active[node.index]]
@@ -135,17 +135,14 @@ class ActivityMonitor:
             reason, last = f"{name} is not running, though nobody has stopped it", self._switched.get(name)
             was_started = last is not None and (last.operation, last.result) == ("activate", "completed")
             kb.component_active(name, False, reason)
-            if was_started and kb is self._known:
+            if was_started and not is_first:
                 kb.component_failed(name, reason)
         for name in sorted(self._late.difference(self._believed)):
             if name in kb.components and self._is(name, True):
                 kb.component_active(name, True)
-        self._known = kb
 
     def _look_up(self, kb: KnowledgeBase) -> None:
         """Take note of the commands since the last time: the last to each component, and which were given up."""
-        if kb is not self._known:
-            self._switched, self._late = {}, set()
         last = max((one.serial for one in self._switched.values()), default=0)
         switches = takewhile(lambda one: one.serial > last, reversed(kb.history.attempts))
         for one in reversed([one for one in switches if one.operation != "configure"]):

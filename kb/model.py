@@ -222,19 +222,19 @@ class Model:
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
         """Add one constraint that all of the elements share."""
-        (checked,) = self._expressions([expression])
-        targets = listed("constrained elements", elements)
-        if not targets:
-            raise ModelError(f"{checked} constrains nothing; name at least one element")
-        for element in targets:
-            self._owned("constrained", element, Constrainable)
-        self._declare(constraint := _constraint(targets, checked))
+        (constraint,) = self.constrain_all(elements, [expression])
         return constraint
 
-    def constrain_all(self, element: Constrainable, constraints: Iterable[Expression]) -> tuple[Constraint, ...]:
-        """Add each constraint to an element, or none if one of them is refused."""
-        self._owned("constrained", element, Constrainable)
-        added = tuple(_constraint((element,), one) for one in self._expressions(constraints))
+    def constrain_all(
+        self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
+    ) -> tuple[Constraint, ...]:
+        """Add constraints that all of the elements share, or none if one of them is refused."""
+        targets = listed("constrained elements", elements)
+        for element in targets:
+            self._owned("constrained", element, Constrainable)
+        added = tuple(_constraint(targets, one) for one in self._expressions(constraints))
+        if added and not targets:
+            raise ModelError(f"{added[0]} constrains nothing; name at least one element")
         if added:
             self._declare(*added)
         return added
