@@ -84,13 +84,17 @@ def declarations_of_task(task: Task) -> Declarations:
     places = [*map(Place, task.building.places), *([start] if start.corridor else [])]
     modes = {leg.mode.name: leg.mode for place in places for leg, _ in task.crossings(place)}
     pddl = PddlNames(task.building, modes.values(), task.limited)
-    facts = [fact for fact, is_so in pddl.facts(task).items() if is_so]
+    known = pddl.facts(task)
+    facts = [fact for fact, is_so in known.items() if is_so is True]
     facts += [f"({FEASIBLE} {action})" for action in (SWITCH, *pddl.actions.values())]
     problem = replace(
         pddl.problem,
         goal=(f"(at {pddl.places[task.goal]})",),
         facts=(*pddl.problem.facts, *facts),
-        numbers=pddl.switching(task, pddl.by_mode) | pddl.numbers(task),
+        numbers={
+            **pddl.switching(task, pddl.by_mode),
+            **{name: value for name, value in known.items() if not isinstance(value, bool)},
+        },
     )
     return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 

@@ -8,16 +8,14 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from operator import add
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from kb import KnowledgeBase
 from missions.agv.building import Building, Corridor, check_number
-from missions.agv.modes import GOALS, Amounts, Mode, Modes, crossing, running_mode, switching, weighing
+from missions.agv.model import NAVIGATE
+from missions.agv.modes import GOALS, Amounts, Mode, Modes, crossing, switching, weighing
 from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
-
-DEMANDS: Final = ("light", "obstacles")
-"""What corridors demand, as attributes: light from 0 to 1, and obstacles [1/m]."""
 
 
 class Place(NamedTuple):
@@ -107,7 +105,7 @@ class Task:
         self.building = building = planner.building
         self.question, self.modes = question, planner.modes
         place = question.start or Place(building.start)
-        self.start: State = (place if place.corridor else Place(place.name), planner.running)
+        self.start: State = (place if place.corridor else Place(place.name), planner.modes.running)
         self.goal = question.goal or building.goal
         building.check_place(place.name, "start")
         building.check_place(self.goal, "goal")
@@ -159,7 +157,7 @@ class Task:
         return self._switching[before, after]
 
     def demands(self, corridor: Corridor) -> Mapping[str, float]:
-        """Return under which conditions a corridor is driven."""
+        """Return what a corridor demands, as values of attributes: light from 0 to 1, and obstacles [1/m]."""
         return {"light": self.question.light.get(corridor.name, corridor.light), "obstacles": corridor.obstacles}
 
     def _ways(self, place: Place) -> Iterator[_Way]:
@@ -223,25 +221,13 @@ class JointPlanner:
         kb: what to ask for configurations; its facts count, except for measurements of the demands.
 
     Raises:
-        MissionError: the model has no attributes for what corridors demand.
-        UnknownName: it has no such function.
+        UnknownName: the model has no function to navigate; when asked, no attribute for what corridors demand.
     """
 
-    def __init__(self, building: Building, kb: KnowledgeBase, function: str = "navigate") -> None:
-        if lacking := [name for name in DEMANDS if name not in kb.attributes]:
-            raise MissionError(
-                f"corridors demand {' and '.join(DEMANDS)}, but model {kb.model.name} has no attribute "
-                f"{' nor '.join(lacking)}; declare it as environmental, even if nothing is constrained by it"
-            )
-        self.building, self._kb, self._function = building, kb, function
-        self.modes = Modes(kb, function)
+    def __init__(self, building: Building, kb: KnowledgeBase) -> None:
+        self.building, self._kb, self.modes = building, kb, Modes(kb, NAVIGATE)
         # what whole corridors take is asked again and again, and what is left of one never again
         self.crossing = lru_cache(maxsize=100_000)(crossing)
-
-    @property
-    def running(self) -> Mode:
-        """How the robot is configured now."""
-        return running_mode(self._kb, self._function)
 
     def task(self, question: Question) -> Task:
         """Return a question as a graph; raises MissionError if it names a place or corridor that there is not."""

@@ -72,6 +72,15 @@ class Modes:
         self._found: dict[tuple[object, ...], tuple[Mode, ...]] = {}
         self._made: dict[tuple[object, ...], Mode] = {}
 
+    @property
+    def running(self) -> Mode:
+        """How the robot is configured now: the components of the function's designs that are active."""
+        kb, model = self._kb, self._kb.model
+        parts = {part for one in model.designs.values() if one.function == self._function for part in one.components}
+        active = [part for part in model.components if part in parts and kb.components[part].is_active]
+        selected = {part: kb.components[part].selected_configuration for part in active}
+        return _mode(model, Choice({}, {part: name for part, name in selected.items() if name}), frozenset(active))
+
     def under(self, conditions: Mapping[str, float]) -> tuple[Mode, ...]:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible."""
         key = self._key(conditions)
@@ -108,15 +117,6 @@ class Modes:
                 if (design, chosen) not in self._made:
                     self._made[design, chosen] = _mode(model, choice, frozenset(parts))
                 yield self._made[design, chosen]
-
-
-def running_mode(kb: KnowledgeBase, function: str) -> Mode:
-    """Return how the robot is configured now: the components of the function's designs that are active."""
-    model = kb.model
-    parts = {part for one in model.designs.values() if one.function == function for part in one.components}
-    active = [part for part in model.components if part in parts and kb.components[part].is_active]
-    selected = {part: kb.components[part].selected_configuration for part in active}
-    return _mode(model, Choice({}, {part: name for part, name in selected.items() if name}), frozenset(active))
 
 
 def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:

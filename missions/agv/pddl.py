@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
-from missions.agv.joint import Place, Task
+from missions.agv.joint import Leg, Place, Task
 from missions.agv.modes import Amounts, Mode
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
@@ -117,27 +117,26 @@ class PddlNames:
         yield f"(leads {self._entering} {self.places[one.ends[0]]} {self.places['']})"
         yield f"(crosses {self.actions[one.name]} {self._entering})"
 
-    def facts(self, task: Task) -> dict[str, bool]:
-        """Return all that may change and whether it is so: where the robot is, how configured, what is possible."""
-        possible = {(way, mode) for way, mode, *_ in self._crossings(task)}
+    def facts(self, task: Task) -> dict[str, bool | float]:
+        """Return all that may change: where the robot is, how configured, what is possible, and what that costs.
+
+        Driving and switching cost and use up whole thousandths; of what is limited it is said how much is left.
+        """
         place, now = task.start
         at, configured = self.places["" if place.corridor else place.name], self._mode(now)
-        return {
+        facts: dict[str, bool | float] = {
             **{f"(at {one})": one == at for one in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
-            **{f"(possible {way} {mode})": (way, mode) in possible for way in self._ways for mode in self.by_mode},
+            **{f"(possible {way} {mode})": False for way in self._ways for mode in self.by_mode},
         }
-
-    def numbers(self, task: Task) -> dict[str, float]:
-        """Return what it costs and uses up to drive where it is possible now and to switch, and what may be used up."""
-        numbers: dict[str, float] = {}
-        for way, mode, takes, cost in self._crossings(task):
-            numbers |= self._told("crossing", f"{way} {mode}", takes, cost)
-        numbers |= self.switching(task, {self.now: task.start[1]})
+        for way, leg, cost in self._crossings(task):
+            things = f"{way} {self.modes[leg.mode.name]}"
+            facts |= {f"(possible {things})": True, **self._told("crossing", things, leg.takes, cost)}
+        facts |= self.switching(task, {self.now: now})
         left = dict(zip(task.limited, task.limits, strict=True))
         for name in self.limited:  # what was used up is left no more
-            numbers |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
-        return numbers
+            facts |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
+        return facts
 
     def switching(self, task: Task, setups: Mapping[str, Mode]) -> dict[str, float]:
         """Return what it costs and uses up, in whole thousandths, to switch from setups to each mode; that stays so."""
@@ -151,15 +150,14 @@ class PddlNames:
         uses = {f"({kind}_{name} {things})": float(getattr(takes, name)) for name in self.limited}
         return {f"({kind} {things})": cost, **uses}
 
-    def _crossings(self, task: Task) -> Iterator[tuple[str, str, Amounts, int]]:
+    def _crossings(self, task: Task) -> Iterator[tuple[str, Leg, int]]:
         start = task.start[0]
         for place in [*map(Place, task.building.places), *([start] if start.corridor else [])]:
             for leg, cost in task.crossings(place):
                 if leg.mode.name in self.modes:  # else the model has got it since the problem was made
                     # what was begun within a corridor goes on when the robot is in none any more, as it soon will be
                     for is_whole in (not place.corridor, False)[: 1 if start.corridor else 2]:
-                        way = self.vias[Via(leg.corridor, leg.to, is_whole)]
-                        yield way, self.modes[leg.mode.name], leg.takes, cost
+                        yield self.vias[Via(leg.corridor, leg.to, is_whole)], leg, cost
 
     def _mode(self, mode: Mode) -> str:
         """Return the object for how the robot is configured."""

@@ -21,7 +21,7 @@ from kb import Status as ElementStatus
 from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
-from missions.agv.modes import Mode, running_mode
+from missions.agv.modes import Mode, Modes
 from missions.agv.pddl import SWITCH, PddlNames
 from missions.engine.mission import Percepts
 from rosa_bt import RosaAction, feasible_then_act
@@ -174,7 +174,7 @@ class Switch(RosaAction):
         if self._plan is not None and self._plan.result == "failed":
             self.feedback_message = f"the robot cannot be configured so: {self._plan} failed"
             return Status.FAILURE
-        if running_mode(self.kb, NAVIGATE).setup == self._mode.setup:
+        if Modes(self.kb, NAVIGATE).running.setup == self._mode.setup:
             return Status.SUCCESS
         choice, why = self._mode.choice, f"{self._mode.name} is planned for what comes next"
         self._plan = self.kb.select(choice.designs, choice.configurations, why)
@@ -196,7 +196,7 @@ class PlanningState:
         if self._revision != self.route.revision:
             self._revision, task = self.route.revision, self.route.task
             self._switching = self._switching or self.pddl.switching(task, self.pddl.by_mode)
-            self._facts = {**self.pddl.facts(task), **self._switching, **self.pddl.numbers(task)}
+            self._facts = {**self._switching, **self.pddl.facts(task)}
         return self._facts
 
     def leg(self, way: str, mode: str) -> Leg | None:

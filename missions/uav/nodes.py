@@ -3,8 +3,7 @@
 What moves the vehicle leaves it hovering where it is when it is stopped: that is the safe state between two actions.
 """
 
-import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import dist, hypot, inf, tan
 from typing import ClassVar, Final
@@ -14,10 +13,9 @@ from numpy.random import Generator
 from kb.elements import Parameters
 from missions.engine.components import NamedComponents
 from missions.engine.mission import MissionError
-from missions.uav.settings import Settings
+from missions.uav.settings import PERIOD_S, Settings
 from missions.uav.vehicle import ON_GROUND_M, Quadrotor
 
-PERIOD_S: Final = 0.1
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
@@ -38,77 +36,71 @@ class Sample:
     quality: float | None = None  # worth of its analysis, up to 1; None before
 
 
-class Field:
-    """Lanes along the x axis; samples lie in two patches, and between them is a third of the lanes without any.
+class Robot:
+    """What the components share: the vehicle, the field, and what is known and held.
+
+    The field is lanes along the x axis; samples lie in two patches, and between them is a third of the lanes without
+    any. `publish` takes the text of the message, key and value, `disturb` notes what truly happened.
 
     Attributes:
+        now: [s].
+        level: charge of the battery, 0 to 1.
         samples: all of them, those included that nobody wants yet.
         target: the one to be analysed next; None while none is waiting.
+        held: by the gripper.
+        jams_s: when the gripper jams [s].
+        pick_ups: how many samples were lifted.
+        recharges: how often the battery was charged until it was full.
+        qualities: worth of each analysis that was done.
     """
 
-    def __init__(self, settings: Settings, rng: Generator) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        vehicle: Quadrotor,
+        rng: Generator,
+        publish: Callable[[str, str, str], None],
+        disturb: Callable[[str], None],
+    ) -> None:
+        self.settings, self.vehicle, self.rng, self.publish, self.disturb = settings, vehicle, rng, publish, disturb
+        self.now, self.level, self.jams_s = 0.0, 1.0, inf
         self.target: Sample | None = None
-        self._settings = settings
-        every = int(settings.lanes)
+        self.held: Sample | None = None
+        self.is_jammed = self.is_charging = False
+        self.pick_ups = self.recharges = 0
+        self.qualities: list[float] = []
+        every, count = int(settings.lanes), int(settings.samples)
         lanes = [one for one in range(every) if not every // 3 <= one < every - every // 3]
-        count = int(settings.samples)
-        places = [self._place(lanes[number * len(lanes) // count], rng) for number in range(count)]
+        places = [self._place(lanes[number * len(lanes) // count]) for number in range(count)]
         self.samples = [Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)]
-        added = Sample(f"sample_{count + 1}", self._place(lanes[0], rng), settings.added_s, is_reported=True)
+        added = Sample(f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True)
         self.samples += [added] if settings.added_s > 0 else []
 
     def _lane_y(self, lane: int) -> float:
-        return (lane + 0.5) * self._settings.lane_m
+        return (lane + 0.5) * self.settings.lane_m
 
-    def _place(self, lane: int, rng: Generator) -> tuple[float, float]:
-        x, off = rng.uniform(0.1, 0.95) * self._settings.field_x_m, rng.uniform(-OFF_LANE_M, OFF_LANE_M)
+    def _place(self, lane: int) -> tuple[float, float]:
+        x, off = self.rng.uniform(0.1, 0.95) * self.settings.field_x_m, self.rng.uniform(-OFF_LANE_M, OFF_LANE_M)
         return float(x), self._lane_y(lane) + float(off)
 
     @property
     def path(self) -> list[tuple[float, float]]:
         """Corners of the way along all lanes, to and fro: (x, y) [m], world frame."""
-        ends = (0.0, self._settings.field_x_m)
-        lanes = range(int(self._settings.lanes))
+        ends = (0.0, self.settings.field_x_m)
+        lanes = range(int(self.settings.lanes))
         return [(x, self._lane_y(lane)) for lane in lanes for x in (ends if lane % 2 == 0 else ends[::-1])]
 
-    def seen(self, place: tuple[float, float], radius: float) -> Iterator[Sample]:
-        """Yield the samples around a place [m] that were not found before."""
-        unknown = (one for one in self.samples if not (one.is_found or one.is_reported))
-        return (one for one in unknown if dist(one.place, place) <= radius)
-
-    def aim(self, place: tuple[float, float]) -> bool:
-        """Choose the next target if there is none: reported ones first, then the nearest; whether that is new."""
+    def aim(self) -> None:
+        """Choose the next target if there is none: reported ones first, then the nearest."""
         if self.target is not None:
-            return False
-        waiting = [one for one in self.samples if one.is_found and one.quality is None]
-        if not waiting:
-            return False
-        self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
-        return True
-
-
-@dataclass(eq=False)
-class Robot:
-    """What the components share.
-
-    `publish` takes the text of the message, key and value, `disturb` notes what truly happened.
-    """
-
-    settings: Settings
-    vehicle: Quadrotor
-    field: Field
-    rng: Generator
-    publish: Callable[[str, str, str], None]
-    disturb: Callable[[str], None]
-    now: float = 0.0  # [s]
-    level: float = 1.0  # charge of the battery, 0 to 1
-    held: Sample | None = None  # by the gripper
-    jams_s: float = inf  # when the gripper jams [s]
-    is_jammed: bool = False
-    is_charging: bool = False
-    pick_ups: int = 0  # how many samples were lifted
-    recharges: int = 0  # how often the battery was charged until it was full
-    qualities: list[float] = dataclasses.field(default_factory=list)  # worth of each analysis that was done
+            return
+        waiting, place = (
+            [one for one in self.samples if one.is_found and one.quality is None],
+            self.vehicle.position[:2],
+        )
+        if waiting:
+            self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
+            self.publish("mission status", f"{self.target.name}_target", "true")
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
         """Return the place with the legs that high above a sample [m], world frame."""
@@ -117,14 +109,13 @@ class Robot:
     def let_go(self) -> None:
         """Drop what is held, if anything; from then on it lies where it fell."""
         if self.held is not None:
-            x, y, _ = self.vehicle.position
-            self.held.place, self.held = (x, y), None
+            self.held.place, self.held = self.vehicle.position[:2], None
             self.vehicle.carry(0.0)
 
     def analysed(self, quality: float) -> None:
-        target = self.field.target
+        target = self.target
         if target is not None:
-            target.quality, self.field.target = quality, None
+            target.quality, self.target = quality, None
             self.qualities.append(quality)
             self.publish("mission status", f"{target.name}_analysed", "true")
             self.publish("mission status", f"{target.name}_target", "false")
@@ -162,7 +153,7 @@ class SearchPlanner(Node):
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._ahead = robot.field.path
+        self._ahead = robot.path
 
     def end(self) -> None:
         x, y, _ = self.robot.vehicle.position
@@ -173,7 +164,7 @@ class SearchPlanner(Node):
         x, y = self._ahead[0]
         robot.vehicle.go_to((x, y, ON_GROUND_M + robot.settings.cruise_m))
         if dist((x, y), robot.vehicle.position[:2]) < 1.0:
-            self._ahead = self._ahead[1:] or robot.field.path
+            self._ahead = self._ahead[1:] or robot.path
 
 
 class SampleCamera(Node):
@@ -183,10 +174,11 @@ class SampleCamera(Node):
 
     def update(self) -> None:
         robot, vehicle = self.robot, self.robot.vehicle
-        x, y, _ = vehicle.position
-        for one in robot.field.seen((x, y), vehicle.altitude * tan(robot.settings.half_view_rad)):
-            one.is_found = True
-            robot.publish("mission status", f"{one.name}_found", "true")
+        radius = vehicle.altitude * tan(robot.settings.half_view_rad)
+        for one in robot.samples:
+            if not (one.is_found or one.is_reported) and dist(one.place, vehicle.position[:2]) <= radius:
+                one.is_found = True
+                robot.publish("mission status", f"{one.name}_found", "true")
 
 
 class PickUpPlanner(Node):
@@ -195,7 +187,7 @@ class PickUpPlanner(Node):
     name, moves = "pick_up_planner", True
 
     def update(self) -> None:
-        robot, target = self.robot, self.robot.field.target
+        robot, target = self.robot, self.robot.target
         if target is not None:
             robot.vehicle.go_to(robot.over(target, GRIP_M if robot.held is None else LIFT_M))
 
@@ -214,7 +206,7 @@ class Gripper(Node):
         self.robot.let_go()
 
     def update(self) -> None:
-        robot, target = self.robot, self.robot.field.target
+        robot, target = self.robot, self.robot.target
         if robot.held is not None and robot.now >= robot.jams_s:
             robot.is_jammed, robot.jams_s = True, inf
             robot.let_go()
@@ -254,7 +246,7 @@ class HoverPlanner(Node):
     name, moves = "hover_planner", True
 
     def update(self) -> None:
-        robot, target = self.robot, self.robot.field.target
+        robot, target = self.robot, self.robot.target
         if target is not None:
             robot.vehicle.go_to(robot.over(target, LOOK_M))
 
@@ -265,7 +257,7 @@ class InfraredCamera(Node):
     name = "infrared_camera"
 
     def update(self) -> None:
-        robot, target = self.robot, self.robot.field.target
+        robot, target = self.robot, self.robot.target
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
         if self.worked_s(sees and robot.vehicle.arm_rad < FOLDED_RAD) >= robot.settings.infrared_s:
             robot.analysed(robot.settings.infrared_quality)

@@ -8,6 +8,9 @@ from missions.engine.settings import Constants, setting
 MOST_SAMPLES: Final = 8
 """How many samples there may be; the planned task layer has an object for each."""
 
+PERIOD_S: Final = 0.1
+"""From one time that the components act to the next [s]."""
+
 _OWN: Final = "own choice"
 _SHORT: Final = "own choice: small, so that a mission takes minutes"
 _CONTROL: Final = "own choice: common for a vehicle of this size"

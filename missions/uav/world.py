@@ -11,7 +11,7 @@ from missions.engine.components import SimulatedComponents
 from missions.engine.mission import Message, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.settings import declared
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
-from missions.uav.settings import Settings
+from missions.uav.settings import PERIOD_S, Settings
 from missions.uav.tree import analysed, is_all_analysed
 
 STATUS = "mission status"
@@ -37,17 +37,16 @@ class UavWorld(World):
         bearing, phase = rng.uniform(0, 2 * pi), rng.uniform(0, settings.battery_period_s)
         self._battery_due = float(phase)
         wind = (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
-        from missions.uav.nodes import PERIOD_S, Field, Nodes, Robot
+        from missions.uav.nodes import Nodes, Robot
         from missions.uav.vehicle import SUBSTEPS, Quadrotor
 
-        field = Field(settings, rng)
-        self._places = {one.name: [one.place] for one in field.samples}
-        self._robot = Robot(settings, Quadrotor(settings, wind), field, rng, self._publish, self._disturb)
+        self._robot = Robot(settings, Quadrotor(settings, wind), rng, self._publish, self._disturb)
+        self._places = {one.name: [one.place] for one in self._robot.samples}
         self._nodes = Nodes(self._robot)
         takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
         self._managed = SimulatedComponents(lambda: self._now, self._nodes, takes)
-        self._step_s, self._nodes_period_s = SUBSTEPS * settings.physics_step_s, PERIOD_S
-        self._not_wanted = list(field.samples)
+        self._step_s = SUBSTEPS * settings.physics_step_s
+        self._not_wanted = list(self._robot.samples)
         self._want()
         self._publish(STATUS, "gripper_folded", "true")
         self._publish("QA measurement", "battery_level", "1.0")
@@ -66,32 +65,31 @@ class UavWorld(World):
         while not is_changed and (self._steps + 1) * self._step_s <= until + 1e-9:
             self._steps += 1
             self._now = self._steps * self._step_s
-            self._step(self._step_s)
+            self._step()
             is_changed = self._managed.catch_up() or bool(self._outbox)
         if not is_changed:
             self._now = until
         said, self._outbox = self._outbox, []
         return said
 
-    def _step(self, step_s: float) -> None:
+    def _step(self) -> None:
         robot, vehicle, before = self._robot, self._robot.vehicle, self._robot.vehicle.position
         robot.now = self._now
         vehicle.step()
         self._flown_m += dist(before, vehicle.position)
-        self._drain(step_s)
+        self._drain()
         if self._now >= self._nodes_due - 1e-9:
-            self._nodes_due += self._nodes_period_s
+            self._nodes_due += PERIOD_S
             self._want()
             for node in self._nodes.acting:
                 node.update()
-            if robot.field.aim(vehicle.position[:2]) and robot.field.target is not None:
-                self._publish(STATUS, f"{robot.field.target.name}_target", "true")
+            robot.aim()
         if self._now >= self._battery_due - 1e-9:
             self._battery_due += self._settings.battery_period_s
             self._publish("QA measurement", "battery_level", repr(robot.level))
 
-    def _drain(self, step_s: float) -> None:
-        robot, settings, before = self._robot, self._settings, self._robot.level
+    def _drain(self) -> None:
+        robot, settings, before, step_s = self._robot, self._settings, self._robot.level, self._step_s
         watts = robot.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if robot.is_charging else 0.0
         after = before + gained - watts * step_s / settings.capacity_j
@@ -140,7 +138,7 @@ class UavWorld(World):
         return {
             "analysed_samples": float(len(robot.qualities)),
             "quality_points": sum(robot.qualities),
-            "wanted_samples": float(len(robot.field.samples) - len(self._not_wanted)),
+            "wanted_samples": float(len(robot.samples) - len(self._not_wanted)),
             "lifted_samples": float(robot.pick_ups),
             "recharged_times": float(robot.recharges),
             "flown_m": self._flown_m,

@@ -44,9 +44,9 @@ class Mishaps(UavWorld):
         self._publish("component status", "gripper", "recovered")
 
     def report(self, x):
-        number = len(self._robot.field.samples) + 1
+        number = len(self._robot.samples) + 1
         added = Sample(f"sample_{number}", (x, 3.0), self.now, is_reported=True)
-        self._robot.field.samples.append(added)
+        self._robot.samples.append(added)
         self._not_wanted.append(added)
 
 
