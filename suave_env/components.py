@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 from suave_env.autopilot import Autopilot, Vector
@@ -246,17 +247,14 @@ class RecoverThrusters(Component):
         self._run += 1
         for index in range(COUNT):
             due = time + self._settings.recovery_wait_s + index * self._settings.recovery_spacing_s
-            self._agenda.at(due, self._restoring(index + 1, self._run))
+            self._agenda.at(due, partial(self._restore, index + 1, self._run))
 
-    def _restoring(self, number: int, run: int) -> Callable[[float], None]:
-        def restore(time: float) -> None:
-            if self._settings.recovery_interruptible and (run != self._run or not self.active):
-                return
-            self._restored(number, time)
-            for word in thruster_words(self._settings, fails=False):
-                self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", word)
-
-        return restore
+    def _restore(self, number: int, run: int, time: float) -> None:
+        if self._settings.recovery_interruptible and (run != self._run or not self.active):
+            return
+        self._restored(number, time)
+        for word in thruster_words(self._settings, fails=False):
+            self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", word)
 
 
 class Recharge(Component):

@@ -83,7 +83,6 @@ class Answer:
         cost: the weighted sum [thousandths].
         takes: in all.
         reason: what was chosen and why, or why there is no plan.
-        expanded: how many labels the proof took.
     """
 
     legs: tuple[Leg, ...]
@@ -91,7 +90,6 @@ class Answer:
     cost: int
     takes: Amounts
     reason: str
-    expanded: int = 0
 
 
 State = tuple[Place, Mode]
@@ -242,7 +240,7 @@ class JointPlanner:
         modes = [task.start[1], *(move.to[1] for move in found.moves)]
         legs = tuple(self._leg(task, before, move.what) for before, move in zip(modes, found.moves, strict=False))
         takes = Amounts(*map(sum, zip(*(leg.takes for leg in legs), strict=True))) if legs else Amounts(0, 0, 0)
-        return Answer(legs, True, found.cost, takes, self._why(task, legs, takes), found.expanded)
+        return Answer(legs, True, found.cost, takes, self._why(task, legs, takes))
 
     def _leg(self, task: Task, before: Mode, leg: Leg) -> Leg:
         takes = Amounts(*map(add, task.switching(before, leg.mode)[0], leg.takes))

@@ -94,10 +94,8 @@ class Robot:
         """Choose the next target if there is none: reported ones first, then the nearest."""
         if self.target is not None:
             return
-        waiting, place = (
-            [one for one in self.samples if one.is_found and one.quality is None],
-            self.vehicle.position[:2],
-        )
+        place = self.vehicle.position[:2]
+        waiting = [one for one in self.samples if one.is_found and one.quality is None]
         if waiting:
             self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
             self.publish("mission status", f"{self.target.name}_target", "true")

@@ -119,7 +119,7 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
             "energy=100",
             [
                 ["there would be a plan without the limits of energy_used_mj"],
-                " J at least, the limit is 90 J",
+                "no way keeps within all limits: energy 90 (alone ",
             ],
         ),
         (
