@@ -5,11 +5,12 @@ through a queue with an end.
 """
 
 import logging
+from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future
 from threading import Condition, Thread
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from missions.engine.mission import MissionError
 
@@ -26,28 +27,6 @@ _log = logging.getLogger(__name__)
 
 class RosError(MissionError):
     """A call has failed, or a request is refused; the text says why."""
-
-
-class Node(Protocol):
-    """What talks ROS 2: by rosbridge, by rclpy or by DDS. Types are named as ROS 2 does, e.g. "std_msgs/msg/String"."""
-
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        """Have a function called with each message of a topic."""
-
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        """Publish a message."""
-
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        """Call a service; the future ends with the answer, or with `RosError`."""
-
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        """Answer the calls of a service; a `RosError` refuses one."""
-
-    def watch(self, changed: Callable[[bool, str], object]) -> None:
-        """Have a function called with whether there is a connection, and a sentence, when that changes."""
-
-    def close(self) -> None:
-        """Let go of everything."""
 
 
 NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
@@ -72,6 +51,52 @@ class Refusals(Counter[str]):
                 heard(message)
             except Exception as error:  # of who hears it, not of the wire
                 self.add(error)
+
+
+class Node(ABC):
+    """What talks ROS 2: by rosbridge, by rclpy or by DDS. Types are named as ROS 2 does, e.g. "std_msgs/msg/String".
+
+    Attributes:
+        refused: how many messages made no sense, by what was wrong.
+        is_connected: whether there is a connection, or anybody whose topics are heard.
+    """
+
+    def __init__(self) -> None:
+        self.refused, self.is_connected = Refusals(), False
+        self._told, self._watching = "", list[Callable[[bool, str], object]]()
+
+    @abstractmethod
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        """Have a function called with each message of a topic."""
+
+    @abstractmethod
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        """Publish a message."""
+
+    @abstractmethod
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        """Call a service; the future ends with the answer, or with `RosError`."""
+
+    @abstractmethod
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        """Answer the calls of a service; a `RosError` refuses one."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of everything."""
+
+    def watch(self, changed: Callable[[bool, str], object]) -> None:
+        """Have a function called with whether there is a connection, and a sentence, now and when that changes."""
+        self._watching.append(changed)
+        if self._told:
+            changed(self.is_connected, self._told)
+
+    def _tell(self, is_connected: bool, text: str) -> None:
+        """Say how the connection is, unless it was said before."""
+        if (is_connected, text) != (self.is_connected, self._told):
+            self.is_connected, self._told = is_connected, text
+            for changed in self._watching:
+                changed(is_connected, text)
 
 
 class Outbox:

@@ -4,7 +4,6 @@ import json
 import logging
 import time
 from collections import deque
-from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager, suppress
 from itertools import count
@@ -15,7 +14,7 @@ from urllib.parse import urlsplit
 from missions.engine.mission import MissionError
 from missions.extras import needs
 from missions.views.facts import plain
-from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Outbox, Refusals, RosError
+from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError
 
 PORT: Final = 9090
 LARGEST: Final = 2**20
@@ -40,18 +39,15 @@ class Peer(Outbox):
             self.socket.close()
 
 
-class Wire:
+class Wire(Node):
     """A node by rosbridge's messages, whatever carries them.
 
     Args:
         sending: held while something is sent that goes with what is open.
-
-    Attributes:
-        refused: how many messages made no sense, by what was wrong.
     """
 
     def __init__(self, sending: AbstractContextManager[object]) -> None:
-        self.refused = Refusals()
+        super().__init__()
         self._sending, self._ids = sending, count(1)
         self._declared: list[Message] = []
         self._subscribed: dict[str, list[Heard]] = {}
@@ -130,22 +126,9 @@ class Rosbridge(Wire):
         self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
         self._closing = Event()
         self._peer: Peer | None = None
-        self._trouble = ""
         self._unsent: deque[Message] = deque(maxlen=QUEUED)
-        self._watching: list[Callable[[bool, str], object]] = []
         self._thread = Thread(target=self._run, name="rosbridge", daemon=True)
         self._thread.start()
-
-    @property
-    def is_connected(self) -> bool:
-        return self._peer is not None
-
-    def watch(self, changed: Callable[[bool, str], object]) -> None:
-        self._watching.append(changed)
-        if self.is_connected:
-            changed(True, f"connected to {self._url}")
-        elif self._trouble:
-            changed(False, self._trouble)
 
     def close(self) -> None:
         self._closing.set()
@@ -168,14 +151,12 @@ class Rosbridge(Wire):
             try:
                 limits: Any = {"max_size": LARGEST, "open_timeout": 5, "close_timeout": 1}
                 with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
-                    wait_s, self._trouble = _FIRST_WAIT_S, ""
+                    wait_s = _FIRST_WAIT_S
                     self._talk(socket)
             except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
                 said = f"no connection to {self._url}: {error or type(error).__name__}; it is tried again, every "
                 said += f"{_LONGEST_WAIT_S:g} s at last: is a rosbridge started there, and is it that address (--url)?"
-                if said != self._trouble:
-                    self._trouble = said
-                    self._tell(False, said)
+                self._tell(False, said)
                 self._closing.wait(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
@@ -214,10 +195,6 @@ class Rosbridge(Wire):
             future.set_exception(RosError(why))
         if not self._closing.is_set():
             self._tell(False, why)
-
-    def _tell(self, is_connected: bool, text: str) -> None:
-        for changed in self._watching:
-            changed(is_connected, text)
 
 
 def read(text: str | bytes) -> Message:

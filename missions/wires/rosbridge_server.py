@@ -71,12 +71,10 @@ class RosbridgeServer(Wire):
         except (OSError, OverflowError) as error:
             raise MissionError(f"rosbridge cannot be served on {host}:{port}: {error}; give another port") from None
         self.port = int(self._server.socket.getsockname()[1])
+        self._tell(True, f"serving rosbridge on port {self.port}")
         self._introspect()
         self._thread = Thread(target=self._server.serve_forever, name="rosbridge-server", daemon=True)
         self._thread.start()
-
-    def watch(self, changed: Any) -> None:  # noqa: ANN401  # as in Node
-        changed(True, f"serving rosbridge on port {self.port}")
 
     def close(self) -> None:
         self._server.shutdown()

@@ -2,7 +2,7 @@
 
 import logging
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from time import monotonic
 from typing import Any, Final, NamedTuple, Protocol
 
 from missions.views.facts import plain
-from missions.wires.node import Answer, Heard, Message, Refusals, RosError
+from missions.wires.node import Answer, Heard, Message, Node, RosError
 
 _FIND_S: Final = 3.0
 """How long a service is sought before a call fails [s]."""
@@ -126,26 +126,20 @@ class _Call:
     is_sent: bool = False
 
 
-class TypedNode(ABC):
+class TypedNode(Node):
     """What all nodes of a library have in common; a subclass says how the library does it."""
 
     topics = ""
     """What topics begin with on the wire."""
 
     def __init__(self, name: str, library: Library) -> None:
-        self.refused = Refusals()
+        super().__init__()
         self._name, self._types, self._lock, self._numbers = name, library, RLock(), count(1)
         self._ears: list[Ear] = []
         self._writers: dict[str, Callable[[Any], object]] = {}
         self._clients: dict[str, Client] = {}
         self._open: dict[int, _Call] = {}
-        self._watching: list[Callable[[bool, str], object]] = []
-        self._is_there = False
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether anybody is there who publishes what is subscribed, or who serves what is called."""
-        return self._is_there
+        self._tell(False, f"{name}: nobody else is there")
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         found = self._types.find(kind)
@@ -170,10 +164,6 @@ class TypedNode(ABC):
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
         self._serve(service, kind, partial(self._response, kind, answer))
-
-    def watch(self, changed: Callable[[bool, str], object]) -> None:
-        self._watching.append(changed)
-        changed(self._is_there, f"{self._name}: {'others are' if self._is_there else 'nobody else is'} there")
 
     def close(self) -> None:
         """End what is open; a subclass lets go of its library first."""
@@ -225,10 +215,8 @@ class TypedNode(ABC):
             for number in list(self._open):
                 self._send_call(number)
         is_there = any(is_published for _, is_published, _ in found)
-        if is_there != self._is_there:
-            self._is_there = is_there
-            for changed in self._watching:
-                changed(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
+        if is_there != self.is_connected:
+            self._tell(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
 
     def _send_call(self, number: int) -> None:
         call = self._open[number]
