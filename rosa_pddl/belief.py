@@ -32,23 +32,15 @@ Sense = Callable[[], Mapping[str, bool | float]]
 
 
 @dataclass(frozen=True)
-class _Undo:
-    """What the start of a step changed."""
-
-    taken: State = frozenset()
-    given: State = frozenset()
-
-
-@dataclass(frozen=True)
 class _Believed:
-    """The facts, the numbers that are no more what the file says, and what to undo of the steps that run.
+    """The facts, the numbers that are no more what the file says, and what the starts of running steps took and gave.
 
     One value, so that whatever interrupts a change leaves all of it done, or nothing.
     """
 
     facts: State
     numbers: Mapping[str, float] = field(default_factory=dict)
-    undos: Mapping[object, _Undo] = field(default_factory=dict)
+    undos: Mapping[object, tuple[State, State]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -137,8 +129,8 @@ class Belief:
     def start(self, key: object, step: Step, state: State) -> None:
         """Assume what the start of a step brings about, until it ends or is given up by the same key."""
         before, facts = self._now.facts, without_feasibility(self.domain, started(self.domain, step, state))
-        undo = _Undo(before - facts, facts - before)
-        self._now = replace(self._now, facts=facts, undos={**self._now.undos, key: undo})
+        undos = {**self._now.undos, key: (before - facts, facts - before)}
+        self._now = replace(self._now, facts=facts, undos=undos)
 
     def end(self, key: object, step: Step, state: State) -> None:
         """Assume what a step that ended well brought about, and that it used up what it may."""
@@ -153,11 +145,11 @@ class Belief:
 
     def unstarted(self, keys: Iterable[object], state: State) -> State:
         """Return a state as if the steps with these keys had not started."""
-        for undo in [self._now.undos[key] for key in keys if key in self._now.undos]:
-            state = (state | undo.taken) - undo.given
+        for taken, given in [self._now.undos[key] for key in keys if key in self._now.undos]:
+            state = (state | taken) - given
         return state
 
-    def _undos_but(self, key: object) -> Mapping[object, _Undo]:
+    def _undos_but(self, key: object) -> Mapping[object, tuple[State, State]]:
         return {other: undo for other, undo in self._now.undos.items() if other is not key}
 
     def _used_up(self, step: Step) -> Mapping[str, float]:

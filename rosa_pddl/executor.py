@@ -425,7 +425,7 @@ class PlanExecutor(Behaviour):
         found = self._replanning.take(self._unstarted(self._belief.observe()))
         if found is None:
             return
-        plan = self._with_what_ended(found.plan)
+        plan, decision = self._with_what_ended(found[0]), found[1]
         kept: dict[int, RunningStep] = {}
         for running in self._running:
             number = plan.starts_with(running.step)
@@ -435,7 +435,7 @@ class PlanExecutor(Behaviour):
         others = [running for running in self._running if running not in kept.values()]
         state = self._belief.observe()
         after = self._belief.unstarted(others, state)
-        old = None if found.decision.is_needed else self._plan
+        old = None if decision.is_needed else self._plan
         self._switches = 0 if old is None else self._switches
         if old is not None:
             margin, weights = self._policy.hysteresis * (1 + self._switches), self._setbacks.weights

@@ -394,7 +394,7 @@ class _ActionReader:
         within = self._formulas.within(parts[":parameters"].children if ":parameters" in parts else (), self._scope)
         self.parts["start"] += conjuncts([within])
         for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
-            self._read_effect(effect, _Where(time, self._scope, self._formulas.manager.TRUE()))
+            self._read_effect(effect, _Where(time, self._scope))
 
     def require(self, node: Node, schema: Node) -> None:
         """Take in what the action needs, and when."""
@@ -453,7 +453,7 @@ class _ActionReader:
         if is_cost and amount.lower.startswith("-"):
             message = f"{start_of(node)!r} in {self._name} is less than nothing; costs are 0 or more"
             raise self._source.unsupported(node, message)
-        if is_cost and (head != "increase" or not where.is_plain):
+        if is_cost and (head != "increase" or where.conditions or where.variables):
             message = "makes the cost of a step depend on conditions; write an action for each"
             raise formulas.numeric(node, self._name, message)
         value = formulas.number(amount, where.scope)
@@ -468,27 +468,22 @@ class _ActionReader:
     def _add(self, fluent: UpThing, value: UpThing, kind: str, where: "_Where") -> None:
         from unified_planning.model import Effect, EffectKind
 
-        effect = Effect(fluent, value, where.condition, EffectKind[kind], where.variables)
+        condition = self._formulas.manager.And(where.conditions)
+        effect = Effect(fluent, value, condition, EffectKind[kind], where.variables)
         self.parts[f"{where.time}_effects"].append(effect)
 
 
 class _Where(NamedTuple):
-    """Where an effect stands: at which end of an action, among which variables, and on what condition."""
+    """Where an effect stands: at which end of an action, among which variables, and on what conditions."""
 
     time: str
     scope: Scope
-    condition: UpThing
+    conditions: tuple[UpThing, ...] = ()
     variables: tuple[UpThing, ...] = ()
-
-    @property
-    def is_plain(self) -> bool:
-        return self.condition.is_true() and not self.variables
 
     def on(self, condition: UpThing) -> "_Where":
         """Return the same on one more condition."""
-        if condition.is_true() or self.condition.is_true():
-            return self if condition.is_true() else self._replace(condition=condition)
-        return self._replace(condition=condition.environment.expression_manager.And(self.condition, condition))
+        return self._replace(conditions=(*self.conditions, *conjuncts([condition])))
 
 
 def _parts_of(node: Node) -> Iterator[Node]:

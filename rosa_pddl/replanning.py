@@ -349,14 +349,6 @@ class _DeadEnd:
     until_s: float
 
 
-@dataclass(frozen=True)
-class _Found:
-    """A plan, and why it was asked for."""
-
-    plan: PlanExecution
-    decision: Decision
-
-
 class Replanning:
     """Asks for plans as a policy allows, and finds out why there is none."""
 
@@ -462,8 +454,8 @@ class Replanning:
         self._client.give_up()
         self._wanted = self._diagnosis = None
 
-    def take(self, state: State) -> _Found | None:
-        """Return a plan if one has just been found, or what to do while there is none."""
+    def take(self, state: State) -> tuple[PlanExecution, Decision] | None:
+        """Return a plan if one has just been found, or what to do while there is none, and why it was asked for."""
         answer = self._client.take()
         if answer is None:
             return None
@@ -486,7 +478,7 @@ class Replanning:
             plan = PlanExecution.of(domain, result, promised, self._clash)
             wrong = plan.prediction(domain, state).flaw if is_fresh else None
             if wrong is None:
-                return _Found(plan, decision)
+                return plan, decision
             # the same question would get the same answer, again and again
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
             self._give_up(state, question.problem, why)
@@ -495,7 +487,7 @@ class Replanning:
 
     def _without_plan(
         self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
-    ) -> _Found | None:
+    ) -> tuple[PlanExecution, Decision] | None:
         """Ask on, or again, if that is of use, and return the safe step if there is one that can start."""
         outcome, domain, reason = result.outcome, self._effects.domain, getattr(question.decision, "reason", "")
         why = f"no plan: {result.message or reason}"
@@ -525,7 +517,7 @@ class Replanning:
         if safe is None or not is_due or missing_at_start(domain, safe, state) is not None:
             return None
         plan = PlanExecution.of(domain, PlanningResult(Outcome.SOLVED, (safe,)), ())
-        return _Found(plan, Decision("there is no plan", is_needed=True))
+        return plan, Decision("there is no plan", is_needed=True)
 
     def _is_same(self, one: State, other: State) -> bool:
         """Whether two states differ in nothing that a plan or a goal may depend on."""
