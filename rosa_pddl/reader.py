@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -193,26 +194,18 @@ class _Reader:
         if self._actions and ACTION_TYPE not in [name.lower for name, _ in pairs]:
             pairs.append((replace(ANY, word=ACTION_TYPE), None))
         names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
-        above = dict.fromkeys(names) | {name.lower: up for name, up in pairs}
+        above = {name.lower: up.lower for name, up in pairs if up is not None and up.lower != name.lower}
+        below = {word: (above.get(word, "object"),) for word in names if word != "object"}
+        try:
+            in_order = tuple(TopologicalSorter(below).static_order())
+        except CycleError as error:
+            cycle = error.args[1]
+            message = f"the types {', '.join(sorted({*cycle}))} are above one another, expected one on top"
+            raise source.error(names[cycle[0]], message) from error
         kinds = {"object": self._types.UserType("object")}
-        self._up_problem.user_types.append(kinds["object"])
-
-        def make(word: str, below: tuple[str, ...]) -> UpThing:
-            up = above[word]
-            if word in below:
-                path = ", ".join(sorted(below[below.index(word) :]))
-                message = f"the types {path} are above one another, expected one on top"
-                raise source.error(up or names[word], message)
-            if word not in kinds:
-                is_top = up is None or up.lower in ("object", word)
-                father = kinds["object"] if is_top or up is None else make(up.lower, (*below, word))
-                kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), father)
-                self._up_problem.user_types.append(kinds[word])
-            return kinds[word]
-
-        for name, _ in pairs:
-            if name.lower != "object":
-                make(name.lower, ())
+        for word in (one for one in in_order if one != "object"):
+            kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), kinds[below[word][0]])
+        self._up_problem.user_types.extend(kinds.values())
 
     def _variables(self, nodes: Iterable[Node]) -> dict[str, UpThing]:
         """Return the types of variables by their names without the mark."""
