@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
-from itertools import product
 from operator import mul
 from threading import Lock
 from typing import Any, TypeAlias
@@ -316,13 +315,10 @@ class Grounded:
         needs = frozenset([str(one[2]) for one in parts if one[0] == "atom" and one[1]])
         denies = frozenset([str(one[2]) for one in parts if one[0] == "atom" and not one[1]])
         effects = list[_Effect]()
-        for effect, ranges in pattern.effects:
-            for more in product(*(things for _, things in ranges)):
-                inner = (*row, *more)
-                condition = self._bound(effect.condition, inner)
-                text = text_of_row(effect.name, bound(effect.words, inner))
-                if condition is not False and (effect.kind != "delete" or text in self._possible):
-                    effects.append((condition, effect.kind, text, bound_number(effect.amount, inner)))
+        for effect in pattern.effects:
+            condition, text = self._bound(effect.condition, row), text_of_row(effect.name, bound(effect.words, row))
+            if condition is not False and (effect.kind != "delete" or text in self._possible):
+                effects.append((condition, effect.kind, text, bound_number(effect.amount, row)))
         made = {text for condition, kind, text, _ in effects if kind == "add" and condition is True}
         deleted = {text for _, kind, text, _ in effects if kind == "delete"} - made
         kept = [
@@ -529,9 +525,9 @@ class _Instance:
 
 
 def _names(pattern: ActionPattern) -> Iterator[str]:
-    nodes = (pattern.needs, *(effect.condition for effect, _ in pattern.effects))
+    nodes = (pattern.needs, *(effect.condition for effect in pattern.effects))
     yield from (name for node in nodes for name, _ in _literals(node))
-    yield from (effect.name for effect, _ in pattern.effects if effect.kind in _TRUTHS)
+    yield from (effect.name for effect in pattern.effects if effect.kind in _TRUTHS)
 
 
 def _literals(node: Node) -> Iterator[tuple[str, bool]]:

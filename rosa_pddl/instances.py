@@ -37,16 +37,15 @@ class Effect(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ActionPattern:
-    """An instantaneous action: how many of its variables are parameters, the types of all, what it needs and does.
+    """An instantaneous action: what its parameters may be, what it needs and does.
 
     A rule by which an atom is derived is one, of a layer above 0.
     """
 
     name: str
-    parameters: int
     choices: tuple[tuple[str, ...], ...]
     needs: Node
-    effects: tuple[tuple[Effect, tuple[tuple[int, tuple[str, ...]], ...]], ...]
+    effects: tuple[Effect, ...]
     layer: int = 0
 
 
@@ -171,10 +170,10 @@ def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
         spelled = domain.outside[domain.inside["predicate", name]]
         scope: dict[str, Word] = {each.variable().name: place for place, each in enumerate(one.variables)}
         choices = tuple(domain.objects_of(domain.outside[each.type.name]) for each in one.variables)
-        effect = Effect(True, "add", spelled, tuple(scope.values())), ()
+        effect = Effect(True, "add", spelled, tuple(scope.values()))
         for way in one.condition.args if one.condition.is_or() else (one.condition,):
             needs = compiled(domain, way, scope)
-            found.append(ActionPattern(spelled, len(choices), choices, needs, (effect,), one.layer))
+            found.append(ActionPattern(spelled, choices, needs, (effect,), one.layer))
     return tuple(found)
 
 
@@ -205,23 +204,23 @@ def _may_hold(node: Node, rows: Mapping[str, Mapping[Row, None]]) -> bool:
 def _pattern(domain: Domain, schema: str, conditions: Iterable[UpThing], changes: Iterable[UpThing]) -> ActionPattern:
     parameters = domain.schema_of[schema].parameters
     scope: dict[str, Word] = {name: number for number, (name, _) in enumerate(parameters)}
-    choices = [domain.objects_of(kind) for _, kind in parameters]
     needs = joined(True, [compiled(domain, one, scope) for one in conditions])
-    effects = []
-    for effect in changes:
-        more = [(one.name, domain.objects_of(domain.outside[one.type.name])) for one in effect.forall]
-        inner = {**scope, **{name: len(choices) + number for number, (name, _) in enumerate(more)}}
-        condition = compiled(domain, effect.condition, inner)
-        name, words = domain.outside[effect.fluent.fluent().name], _words(domain, effect.fluent, inner)
+    effects = [made for one in changes for made in _effects(domain, one, scope)]
+    return ActionPattern(schema, tuple(domain.objects_of(kind) for _, kind in parameters), needs, tuple(effects))
+
+
+def _effects(domain: Domain, effect: UpThing, scope: Mapping[str, Word]) -> Iterator[Effect]:
+    """Yield an effect for each choice of the objects that it is about; what is only used up has none."""
+    name = domain.outside[effect.fluent.fluent().name]
+    things = {one.name: domain.objects_of(domain.outside[one.type.name]) for one in effect.forall}
+    for chosen in product(*things.values()):
+        inner = {**scope, **dict(zip(things, chosen, strict=True))}
+        condition, words = compiled(domain, effect.condition, inner), _words(domain, effect.fluent, inner)
         if effect.fluent.type.is_bool_type():
-            kind, amount = "add" if effect.value.is_true() else "delete", None
-        else:
-            if name not in domain.computed:  # what is only used up counts when a plan is found
-                continue
-            kind, amount = effect.kind.name.lower(), compiled_number(domain, effect.value, inner)
-        ranges = tuple((len(choices) + number, things) for number, (_, things) in enumerate(more))
-        effects.append((Effect(condition, kind, name, words, amount), ranges))
-    return ActionPattern(schema, len(choices), tuple(choices), needs, tuple(effects))
+            yield Effect(condition, "add" if effect.value.is_true() else "delete", name, words)
+        elif name in domain.computed:
+            amount = compiled_number(domain, effect.value, inner)
+            yield Effect(condition, effect.kind.name.lower(), name, words, amount)
 
 
 # ---------------------------------------------------------------- what is within reach
@@ -265,27 +264,19 @@ def reach(patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], g
 
 
 def _rules(pattern: ActionPattern, instances: dict[Row, None]) -> Iterator[_Rule]:
-    added = [(one, ranges) for one, ranges in pattern.effects if one.kind == "add"]
-    sure = [(one.name, one.words) for one, ranges in added if one.condition is True and not ranges]
-    yield from _rule(pattern.needs, sure, pattern.choices, instances)
-    for effect, ranges in added:
-        if effect.condition is not True or ranges:
-            needs = joined(True, [pattern.needs, effect.condition])
-            choices = (*pattern.choices, *(things for _, things in ranges))
-            yield from _rule(needs, [(effect.name, effect.words)], choices, None)
-
-
-def _rule(
-    needs: Node,
-    heads: list[tuple[str, tuple[Word, ...]]],
-    choices: tuple[tuple[str, ...], ...],
-    instances: dict[Row, None] | None,
-) -> Iterator[_Rule]:
-    parts = conjuncts_of(needs)
-    body = [(one[2], one[3]) for one in parts if one[0] == "atom" and one[1]]
-    apart = [one[1:] for one in parts if one[0] == "same"]
-    if needs is not False:
-        yield _Rule(body, heads, [dict.fromkeys(one) for one in choices], apart, instances)
+    added = [one for one in pattern.effects if one.kind == "add"]
+    sure = [(one.name, one.words) for one in added if one.condition is True]
+    follows: list[tuple[Node, list[tuple[str, tuple[Word, ...]]], dict[Row, None] | None]]
+    follows = [(pattern.needs, sure, instances)]
+    for one in (one for one in added if one.condition is not True):
+        follows.append((joined(True, [pattern.needs, one.condition]), [(one.name, one.words)], None))
+    choices = [dict.fromkeys(one) for one in pattern.choices]
+    for needs, heads, known in follows:
+        parts = conjuncts_of(needs)
+        body = [(one[2], one[3]) for one in parts if one[0] == "atom" and one[1]]
+        apart = [one[1:] for one in parts if one[0] == "same"]
+        if needs is not False:
+            yield _Rule(body, heads, choices, apart, known)
 
 
 class _Join:
