@@ -189,7 +189,7 @@ class TreeRunner:
         self._clock = clock
         self._period = period
         self._start = clock()
-        self._ticks = self._next = 0
+        self._ticks = 0
         begin_mission(root)
         self._forget_progress(lambda action: not action.is_left)
 
@@ -211,20 +211,15 @@ class TreeRunner:
         now = self._clock()
         if now < self.due:
             return False
-        self._ticks = self._next = int((now - self._start) / self._period + 1e-9) + 1
+        self._ticks = int((now - self._start) / self._period + 1e-9) + 1
         self.tick()
         return True
 
     def put_off(self, until: float) -> float:
         """Leave out the ticks that are due before a time [s]; return when the one before the next would have been."""
-        period, start = self._period, self._start
-        number = max(self._next, int((until - start) / period))
-        if number > self._next and start + (number - 1) * period >= until:  # it was rounded up
-            number -= 1
-        while start + number * period < until:
-            number += 1
-        self._ticks = number
-        return start + (number - 1) * period
+        while self.due < until:
+            self._ticks += 1
+        return self._start + (self._ticks - 1) * self._period
 
     def tick(self) -> None:
         """Tick once.

@@ -130,13 +130,12 @@ class Ports:
                 return converted(value, wanted)
             if is_number(value) and wanted in SCALARS:
                 return cast(value, wanted)
-            is_right = is_instance_of_type(value, wanted)
+            if is_instance_of_type(value, wanted):
+                return value
         except NotImplementedError:
-            is_right = isinstance(value, get_origin(wanted))
+            if isinstance(value, get_origin(wanted)):
+                return value
         except (ValueError, TypeError):
-            is_right = False
-        if not is_right:
-            raise PortError(
-                f"the port {name!r} takes a value of type {getattr(wanted, '__name__', wanted)}, not {value!r}"
-            )
-        return value
+            pass
+        called = getattr(wanted, "__name__", wanted)
+        raise PortError(f"the port {name!r} takes a value of type {called}, not {value!r}")
