@@ -123,10 +123,10 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
     """Run in a thread beside the view in the terminal; leaving the view stops the run."""
     from missions.views.terminal import RecorderFeed, TerminalView
 
-    feed = RecorderFeed(page.recorder)
+    view = TerminalView(RecorderFeed(page.recorder))
     with ThreadPoolExecutor(1, "mission") as pool:
         going = pool.submit(run.run)
-        TerminalView(feed, feed.title).run()
+        view.run()
         if not going.done():
             run.controller.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
         return going.result()

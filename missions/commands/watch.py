@@ -12,5 +12,4 @@ def watch(
     token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")] = "",
 ) -> None:
     """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
-    feed = SocketFeed(address, token)
-    TerminalView(feed, feed.title).run()
+    TerminalView(SocketFeed(address, token)).run()

@@ -76,15 +76,9 @@ def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, 
     """Open every file that an option asks for, so that it is found out before the work begins if one cannot be written.
 
     Raises:
-        MissionError: one cannot be written, or two are the same.
+        MissionError: one cannot be written.
     """
-    places: dict[str, str] = {}
-    given = {name: path for name, path in paths.items() if path is not None}
-    for name, path in given.items():
-        other = places.setdefault(os.path.realpath(path), name)
-        if other != name and not (path.is_char_device() or path.is_fifo()):
-            raise MissionError(f"--{other} and --{name} name the same file, {path}; give each its own")
-    return {name: stack.enter_context(OutputFile(path)) for name, path in given.items()}
+    return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items() if path is not None}
 
 
 _ADAPTATION: Final = ("at_s", "kind", "trigger", "reason", "change", "reaction_s")

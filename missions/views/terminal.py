@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import Any, ClassVar, Final, Protocol
+from typing import Any, ClassVar, Final
 from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError
@@ -32,13 +32,6 @@ _STYLES: Final = {
 """A sign and a colour of a status, of a node or of an element."""
 
 
-class Feed(Protocol):
-    """Where rows come from."""
-
-    def take(self) -> tuple[list[Any], str]:
-        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
-
-
 class RecorderFeed:
     """The rows of a robot of this process."""
 
@@ -47,6 +40,7 @@ class RecorderFeed:
         self._rows, self._next = recorder.rows, 0
 
     def take(self) -> tuple[list[Any], str]:
+        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
         first, rows = self._rows.since(self._next)
         self._next = first + len(rows)
         return rows, ""
@@ -87,6 +81,7 @@ class SocketFeed:
         Thread(target=self._hear, name="watch", daemon=True).start()
 
     def take(self) -> tuple[list[Any], str]:
+        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
         rows: list[Any] = []
         try:
             while True:
@@ -196,9 +191,9 @@ class TerminalView(App[None]):
     BINDINGS: ClassVar[Any] = [("q", "quit", "leave"), ("tab", "focus_next", "next pane")]
     PANES: Final = ("tree", "known", "adaptations", "measurements")
 
-    def __init__(self, feed: Feed, title: str) -> None:
+    def __init__(self, feed: RecorderFeed | SocketFeed) -> None:
         super().__init__()
-        self.title, self._feed, self._fold = title, feed, Fold()
+        self.title, self._feed, self._fold = feed.title, feed, Fold()
         self._shown = {name: Static(id=name) for name in self.PANES}
 
     def compose(self) -> ComposeResult:

@@ -171,7 +171,6 @@ def test_mission_that_fails_its_goal_exits_with_1(quick):
         (["run", "suave", "--json", "no/such/folder/x.json"], "cannot write no/such/folder/x.json"),
         (["run", "suave", "--plot", "/"], "cannot write /: it is a directory"),
         (["run", "suave", "--json", "n" * 300], ": File name too long"),
-        (["run", "suave", "--json", "same", "--plot", "./same"], "--json and --plot name the same file"),
         (["run", "suave", "--task", ":x:"], "unknown task layer ':x:'"),
         (["run", "suave", "--set", "tick_period_s=1e-12"], "allowed is a number of seconds from 0.001"),
         (["run", "suave", "--set", "drag_surge=1e300", "--no-progress"], "the simulation became unstable after"),

@@ -251,7 +251,6 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
         (["--mission", "suave", "--timeout", "0"], "timeout_s is 0, expected more than 0"),
         (["--mission", "suave", "--json", "nowhere/plan.json"], "cannot write nowhere/plan.json"),
         (["--mission", "suave", "--svg", "."], "it is a directory; name a file in it"),
-        (["--mission", "suave", "--json", "plan", "--svg", "plan"], "--json and --svg name the same file"),
         (["--mission", "suave", "--plan"], "No such option: --plan"),
     ],
 )

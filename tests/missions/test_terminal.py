@@ -27,7 +27,7 @@ def shown(feed):
     """Return what the panes show at the end of the run, the line at the top, and how wide that is."""
 
     async def look():
-        app = TerminalView(feed, "robot")
+        app = TerminalView(feed)
         async with app.run_test(size=(80, 24)) as pilot:
 
             async def until(holds):
