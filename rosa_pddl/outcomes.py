@@ -8,7 +8,7 @@ from rosa_pddl.exceptions import UnsupportedPddlError
 
 
 class Outcome(Enum):
-    """How a planning ended."""
+    """How a planning ended; of what was tried in vain, the first of these that was met is the outcome of all."""
 
     SOLVED = "solved"
     SOLVED_OPTIMALLY = "solved optimally"
@@ -16,9 +16,9 @@ class Outcome(Enum):
     UNSOLVABLE_AS_FAR_AS_KNOWN = "unsolvable as far as known"
     OUT_OF_TIME = "out of time"
     OUT_OF_MEMORY = "out of memory"
+    ENGINE_CRASHED = "engine crashed"
     UNSUPPORTED = "unsupported"
     ENGINE_MISSING = "engine missing"
-    ENGINE_CRASHED = "engine crashed"
 
     @property
     def is_solved(self) -> bool:

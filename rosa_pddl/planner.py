@@ -48,15 +48,6 @@ _PREPARED_S = 60.0
 CERTIFIED = "certificate"
 """The way by which an answer was made before the mission."""
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
-# Of several troubles, the first of these that was met is the outcome of all.
-_WORST_FIRST = (
-    Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN,
-    Outcome.OUT_OF_TIME,
-    Outcome.OUT_OF_MEMORY,
-    Outcome.ENGINE_CRASHED,
-    Outcome.UNSUPPORTED,
-    Outcome.ENGINE_MISSING,
-)
 
 
 class Planner:
@@ -319,7 +310,7 @@ class _Portfolio:
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
         outcomes = [attempt.outcome for attempt in attempts]
-        worst = next(outcome for outcome in _WORST_FIRST if outcome in outcomes)
+        worst = next(outcome for outcome in Outcome if outcome in outcomes)
         return self._report(PlanningResult(worst), self._planner.engine, attempts)
 
     def _budgeted(self) -> Iterator[tuple[str, float]]:

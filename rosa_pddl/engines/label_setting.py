@@ -14,7 +14,7 @@ from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
 from rosa_pddl.domain import Domain, Schema, UpThing, conjuncts
-from rosa_pddl.engines.unified_planning import LABEL_SETTING
+from rosa_pddl.engines.unified_planning import LABEL_SETTING, OUTCOMES
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
@@ -30,13 +30,7 @@ _FEATURES = (
     *("INT_FLUENTS", "REAL_FLUENTS", "ACTIONS_COST", "PLAN_LENGTH", "STATIC_FLUENTS_IN_ACTIONS_COST"),
     *("FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST", "REAL_NUMBERS_IN_ACTIONS_COST"),
 )
-_STATUS = {
-    Outcome.SOLVED_OPTIMALLY: engines.PlanGenerationResultStatus.SOLVED_OPTIMALLY,
-    Outcome.UNSOLVABLE_PROVEN: engines.PlanGenerationResultStatus.UNSOLVABLE_PROVEN,
-    Outcome.OUT_OF_TIME: engines.PlanGenerationResultStatus.TIMEOUT,
-    Outcome.OUT_OF_MEMORY: engines.PlanGenerationResultStatus.MEMOUT,
-    Outcome.UNSUPPORTED: engines.PlanGenerationResultStatus.UNSUPPORTED_PROBLEM,
-}
+_STATUS = {outcome: engines.PlanGenerationResultStatus[name] for name, outcome in OUTCOMES.items()}
 _LONG_S = 1e6
 
 

@@ -23,7 +23,7 @@ NUMERIC = "enhsp"
 TRANSLATED = (*SEARCHES, LABEL_SETTING)
 """The engines that search a grounded task."""
 
-_OUTCOMES = {
+OUTCOMES = {
     "SOLVED_SATISFICING": Outcome.SOLVED,
     "SOLVED_OPTIMALLY": Outcome.SOLVED_OPTIMALLY,
     "UNSOLVABLE_PROVEN": Outcome.UNSOLVABLE_PROVEN,
@@ -32,6 +32,7 @@ _OUTCOMES = {
     "MEMOUT": Outcome.OUT_OF_MEMORY,
     "UNSUPPORTED_PROBLEM": Outcome.UNSUPPORTED,
 }
+"""What unified-planning calls how a planning ended."""
 _NEVER_UNSOLVABLE = (
     "it may be that there is no plan, which engines of overlapping steps hardly ever find out: Planner(), whose steps "
     "follow one another, may say what is out of reach"
@@ -105,7 +106,7 @@ def asked(
         raise
     try:
         answer = json.loads(ended.output)
-        outcome = _OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
+        outcome = OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
         if (engine == NUMERIC or known.until) and outcome is Outcome.UNSOLVABLE_PROVEN:
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # ENHSP says so of problems that have plans; times are rounded
         schedule = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
