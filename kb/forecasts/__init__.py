@@ -172,8 +172,8 @@ class Forecaster:
             past = series.between(series.times[max(0, place - _MOST_SAMPLES)], series.times[place])
             key = node.index, begins, past.times[-1], past.values[-1]
             if is_stated:
-                slopes = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
-                return _rated(node, slopes, past, deeds, doing if place == last else None)
+                slopes, guessed = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
+                return _rated(node, slopes, guessed, past, deeds, doing if place == last else None)
             if function is not None:
                 return by_function(function, past)
             made: Curve | None = self._once((*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead))
@@ -267,23 +267,38 @@ def _constraints(node: Node) -> Iterator[Node]:
         yield from _constraints(part)
 
 
-def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> dict[str, float]:
-    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s]."""
-    slopes = {rate.while_: rate.per_s for rate in element.rates}
+def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> tuple[dict[str, float], frozenset[str]]:
+    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s].
+
+    And those of which nothing was learned yet.
+    """
+    slopes, guessed = {rate.while_: rate.per_s for rate in element.rates}, set[str]()
     for name in [rate.while_ for rate in element.rates if rate.learns]:
         alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
         parts = (part for span in alone for part in reversed(past.between(*span).inside(element.low, element.high)))
-        slopes[name] = next((slope for slope in map(slope_of, parts) if slope is not None), slopes[name])
-    return slopes
+        learned = next((slope for slope in map(slope_of, parts) if slope is not None), None)
+        if learned is None:
+            guessed.add(name)
+        else:
+            slopes[name] = learned
+    return slopes, frozenset(guessed)
 
 
-def _rated(node: Node, slopes: dict[str, float], past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
+def _rated(
+    node: Node,
+    slopes: dict[str, float],
+    guessed: frozenset[str],
+    past: Series,
+    deeds: _Deeds,
+    doing: frozenset[str] | None,
+) -> Curve:
     """Go on with rates while something is done all the time, or else, in the past, while what was done then is."""
     time, value = past.times[-1], past.values[-1]
     if doing is not None:
         applying = [name for name in slopes if not name or name in doing]
         names = ", ".join(filter(None, applying))
-        return straight(time, value, math.fsum(map(slopes.__getitem__, applying)), f" while {names}" if names else "")
+        way = straight(time, value, math.fsum(map(slopes.__getitem__, applying)), f" while {names}" if names else "")
+        return Curve(way.value, way.words, not guessed.isdisjoint(applying))
 
     def at(then: float) -> float:
         spans = list(deeds.between(time, then))

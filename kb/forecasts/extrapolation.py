@@ -36,10 +36,14 @@ _ROUNDING: Final = 1e-9
 
 
 class Curve(NamedTuple):
-    """What an attribute is at a time [s], and how it gets there, in words with "{}" for its unit."""
+    """What an attribute is at a time [s], and how it gets there, in words with "{}" for its unit.
+
+    One that is guessed is of something that was not seen yet: that others were never off does not make it certain.
+    """
 
     value: Callable[[float], float | None]
     words: str
+    is_guessed: bool = False
 
 
 Fit = Callable[[int, float], Curve | None]
@@ -184,7 +188,10 @@ class Outlook:
             self._curves[knot] = self._fit(len(self._series.times) - 1, self._step * 2.0**knot)
         curve = self._curves[knot]
         value = None if curve is None else curve.value(time)
-        return None if curve is None or value is None else (value, radius, curve.words)
+        if curve is None or value is None:
+            return None
+        is_exact = radius is not None and radius <= _ROUNDING * abs(value)
+        return value, None if curve.is_guessed and is_exact else radius, curve.words
 
     def _radius(self, knot: int, ahead: float) -> float | None:
         """Return how far it may be off so far ahead [s]: as found at each doubling of the step, straight between."""

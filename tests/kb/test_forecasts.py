@@ -317,6 +317,19 @@ def test_rate_is_learned_while_its_action_alone_is_done(clock):
     assert kb.forecast("energy", 10.0, doing="explore").value == pytest.approx(0.92 - 0.05)
 
 
+def test_rate_of_which_nothing_was_learned_yet_is_not_certain_though_others_were_never_off(clock):
+    model = rover()
+    model.attributes["energy"].changes(-0.005, while_="explore", learns=True)
+    model.attributes["energy"].changes(0.01, while_="charge", learns=True)
+    kb = lives(model, clock, until=60)
+    assert kb.forecast("energy", 5.0).low == pytest.approx(0.7 - 0.025)
+    kb.cancel_action("explore")
+    kb.request_action("charge")
+    guessed = kb.forecast("energy", 5.0)
+    assert (guessed.value, guessed.low, guessed.high) == (pytest.approx(0.7 + 0.05), None, None)
+    assert "how exactly is not known" in guessed.reason
+
+
 def test_what_is_held_at_a_bound_teaches_no_rate_and_is_forecast_to_stay_there(clock):
     model = rover()
     model.attributes["energy"].changes(-0.01, while_="explore", learns=True)
