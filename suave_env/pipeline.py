@@ -3,9 +3,6 @@
 import math
 from itertools import pairwise
 
-import numpy as np
-from numpy.typing import NDArray
-
 from suave_env.settings import Settings
 
 SEABED_Z_M = -20.0
@@ -23,7 +20,7 @@ class Pipeline:
     Every edge between two pipe origins is divided in 20 equal steps, of which the end points are kept.
 
     Attributes:
-        points: The points [m], (100, 2), world frame ENU; read only.
+        points: The points (x, y) [m], world frame ENU.
         z: Height of the points for the detection [m], world frame z up.
     """
 
@@ -31,11 +28,9 @@ class Pipeline:
         self.z = SEABED_Z_M + settings.pipe_point_offset_m
         shares = [step / _STEPS_PER_EDGE for step in range(1, _STEPS_PER_EDGE + 1)]
         edges = pairwise(_turned(settings.pipe_turn_rad, (settings.start_x_m, settings.start_y_m)))
-        self._xy = tuple((x + k * (to_x - x), y + k * (to_y - y)) for (x, y), (to_x, to_y) in edges for k in shares)
-        self._north = max(y for _, y in self._xy)
+        self.points = tuple((x + k * (to_x - x), y + k * (to_y - y)) for (x, y), (to_x, to_y) in edges for k in shares)
+        self._north = max(y for _, y in self.points)
         self._tangent = math.tan(settings.half_view_angle_rad)
-        self.points: NDArray[np.float64] = np.array(self._xy)
-        self.points.flags.writeable = False
 
     def first_visible(self, x: float, y: float, z: float, visibility: float) -> int | None:
         """Return the smallest index of a point that the camera sees.
@@ -51,7 +46,7 @@ class Pipeline:
         half = height * self._tangent
         if height > visibility or y - self._north > half:  # all of it lies south: the usual case ends here
             return None
-        for index, (px, py) in enumerate(self._xy):
+        for index, (px, py) in enumerate(self.points):
             if abs(px - x) <= half and abs(py - y) <= half:
                 return index
         return None
@@ -61,7 +56,7 @@ class Pipeline:
 
         From that point to the far end, then all of them back to the near end, the far end twice (kas-lab/suave v1.3.0).
         """
-        return self._xy[index:] + self._xy[::-1]
+        return self.points[index:] + self.points[::-1]
 
 
 def _turned(angle: float, centre: tuple[float, float]) -> list[tuple[float, float]]:

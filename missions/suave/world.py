@@ -92,7 +92,7 @@ class Sea(World):
         return self._env.disturbances
 
     def scenery(self) -> Mapping[str, Any]:
-        return {"pipeline": self._env.pipeline.points[:, :2], "recharge station": [self._env.station[:2]]}
+        return {"pipeline": self._env.pipeline.points, "recharge station": [self._env.station[:2]]}
 
 
 class _SeaKind(WorldKind):
