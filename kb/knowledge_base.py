@@ -641,7 +641,7 @@ class KnowledgeBase:
         return self._store is not None and self._store.flush(timeout)
 
     def close(self) -> None:
-        """Save what is left and give the store back: it can still be asked, but not told; see `flush`."""
+        """Save what is left and give the store back: what memory holds can be asked, nothing more told; see `flush`."""
         with self._lock:
             self._is_closed = self._store is not None
         if self._world is not None:

@@ -73,7 +73,6 @@ class Store:
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
         self._ends_itself, self._owner = False, os.getpid()
-        self._past: list[Event] = []
         self._thread: threading.Thread | None = None
         self._knowledge: Knowledge
         self._lock: AbstractContextManager[object] = threading.RLock()
@@ -119,14 +118,11 @@ class Store:
     def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
         """Return the events in the file after one, at most so many, with the measurements that are kept or without.
 
-        Once it is closed, none but the newest measurements are there, which the state holds.
+        Once it is closed nothing is read from it: what is held in memory is all that can be asked.
         """
         self.check_owner()
         with self.using, _blamed(self.path):
-            if self._closing:
-                past = [event for event in self._past if event.number > after]
-                return past[:most] if most >= 0 else past
-            return self._events(after, "" if measurements else "AND verb <> 'measure'", most)
+            return [] if self._closing else self._events(after, "" if measurements else "AND verb <> 'measure'", most)
 
     def check(self) -> int:
         """Check all of it; returns how many events it holds, or raises StoreError."""
@@ -235,8 +231,6 @@ class Store:
             raise store_file.StoreError(f"{self.error}. {unsaved} events are lost; what is in the file is sound")
 
     def _end(self) -> None:
-        with suppress(store_file.StoreError):
-            self._past = self.events(measurements=False)
         with self.using, suppress(sqlite3.Error):
             if self._mark >= 0 and self.error is None:
                 self._live(is_open=False)
