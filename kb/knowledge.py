@@ -506,7 +506,8 @@ class Knowledge:
         def by_ref(values: Iterable[tuple[int, Any]]) -> list[tuple[Ref, Any]]:
             return [(here[index], value) for index, value in values if index in here]
 
-        columns, reasons, remembered = self.state.columns, self.state.reasons.items(), self.measurements
+        columns, remembered = self.state.columns, self.measurements
+        reasons = [(key, one) for key, one in self.state.reasons.items() if one != Reason()]
         return {
             "facts": {
                 name: by_ref((index, value) for index, value in enumerate(columns[name]) if value != unset)

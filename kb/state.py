@@ -274,10 +274,7 @@ class State:
         return self.reasons.get((column, node.index), _UNSAID)
 
     def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        if text or until is not None:
-            self.reasons[column, node.index] = Reason(text, until)
-        else:
-            self.reasons.pop((column, node.index), None)
+        self.reasons[column, node.index] = Reason(text, until)
 
 
 class Overlay(State):
@@ -305,9 +302,6 @@ class Overlay(State):
         found = self.reasons.get((column, node.index))
         return self._below.reason(column, node) if found is None else found
 
-    def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        self.reasons[column, node.index] = Reason(text, until)
-
     def is_on(self, below: State) -> bool:
         return self._below is below
 
@@ -323,11 +317,7 @@ class Overlay(State):
                 column = layer.below
                 for index, value in layer.items():
                     column[index] = value
-        for key, reason in self.reasons.items():
-            if reason == _UNSAID:
-                below.reasons.pop(key, None)
-            else:
-                below.reasons[key] = reason
+        below.reasons.update(self.reasons)
         for marked in self.marks:
             marked.put_in_place()
 
