@@ -28,6 +28,7 @@ _LOOKS, _HALVINGS = 128, 24
 """At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
 _At = Callable[[float], Expected | None]
+_Slopes = tuple[dict[str, float], set[str]]  # by action [1/s], and those of which nothing was learned yet
 
 
 class Forecast(NamedTuple):
@@ -172,8 +173,8 @@ class Forecaster:
             past = series.between(series.times[max(0, place - _MOST_SAMPLES)], series.times[place])
             key = node.index, begins, past.times[-1], past.values[-1]
             if is_stated:
-                slopes, guessed = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
-                return _rated(node, slopes, guessed, past, deeds, doing if place == last else None)
+                rates = self._once((*key, element.rates), lambda: _slopes(element, past, deeds))
+                return _rated(node, rates, past, deeds, doing if place == last else None)
             if function is not None:
                 return by_function(function, past)
             made: Curve | None = self._once((*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead))
@@ -267,11 +268,8 @@ def _constraints(node: Node) -> Iterator[Node]:
         yield from _constraints(part)
 
 
-def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> tuple[dict[str, float], frozenset[str]]:
-    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s].
-
-    And those of which nothing was learned yet.
-    """
+def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> _Slopes:
+    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s]."""
     slopes, guessed = {rate.while_: rate.per_s for rate in element.rates}, set[str]()
     for name in [rate.while_ for rate in element.rates if rate.learns]:
         alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
@@ -281,19 +279,12 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> tuple[dict[str, 
             guessed.add(name)
         else:
             slopes[name] = learned
-    return slopes, frozenset(guessed)
+    return slopes, guessed
 
 
-def _rated(
-    node: Node,
-    slopes: dict[str, float],
-    guessed: frozenset[str],
-    past: Series,
-    deeds: _Deeds,
-    doing: frozenset[str] | None,
-) -> Curve:
+def _rated(node: Node, rates: _Slopes, past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
     """Go on with rates while something is done all the time, or else, in the past, while what was done then is."""
-    time, value = past.times[-1], past.values[-1]
+    (slopes, guessed), time, value = rates, past.times[-1], past.values[-1]
     if doing is not None:
         applying = [name for name in slopes if not name or name in doing]
         names = ", ".join(filter(None, applying))
