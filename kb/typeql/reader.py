@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 
 from kb import elements, facts
 from kb.elements import Attribute, Component, Configuration, Constraint, Element, Expression, Parameter, finite_number
-from kb.exceptions import InvalidValue, UnknownName
+from kb.exceptions import UnknownName
 from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
@@ -29,6 +29,12 @@ _STATED: Final = frozenset({"name", "status", "required", "selected", "active", 
 """The attributes of elements that say what is so from the start, and its name."""
 _SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
 """What is written for a comparison by mistake, and what is meant."""
+_FLAGS: Final[Mapping[str, Callable[[Any], facts.Fact]]] = {
+    "required": facts.RequiredFact,
+    "selected": facts.SelectedFact,
+    "active": lambda component: facts.ActiveFact(component.name),
+}
+"""What is so of an element of which it is said that it is."""
 _RESULTS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
     **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
@@ -179,29 +185,20 @@ class _Reading:
         for thing in self.store.of("reconfiguration-plan"):
             yield thing.order, self._plan(thing), thing.place
 
-    def _stated(self, thing: Thing, element: Element | Constraint, own: Own) -> facts.Fact | None:
+    def _stated(self, thing: Thing, element: Any, own: Own) -> facts.Fact | None:  # noqa: ANN401  # what has such a field
         name = own.field.name if own.field else ""
-        if name == "status":
-            status = self._status(thing, element, own)
-            return facts.StatusFact(element, status) if status else None
-        if name == "pid" and isinstance(element, Component):
+        if name == "pid":
             return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
-        if own.value is not True:
+        if name in _FLAGS:
+            return _FLAGS[name](element) if own.value is True else None
+        if name != "status":
             return None
-        if name == "required" and isinstance(element, elements.Action | elements.Function | Component):
-            return facts.RequiredFact(element)
-        if name == "selected" and isinstance(element, elements.FunctionDesign | Configuration):
-            return facts.SelectedFact(element)
-        return facts.ActiveFact(element.name) if name == "active" and isinstance(element, Component) else None
-
-    def _status(self, thing: Thing, element: Element | Constraint, own: Own) -> Status | None:
-        """Return the status that is meant; a word that is none is noted, for others load such files as well."""
         word = " ".join(str(own.value).replace("_", " ").replace("-", " ").lower().split())
         known = STATUSES[elements.KINDS[type(element)]]
         if word in known:
-            return Status(word)
+            return facts.StatusFact(element, Status(word))
         unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
-        self.store.note(own.place, f"{unknown}; not asserted")
+        self.store.note(own.place, f"{unknown}; not asserted")  # others load such files as well
         return None
 
     def _measurements(self) -> Iterator[Stated]:
@@ -295,14 +292,10 @@ def _preference(thing: Thing) -> dict[str, float] | None:
     if own is None:
         return dict.fromkeys(names, 1.0) or None
     try:
-        weights = json.loads(str(own.value))
-        if len(weights) != len(names):
-            raise InvalidValue("one weight per attribute is needed")
-        for weight in weights:
-            finite_number(weight)
+        weights = map(finite_number, json.loads(str(own.value)))
+        return dict(zip(names, weights, strict=True))
     except (ValueError, TypeError, RecursionError) as error:
         raise own.place.error(f"{own.value!r:.60} is no list of weights for {len(names)} attributes: {error}") from None
-    return dict(zip(names, weights, strict=True))
 
 
 def _parameters(configuration: Thing) -> dict[str, Parameter]:
