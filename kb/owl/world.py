@@ -33,11 +33,8 @@ from kb.owl.individuals import (
     named_id,
 )
 from kb.owl.worker import Answer, Worker, give_back, stopped, take
-from kb.records import Attempt, Process, ReconfigurationPlan, RequiredAction, VetoAnswer
 from kb.state import State
 from kb.store import Store
-
-Record = RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer
 
 _CLASSES: Final[Mapping[str, type]] = {kind: cls for cls, kind in KINDS.items()}
 _PRESENT: Final[Mapping[str, str]] = {
@@ -197,9 +194,8 @@ class _Chronicle:
         self._count = count(1)
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
-        self._ids: dict[int, str] = {}
-        self._records: dict[tuple[str, int], Record] = {}
-        self._unended: dict[tuple[str, int], Record] = {}
+        self._ids: dict[tuple[str, int], str] = {}
+        self._is_over: dict[tuple[str, int], bool] = {}
 
     def measurement(self, attribute: str, value: float, time: float) -> Individual:
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
@@ -318,27 +314,21 @@ class _Chronicle:
     # ---------------------------------------------------------------- records
 
     def of_records(self) -> list[Individual]:
-        """Return the records that are new, and the ends of those that have ended."""
+        """Return the records that are new, or have ended since they were told; these say again what they said."""
         records, found = self._known.records, list[Individual]()
         tables: Any = records.requests, records.plans, records.processes, records.attempts, records.answers
+        plans = {id(plan): number for number, plan in records.plans.items()}
         for word, table in zip(_RECORDS, tables, strict=True):
             for number, record in table.items():
-                if (word, number) not in self._records:
-                    self._records[word, number] = self._unended[word, number] = record
-                    found += self._recorded(word, record)
-        for key, record in list(self._unended.items()):
-            if not isinstance(record, VetoAnswer) and record.end is not None:
-                del self._unended[key]
-                said = {name: getattr(record, name, None) for name in _ENDS}
-                found += described("", self._ids[id(record)], said, self._known.serials)
+                is_over = getattr(record, "end", 0.0) is not None
+                if self._is_over.get((word, number)) is not is_over:
+                    self._is_over[word, number] = is_over
+                    own = self._ids[word, number] = self._ids.get((word, number)) or self._next()
+                    said = {name: getattr(record, name, None) for name in (*_RECORDS[word], *_ENDS)}
+                    if (plan := plans.get(id(getattr(record, "plan", None)))) is not None:
+                        said["of_plan"] = Ref(self._ids["ReconfigurationPlan", plan])
+                    found += described(word, own, said, self._known.serials, type(record))
         return found
-
-    def _recorded(self, word: str, record: Record) -> Iterator[Individual]:
-        own = self._ids[id(record)] = self._next()
-        plan = self._ids.get(id(getattr(record, "plan", None)))
-        said = {name: getattr(record, name) for name in _RECORDS[word]}
-        of = {} if plan is None else {"of_plan": Ref(plan)}
-        return described(word, own, {**said, **of}, self._known.serials, type(record))
 
     def _next(self) -> str:
         return f"{STATED}.{next(self._count)}"
