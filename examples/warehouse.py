@@ -17,7 +17,7 @@ from missions.baselines import open_run
 from missions.engine.components import NamedComponents, SimulatedComponents
 from missions.engine.mission import Condition, Message, Mission, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.recording import failed, measured, sensed
-from missions.engine.settings import Constants, setting
+from missions.engine.settings import Constants, declared, setting
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 
@@ -232,7 +232,7 @@ class WarehouseKind(WorldKind):
 
     def settings(self) -> tuple[Setting, ...]:
         """List what can be set."""
-        return Settings.describe()
+        return declared(Settings)
 
     def open(self, values: Mapping[str, str], rng: Generator) -> Warehouse:
         """Open it with these settings."""
