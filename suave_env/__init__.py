@@ -20,3 +20,7 @@ def __getattr__(name: str) -> object:
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"suave_env.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__
