@@ -58,7 +58,7 @@ def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[N
         if node.kind == "constraint":
             return ()
         if node.kind in ("function", "component"):
-            return state.users(node)
+            return state.users[node.index]
     return node.wholes
 
 
@@ -69,7 +69,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
         if required != state.required[node.index]:
             state.required[node.index] = required
             for function in node.parts:
-                _touch(state, function, agenda)
+                _use(state, function, node, required, agenda)
     elif node.kind in ("function", "component"):
         _require(state, node)
         if node.kind == "component":
@@ -79,36 +79,49 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
         _touch(state, node.wholes[0], agenda)
         state.obsolete.mark(node, selected and not state.required[node.wholes[0].index])
         for component in node.parts:
-            _touch(state, component, agenda)
+            _use(state, component, node, selected, agenda)
     elif node.kind == "configuration":
         agenda[node.wholes[0].level][node.wholes[0]] = None  # which one is selected matters to its component
         _mark_configuration(state, node)
 
 
+def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> None:
+    state.users.mark(part.index, user, uses)
+    _touch(state, part, agenda)
+
+
 def _require(state: State, node: Node) -> None:
-    """Bring up to date whether a function or component is required, and what a function makes obsolete."""
-    required = state.asserted_required[node.index] or bool(state.users(node))
+    """Bring up to date whether a function or component is required, and whom a function serves."""
+    required = state.asserted_required[node.index] or bool(state.users[node.index])
     if required == state.required[node.index]:
         return
     state.required[node.index] = required
     if node.kind == "function":
         for design in node.parts:
-            state.obsolete.mark(design, state.selected[design.index] and not required)
-            for component in design.parts:
-                _mark_component(state, component)
-                for configuration in component.parts:
-                    _mark_configuration(state, configuration)
+            _serve(state, design, required)
+
+
+def _serve(state: State, design: Node, required: bool) -> None:
+    """Count a design of a function that has become required among those that its components serve, or no longer."""
+    state.obsolete.mark(design, state.selected[design.index] and not required)
+    for component in design.parts:
+        before = state.served[component.index]
+        state.served[component.index] = after = before + (1 if required else -1)
+        if not before or not after:
+            _mark_component(state, component)
+            for configuration in component.parts:
+                _mark_configuration(state, configuration)
 
 
 def _mark_component(state: State, component: Node) -> None:
     index = component.index
     state.lacking.mark(component, state.required[index] and not state.active[index])
-    state.obsolete.mark(component, state.active[index] and not state.is_served(component))
+    state.obsolete.mark(component, state.active[index] and not state.served[index])
 
 
 def _mark_configuration(state: State, configuration: Node) -> None:
     selected = state.selected[configuration.index]
-    state.obsolete.mark(configuration, selected and not state.is_served(configuration.wholes[0]))
+    state.obsolete.mark(configuration, selected and not state.served[configuration.wholes[0].index])
 
 
 def is_adaptable(state: State, node: Node) -> bool:

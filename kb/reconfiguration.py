@@ -59,7 +59,7 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
         part
         for design in replaced
         for part in design.parts
-        if not any(state.required[user.wholes[0].index] for user in state.users(part))
+        if not any(state.required[user.wholes[0].index] for user in state.users[part.index])
     ]
     return Selection(
         activate=_names(_lacking(state)),
@@ -100,7 +100,7 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
 
 def _lacking(state: State) -> list[Node]:
     lacking = state.lacking.nodes()
-    users = {user.index: user for component in lacking for user in state.users(component)}
+    users = {user.index: user for component in lacking for user in state.users[component.index]}
     designs = [users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]]
     inactive = (part for design in designs for part in design.parts if not state.active[part.index])
     return list(dict.fromkeys(inactive))

@@ -102,6 +102,33 @@ class Marked:
         yield from (node for node in below if node not in self._own)
 
 
+_NOBODY: Final = Marked()
+
+
+class Users(dict[int, Marked]):
+    """Who uses each node: of a function its required actions, of a component its selected designs."""
+
+    __slots__ = ("_below",)
+
+    def __init__(self, below: "Users | None" = None) -> None:
+        self._below = below
+
+    def __missing__(self, index: int) -> Marked:
+        return _NOBODY if self._below is None else self._below[index]
+
+    def mark(self, index: int, user: Node, uses: bool) -> None:
+        self.of(index).mark(user, uses)
+
+    def of(self, index: int) -> Marked:
+        if index not in self:
+            self[index] = Marked(None if self._below is None else self._below.of(index))
+        return self[index]
+
+    def put_in_place(self) -> None:
+        for users in self.values():
+            users.put_in_place()
+
+
 class History:
     """The measurements of one attribute, by time, 16 bytes each; the newest, and at most twice as many as wanted.
 
@@ -176,7 +203,7 @@ FACTS: Final[Mapping[str, object]] = {
 }
 """The arrays of base facts, and what is in them where nothing is known."""
 
-_INFERRED: Final[Mapping[str, object]] = {"required": False, "status": Status.FEASIBLE}
+_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
 
 
 def unset(node: Node) -> Status:
@@ -201,7 +228,9 @@ class State:
         reasons: what was said of a fact: by name of its array, and index.
         parameters: which a component was last given, by its name.
         histories: every measurement of an attribute, by its index.
+        users: inferred: what requires it: of a function its required actions, of a component its selected designs.
         required: inferred: an open required action, a function of one, a component of a selected design.
+        served: inferred: how many designs, selected or not, of required functions a component is in.
         status: inferred, exactly one for each element.
         adaptable: inferred: the functions and components to choose for, or to choose better for.
         obsolete: inferred: the active components and selected designs and configurations of no required function.
@@ -221,6 +250,7 @@ class State:
     asserted: Array[Status | None]
     asserted_required: Array[bool]
     required: Array[bool]
+    served: Array[int]
     status: Array[Status]
 
     def __init__(self, network: Network) -> None:
@@ -231,23 +261,14 @@ class State:
         self.reasons: dict[tuple[str, int], Reason] = {}
         self.parameters: dict[str, Parameters] = {}
         self.histories: dict[int, History] = {}
-        self.adaptable, self.obsolete, self.lacking = Marked(), Marked(), Marked()
+        self.users, self.adaptable, self.obsolete, self.lacking = Users(), Marked(), Marked(), Marked()
         self.visited = self.version = 0
         self.grow()
 
     @property
-    def marks(self) -> tuple[Marked, ...]:
+    def marks(self) -> "tuple[Users | Marked, ...]":
         """The sets of nodes that are inferred."""
-        return self.adaptable, self.obsolete, self.lacking
-
-    def users(self, node: Node) -> list[Node]:
-        """Return who uses a node: of a function its required actions, of a component its selected designs."""
-        uses = self.required if node.kind == "function" else self.selected
-        return [whole for whole in node.wholes if uses[whole.index]]
-
-    def is_served(self, component: Node) -> bool:
-        """Tell whether a component is in a design, selected or not, of a required function."""
-        return any(self.required[design.wholes[0].index] for design in component.wholes)
+        return self.users, self.adaptable, self.obsolete, self.lacking
 
     def grow(self) -> None:
         count = len(self.network.nodes)
@@ -266,7 +287,7 @@ class State:
     def forget_inferred(self) -> None:
         for node in self.network.present():
             index = node.index
-            self.required[index], self.status[index] = False, unset(node)
+            self.required[index], self.served[index], self.status[index] = False, 0, unset(node)
         for marked in self.marks:
             marked.clear()
 
@@ -294,7 +315,8 @@ class Overlay(State):
         self.reasons = {}
         self.parameters = below.parameters
         self.histories = below.histories
-        self.adaptable, self.obsolete, self.lacking = map(Marked, below.marks)
+        self.users, self.adaptable = Users(below.users), Marked(below.adaptable)
+        self.obsolete, self.lacking = Marked(below.obsolete), Marked(below.lacking)
         self.visited = 0
         self.version = below.version
 

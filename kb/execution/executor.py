@@ -250,7 +250,7 @@ class StagedExecutor:
             kb.assert_selected(design.element, False)
         with kb.reading() as state:
             known = _known(state, started).items()
-            idle = [name for name, one in known if state.active[one.index] and not state.users(one)]
+            idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
             return self._commands(kb, state, plan, "deactivate", [*unsure, *idle])
 
 

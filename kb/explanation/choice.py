@@ -141,7 +141,7 @@ class _Chooser:
         return advantage
 
     def _is_useless(self) -> bool:
-        return self.node.kind == "component" and not self.following.is_served(self.node)
+        return self.node.kind == "component" and not self.following.served[self.node.index]
 
     def _advantage(self, chosen: Node) -> str:
         what, priority = _PARTS[self.node.kind], chosen.element.priority

@@ -381,7 +381,7 @@ def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) 
     anew = {node.wholes[0] for node in chosen} if state.lacking else set()
     sentences, others = [], []
     for component in state.lacking.nodes():
-        stay = (one for one in state.users(component) if one in chosen or one.wholes[0] not in anew)
+        stay = (one for one in state.users[component.index] if one in chosen or one.wholes[0] not in anew)
         if any(state.required[one.wholes[0].index] for one in stay):
             needed = f"needed by {_needed_by(state, component, ())}"
             text = state.reason("active", component).text
@@ -400,10 +400,10 @@ def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
     """Name the required actions for which a function or component is wanted, now or by designs about to be chosen."""
     functions: Iterable[Node] = (node,)
     if node.kind == "component":
-        functions = (design.wholes[0] for design in chain(state.users(node), about))
+        functions = (design.wholes[0] for design in chain(state.users[node.index], about))
     named: dict[str, None] = {}
     for function in functions:
-        for action in state.users(function):
+        for action in state.users[function.index]:
             named["others" if len(named) == _MOST and action.name not in named else action.name] = None
             if len(named) > _MOST:
                 return ", ".join(named)

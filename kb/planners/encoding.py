@@ -194,7 +194,7 @@ class _Encoder:
         cost, to_switch = self._costs[node], self._cost_to_switch(node)
         active, asserted = state.active[node.index], state.asserted_required[node.index]
         selected = [one for one in node.parts if state.selected[one.index]]
-        given_up = any(self._designs.get(design.wholes[0]) for design in state.users(node))
+        given_up = any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
         stays = active and not given_up  # even if nothing needs it: a plan stops what it replaces, and what is obsolete
         running = self._effect(node) if active else self._effect(node).costing(to_switch)
         options = [

@@ -338,7 +338,7 @@ class _Facts(tuple[Any, ...]):
     """The facts of a knowledge base, and beside them what follows from these."""
 
     columns: Items[tuple[Any, ...]]
-    marks: Items[Items[int]]
+    marks: Items[tuple[int, Items[int]]]
 
 
 def _facts(known: Knowledge, memory: Memory) -> _Cell:
@@ -355,7 +355,8 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         now = _Facts((*map(tuple, facts), *others))
         found: _Facts = memory.pooled(now)
         if found is now:
-            now.marks = [[node.index for node in marked] for marked in state.marks]
+            every = [(-3, state.lacking), (-2, state.obsolete), (-1, state.adaptable), *state.users.items()]
+            now.marks = [(place, [node.index for node in marked]) for place, marked in every if marked]
             now.columns = [tuple(one) for one in inferred]
         return found
 
@@ -373,8 +374,10 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
             table.update(held)
         if memory.with_parameters:
             memory.refill(state.parameters, given)
-        for marked, nodes in zip(state.marks, content.marks, strict=True):
-            marked.clear()
+        for inference in state.marks:
+            inference.clear()
+        for place, nodes in content.marks:
+            marked = state.users.of(place) if place >= 0 else (state.lacking, state.obsolete, state.adaptable)[place]
             for index in nodes:
                 marked.mark(state.network.nodes[index], True)
 
