@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import mkdtemp
-from threading import RLock, Thread
+from threading import RLock
 from types import MappingProxyType
 from typing import Any, Final
 from urllib.parse import quote
@@ -65,14 +65,19 @@ class Program:
     steady: float = 60.0
 
     def __post_init__(self) -> None:
-        if isinstance(self.arguments, str) or not self.arguments:
+        if isinstance(self.arguments, str) or not isinstance(self.arguments, Sequence) or not self.arguments:
             raise InvalidValue(
                 f'arguments are a list that begins with the executable, e.g. ["node", "--quiet"], not '
                 f"{self.arguments!r}; no shell takes them apart"
             )
+        if not isinstance(self.environment, Mapping):
+            raise InvalidValue(f"an environment is a mapping of text to text, not {self.environment!r}")
         for text in (*self.arguments, *self.environment, *self.environment.values()):
             if not isinstance(text, str) or "\0" in text:
                 raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
+        for name in self.environment:
+            if not name or "=" in name:
+                raise InvalidValue(f"{name!r} cannot be the name of a variable: it is not empty and has no '='")
         if type(self.restarts) is not int or self.restarts < 0:
             raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
         for what in ("grace", "back_off", "steady"):
@@ -86,7 +91,7 @@ class Program:
         if not directory.is_dir():
             raise InvalidValue(f"there is no working directory {str(directory)!r}; create it or name another")
         path = self.environment.get("PATH", os.environ.get("PATH"))
-        if shutil.which(directory / name if os.sep in name else name, path=path) is None:
+        if shutil.which(directory.absolute() / name if os.sep in name else name, path=path) is None:
             raise InvalidValue(f"no executable {name!r} is found; install it, correct the path, or chmod +x it")
 
     def command(self, parameters: Parameters) -> list[str]:
@@ -165,7 +170,7 @@ class ProcessComponents:
         }
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
-        self._tidiers: dict[str, Thread] = {}
+        self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
         self._observed: KnowledgeBase | None = None
         self._owner = os.getpid()
         self._is_open = True
@@ -180,7 +185,7 @@ class ProcessComponents:
             if self._guardian is not None and self._guardian.poll() is not None:
                 _dismiss(self._guardian, self._grace)
                 self._guardian = None
-            self._guardian = self._guardian or _guard(self._mark, self._grace)
+            self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
             return _Switch(handle, self._lock, self._mark)
 
     def deactivate(self, component: str) -> "_Switch":
@@ -238,10 +243,9 @@ class ProcessComponents:
                 left = [handle for handle in left if not handle.stop(kill=is_over)]
                 if left:
                     time.sleep(0.01)
-            if self._guardian is not None:
-                _dismiss(self._guardian, self._grace)
-            for one in self._tidiers.values():
-                one.join(self._grace + _TO_DIE_S)
+            for one in (self._guardian, *self._tidiers.values()):
+                if one is not None:
+                    _dismiss(one, self._grace)
             for handle in self._handles.values():
                 handle.output.catch_up()
             if self._private is not None:
@@ -290,8 +294,7 @@ class ProcessComponents:
             self._handles[component].predecessors[pid] = guardian.started(pid)
             if self._is_open and mark not in self._tidiers:
                 _log.warning("the process of %s, %d, was left over and is ended", component, pid)
-                self._tidiers[mark] = Thread(target=guardian.end, args=(mark, self._grace), daemon=True)
-                self._tidiers[mark].start()
+                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # nobody's number: it begins at once
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
@@ -468,9 +471,9 @@ class _Switch:
             return KnowledgeBaseError(text) if pid == self.pid else None
 
 
-def _guard(mark: str, grace: float) -> subprocess.Popen[bytes]:
+def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-I", "-S", guardian.__file__, mark, str(grace), str(os.getpid())],
+        [sys.executable, "-I", "-S", guardian.__file__, mark, str(grace), str(parent)],
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -62,10 +62,10 @@ def main(mark: str, grace: str, parent: str) -> None:
         readable, _, _ = select.select([0], [], [], 0.2)
         if readable and not os.read(0, 1):
             break
-    end(mark, float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
+    _end(mark, float(grace), 0.0 if os.getppid() == int(parent) else _SURE_S)
 
 
-def end(mark: str, grace: float, sure: float = _SURE_S) -> None:
+def _end(mark: str, grace: float, sure: float) -> None:
     """End what carries a mark, by force after a grace [s], until nothing was seen of it for as long as is sure [s]."""
     deadline = time.monotonic() + grace
     _send(signal.SIGTERM, _carriers(mark))

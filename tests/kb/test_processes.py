@@ -459,6 +459,37 @@ def test_nothing_is_left_behind_however_this_process_ends(ending, tmp_path):
             wait_for(lambda: not is_alive(pid), f"{pid} of {pids} is left behind")  # noqa: B023  # used at once
 
 
+FINDER = """
+import sys, time
+from kb import KnowledgeBase, Model
+from kb.processes import ProcessComponents
+from kb.processes.components import Program
+model = Model("rover")
+model.component("camera", kind="process")
+kb = KnowledgeBase(model)
+kb.component_started("camera", int(sys.argv[1]))
+ProcessComponents({"camera": Program([sys.executable], grace=0.5)}).observe(kb)
+print("found", flush=True)
+time.sleep(600)
+"""
+
+
+def test_what_was_left_over_is_ended_even_if_who_has_found_it_is_killed_meanwhile(tmp_path):
+    gone = [sys.executable, "-c", "from kb.processes.guardian import new_mark; print(new_mark(), end='')"]
+    mark = subprocess.run(gone, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    note, stubborn = tmp_path / "child", [sys.executable, "-c", STUBBORN, str(tmp_path / "child")]
+    with subprocess.Popen(stubborn, env={**os.environ, MARK: mark}) as left:
+        wait_for(note.exists)
+        command = [sys.executable, "-c", FINDER, str(left.pid)]
+        with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as finder:
+            assert finder.stdout.readline() == "found\n"
+            finder.kill()
+        try:
+            wait_for(lambda: not is_alive(left.pid) and not is_alive(int(note.read_text())), "it is left behind")
+        finally:
+            left.kill()
+
+
 def test_what_is_closed_starts_nothing_any_more():
     processes = ProcessComponents({"camera": python(SLEEP)})
     processes.activate("camera")
@@ -472,6 +503,16 @@ def test_what_is_closed_starts_nothing_any_more():
 # bad input
 
 
+def test_a_program_is_found_from_the_directory_in_which_it_is_run(tmp_path, monkeypatch):
+    (tmp_path / "run.sh").symlink_to(sys.executable)
+    (tmp_path / "sub").mkdir()
+    monkeypatch.chdir(tmp_path)
+    Program(["./run.sh"]).check()
+    Program(["../run.sh"], directory="sub").check()
+    with pytest.raises(InvalidValue, match=r"no executable '\./run.sh' is found"):
+        Program(["./run.sh"], directory="sub").check()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -483,10 +524,14 @@ def test_what_is_closed_starts_nothing_any_more():
         ({"arguments": [sys.executable], "directory": sys.executable}, "create it or name another"),
         ({"arguments": sys.executable}, "no shell takes them apart"),
         ({"arguments": []}, "begins with the executable"),
+        ({"arguments": 5}, "begins with the executable"),
+        ({"arguments": {sys.executable}}, "begins with the executable"),
         ({"arguments": [sys.executable, 3]}, "are text without null characters, not 3"),
         ({"arguments": [sys.executable, "a\0b"]}, "null characters"),
         ({"arguments": [sys.executable], "environment": {"RATE": 3}}, "variables are text"),
         ({"arguments": [sys.executable], "environment": {3: "x"}}, "variables are text"),
+        ({"arguments": [sys.executable], "environment": {"A=B": "x"}}, "has no '='"),
+        ({"arguments": [sys.executable], "environment": ["x"]}, "mapping of text to text"),
         ({"arguments": [sys.executable], "restarts": -1}, "whole number from 0"),
         ({"arguments": [sys.executable], "grace": float("nan")}, "finite number of seconds"),
         ({"arguments": [sys.executable], "back_off": "1"}, "finite number of seconds"),
