@@ -320,7 +320,9 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter
         known = [*elements.PARAMETER_TYPES.values(), *(f"{one}_array" for one in elements.PARAMETER_TYPES.values())]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
-        return [read(item) for item in _items(value)] if word.endswith("_array") else read(value)  # type: ignore[return-value]  # all of one type
+        if word.endswith("_array"):
+            return [read(item) for item in _items(value, str if "str" in word else object)]  # type: ignore[return-value]  # all of one type
+        return read(value)
     except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 
@@ -340,13 +342,13 @@ _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
 }
 
 
-def _items(value: Literal) -> list[object]:
-    """Return the items of a list, as Python or JSON write one; the texts in it may be without quotes."""
+def _items(value: Literal, of: type) -> list[object]:
+    """Return the items of a list, as Python or JSON write one; texts may be without quotes, and stay as written."""
     if not isinstance(value, str):
         return [value]
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
         items = ast.literal_eval(value.strip())
-        if isinstance(items, list):
+        if isinstance(items, list) and all(isinstance(item, of) for item in items):
             return items
     inner = re.fullmatch(r"\s*\[\s*([\s\S]*?)\s*\]\s*", value)
     if inner is None:

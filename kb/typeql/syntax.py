@@ -140,9 +140,18 @@ def _statement(first: Word | Players, *clauses: Word | Has | Players) -> Stateme
     return Statement(word, variable, isa, has, players)
 
 
+def _stated(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
+    for value in (has.value for one in statements for has in one.has):
+        if isinstance(value, Word):  # only queries that read ask for values, and these are refused where they say so
+            raise _Refused(value, f"`{value}` stands here; expected a value")
+    return statements
+
+
 def _value(word: Word) -> Literal:
     """Return what a written value stands for; a date without a zone is in UTC."""
     text = str(word)
+    if word.type == "ASKED":
+        return word
     if word.type == "STRING":
         return _ESCAPE.sub(_unescaped, text[1:-1])
     if word.type == "BOOLEAN":
@@ -172,9 +181,9 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "sub": lambda _, label: label,
     "plain": lambda *_: None,
     "rule": lambda *_: None,
-    "insert": lambda *statements: Insert(statements),
+    "insert": lambda *statements: Insert(_stated(statements)),
     "patterns": lambda *patterns: patterns,
-    "match": lambda patterns, insert: Insert(insert.statements, patterns),
+    "match": lambda patterns, insert: Insert(insert.statements, _stated(patterns)),
     "statement": _statement,
     "isa": lambda label: label,
     "has": lambda label, value: Has(label, _value(value)),

@@ -58,7 +58,7 @@ SYNTAX = {
 }
 READING = {
     "match $a isa Action; get $a;": "1:22: `get` reads.*KnowledgeBase.query",
-    "match $a isa Action, has name 'n'; fetch $n;": "1:36: `fetch` reads.*SPARQL",
+    "match $a isa Action, has name $n; fetch $n;": "1:35: `fetch` reads.*SPARQL",
     "match $a isa Action; delete $a isa Action;": "1:22: `delete` changes",
     "undefine Action sub entity;": "1:1: `undefine` changes",
 }

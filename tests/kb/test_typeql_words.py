@@ -155,6 +155,7 @@ def test_component_with_a_pid_is_a_process(load):
         ("'[]'", "long_array", []),
         ("'[true, False]'", "bool-array", [True, False]),
         ("'[teste, teste2]'", "string_array", ["teste", "teste2"]),
+        ("'[0.10, 0x10, True]'", "string_array", ["0.10", "0x10", "True"]),
         ('"[\'a\', \\"b\\"]"', "string[]", ["a", "b"]),
         ("'[\"a, b\"]'", "string_array", ["a, b"]),
         ("'3.0'", None, "3.0"),
