@@ -300,11 +300,12 @@ def read_trace(path: str | Path) -> Trace:
             if number > 1:
                 ticks.append(_tick_of(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
                 continue
-            if line["rosa_bt_trace"] != _VERSION:
-                raise ValueError(f"version {line['rosa_bt_trace']}; this program reads version {_VERSION}")
-            model = str(line["model"])
+            version, model = line["rosa_bt_trace"], str(line["model"])
         except Exception as error:  # whatever reading raises of a line that is not what it should be
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
+        if version != _VERSION:
+            how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
+            raise TraceError(f"{path} has version {version}; {how}")
     return Trace(model, tuple(ticks))
 
 

@@ -217,6 +217,7 @@ class TreeRunner:
 
     def put_off(self, until: float) -> float:
         """Leave out the ticks that are due before a time [s]; return when the one before the next would have been."""
+        self._ticks = max(self._ticks, int((until - self._start) / self._period) - 1)  # it may be rounded up
         while self.due < until:
             self._ticks += 1
         return self._start + (self._ticks - 1) * self._period

@@ -51,7 +51,8 @@ def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
     """Return what a behaviour of ours was told beside its name, as far as what makes it takes that."""
     names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
     if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
-        names = ("action", *(name for name in _NAMES[1:] if name in inspect.signature(maker).parameters))
+        taken = {*inspect.signature(maker).parameters, *node.input_ports()}
+        names = ("action", *(name for name in _NAMES[1:] if name in taken))
     said = {name: getattr(node, name, None) for name in names}
     said = {name: ";".join(one) if isinstance(one, tuple) else one for name, one in said.items()}
     return {name: "true" if one is True else str(one) for name, one in said.items() if one not in _UNSAID}
@@ -167,7 +168,7 @@ class _Writer:
     def _check_arguments(self, leaf: Behaviour) -> None:
         """Raise unless all that the constructor takes is written, or handed in by the registry."""
         known = {"name", "behaviour_class_name", *({"kb"} if self._registry is None else self._registry.bound)}
-        known |= set(_NAMES if isinstance(leaf, ActionBehaviour) else ())
+        known |= {name for name in _NAMES if hasattr(leaf, name)} if isinstance(leaf, ActionBehaviour) else set()
         if isinstance(leaf, PortsMixin) and not {**leaf.input_ports(), **leaf.output_ports()}.keys() <= known:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
         parameters = inspect.signature(type(leaf)).parameters.values()

@@ -213,12 +213,12 @@ def test_ticks_that_are_put_off_come_again_at_the_instants_of_their_period(perio
     runner = TreeRunner(Running("run"), clock=lambda: now[0], period=period)
     runner.tree.add_post_tick_handler(lambda tree: ticked.append(now[0]))
     runner.update()
-    for until in (3.4 * period, 7 * period, 7.01 * period, 1000 * period):
+    for until in (3.4 * period, 7 * period, 7.01 * period, 10**7 * period):  # far ones as quickly
         before = runner.put_off(until)
         assert before < until <= runner.due < until + period * (1 + 1e-9)
         assert runner.due == round(runner.due / period) * period
     now[0] = runner.due
     assert runner.update()
-    assert ticked == [0.0, 1000 * period]
+    assert ticked == [0.0, 10**7 * period]
     runner.put_off(0.0)
-    assert runner.due == 1001 * period  # what was done is not done again
+    assert runner.due == (10**7 + 1) * period  # what was done is not done again

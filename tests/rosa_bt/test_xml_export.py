@@ -38,6 +38,21 @@ class Scan(RosaAction):
         return Status.RUNNING
 
 
+class Zoom(Scan):
+    """Hands on what it is made with."""
+
+    def __init__(self, name, kb, action=None, **more):
+        super().__init__(name, kb, action, **more)
+
+
+class Remember(Zoom):
+    """Keeps what it was made with where nobody looks."""
+
+    def __init__(self, name, kb, action=None, memory=0):
+        super().__init__(name, kb, action)
+        self._kept = memory
+
+
 @pytest.mark.parametrize(
     ("tree", "written"),
     [
@@ -135,6 +150,10 @@ def test_actions_are_written_with_what_they_do():
     assert '<Scan name="do" action="scan" wait="true" timeout="2.5" />' in written
     again = load_xml(written, registry).child.node
     assert (again.wait, again.timeout) == (True, 2.5)
+    registry.register("Zoom", Zoom)
+    assert load_xml(export_xml(Zoom("in", kb, "scan", preference="light"), registry), registry).child.node.preference
+    with pytest.raises(ExportError, match="was made with memory"):
+        export_xml(Remember("in", kb, "scan", 3))
     with pytest.raises(ExportError, match="'do' names no action"):
         export_xml(Scan("do", kb), registry)
 
