@@ -11,7 +11,7 @@ from itertools import chain
 from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
-from rosa_pddl.exceptions import PddlError
+from rosa_pddl.exceptions import PddlError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, nodes_of
 from rosa_pddl.reader import build_domain
 from rosa_pddl.syntax import ANY, Node, Source, formula, listed, typed
@@ -109,6 +109,10 @@ class Declarations:
             _check(one)
         if not self.schemas:
             raise PddlError("no action is declared", self._place)
+        for name in problem.limits:
+            if name not in self._resources:
+                hint = nearest(name, self._resources)
+                raise PddlError(f"{name!r} is limited, but no action uses it up; {hint}", self._place)
         if not problem.goal:
             raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
 
@@ -147,13 +151,13 @@ class Declarations:
         return tuple(dict.fromkeys(name for one in self.schemas for name in one.uses))
 
     @property
-    def _objects(self) -> Mapping[str, str]:
-        return {**dict.fromkeys(self.rosa_actions, ACTION_TYPE), **self.problem.objects}
+    def _objects(self) -> Iterable[tuple[str, str]]:
+        return *dict.fromkeys(self.rosa_actions, ACTION_TYPE).items(), *self.problem.objects.items()
 
     def _listed_objects(self, *, constant: bool) -> Iterator[str]:
         """Yield the objects with their types: those that actions name are constants of the domain."""
         words = {word.lower for one in self.schemas for formula in _formulas(one) for word in nodes_of(formula)}
-        for name, kind in self._objects.items():
+        for name, kind in self._objects:
             yield from (name, "-", kind) if (name.lower() in words) is constant else ()
 
     def _domain_lists(self) -> Node:
@@ -191,7 +195,7 @@ class Declarations:
 
     def _signatures(self) -> tuple[list[Node], list[Node]]:
         """Return the predicates and the numbers, with the least types that fit all that they are used for."""
-        objects = {name.lower(): kind for name, kind in self._objects.items()}
+        objects = {name.lower(): kind for name, kind in self._objects}
         own = (FEASIBLE, *(f"{action}_action" for action in self.rosa_actions))
         predicates: dict[str, list[list[str]]] = {name.lower(): [[ACTION_TYPE]] for name in own}
         numbers: dict[str, list[list[str]]] = {}
@@ -285,6 +289,12 @@ def _check(schema: ActionSchema) -> None:
     if schema.duration_s is None and (schema.over_all or schema.end or schema.start_effects):
         message = "over_all, end and start_effects are for an action that takes time; state duration_s"
         raise PddlError(message, place)
+    for node in _formulas(schema):
+        when = " ".join(str(one) for one in node.children[:2]).lower()
+        if when in ("at start", "at end", "over all") and node.children[2:]:
+            raise PddlError(f"found {node}; say only {node.children[2]}, in start, over_all or end", place)
+        if any(word.lower == "total-cost" for word in nodes_of(node)):
+            raise PddlError(f"found {node}; state a cost as cost=...", place)
 
 
 def _parameters(schema: ActionSchema) -> Node:

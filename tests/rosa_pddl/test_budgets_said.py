@@ -129,7 +129,7 @@ def test_numbers_are_written_with_all_their_digits():
         (
             CROSS,
             replace(WALK, limits={"energy": 3}),
-            "found the unknown predicate 'energy_left', expected a declared one; nearest: energy_used",
+            "'energy' is limited, but no action uses it up; nearest: energy_used",
         ),
         (replace(CROSS, uses={"risk": -1}), WALK, "uses['risk'] is -1, expected a number that is not negative"),
         (
