@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import cached_property, lru_cache, partial
 from operator import mul
 from threading import Lock
@@ -265,19 +266,20 @@ class Grounded:
         start = (*task.start[:behind], *reversed(left), *task.start[behind:])
         return Task(task.sizes, start, task.goal, tuple(operations), *task[4:6], task.numbers + len(left), task.tests)
 
-    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, bool] | None:
+    def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
-        Last comes whether costs are as they are, or had to be rounded down.
+        Last comes by how much each step costs less there at most: costs may have to be rounded down.
         """
         fitted = self._fitted(problem)
         if fitted.tests or any(one.operation.tests or one.operation.changes for one in self._operators):
             raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
         ready = self._weighed(fitted.frozen, frozenset(problem.weights.items()))
-        costs, _ = whole(self._values_of([one.cost for one in ready], "costs", numbers))
-        dearest = max(costs, default=0)
+        exact = self._values_of([one.cost for one in ready], "costs", numbers)
+        costs, _ = whole(exact)
+        dearest, lost = max(costs, default=0), Fraction()
         if dearest > _MOST_COST:
-            costs = [cost * _MOST_COST // dearest for cost in costs]
+            costs, lost = [cost * _MOST_COST // dearest for cost in costs], Fraction(max(exact)) / _MOST_COST
         if not fitted.goal:
             return None
         rules = self._rules_of(fitted)
@@ -297,7 +299,7 @@ class Grounded:
             needs = [f"{variable} {value}\n" for variable, value in rule.needs]
             text += [f"begin_rule\n{len(needs)}\n", *needs, f"{rule.variable} 1 0\nend_rule\n"]
         is_blind = math.prod(map(float, sizes)) <= _FEW_STATES or self._is_conditional or rules
-        return "".join(text), "blind" if is_blind else "lmcut", dearest <= _MOST_COST
+        return "".join(text), "blind" if is_blind else "lmcut", lost
 
     # ------------------------------------------------------------ making
 
@@ -590,9 +592,10 @@ class Groundings:
         while not self._making.acquire(timeout=_LOOKS_S):
             go_on()
         try:
-            named, known = frozenset(changing), self._made.pop(domain, None)
+            named, known = frozenset(changing), self._made.get(domain)
             if known is None or not known.covers(problem.state) or not named <= known.base:
                 known = _grown(known, problem, named, go_on)
+            self._made.pop(domain, None)
             if len(self._made) >= _MOST_DOMAINS:
                 self._made.pop(next(iter(self._made)))
             self._made[domain] = known

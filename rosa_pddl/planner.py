@@ -1,5 +1,6 @@
 """The planner: several ways tried in order, each with its own budget; whatever happens, the outcome has a name."""
 
+import sys
 import threading
 import time
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from functools import cached_property
 from itertools import accumulate, product
 from math import inf
 
+from rosa_pddl import search
 from rosa_pddl.certificate import Certificate
 from rosa_pddl.domain import Domain, Step, fluents_in
 from rosa_pddl.engines import fast_downward
@@ -32,14 +34,11 @@ from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
-from rosa_pddl.search import NegativeCostError
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
 # What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
 _MOVES_IN_A_TICK = 1000
 _MOVES_FOR_AN_OPERATOR = 5
-# What the search in this process holds of each move that it has looked at [B].
-_BYTES_FOR_A_MOVE = 1000
 # A state of a large domain has tens of thousands of atoms: their number counts too.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
@@ -69,7 +68,7 @@ class Planner:
         safe_step: what to do while there is no plan, such as `(surface)`.
         warm: whether a task is tried that was translated before.
         moves: how many moves the search in this process may look at; 0 to leave it to other programs.
-        memory_mb: how much data each program, and the search in this process, may hold [MB].
+        memory_mb: how much data each program may hold [MB].
         cached: how many answers are remembered; 0 for none.
         certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
             the tick of the question.
@@ -207,10 +206,6 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
             f"planning ran out of wall-clock time, and going on would make the run depend on the machine: {tried}"
         )
     return result
-
-
-class _CapReached(Exception):
-    """The search looked at as many moves as it may, without an answer."""
 
 
 class PlanCache(dict[Hashable, PlanningResult]):
@@ -365,15 +360,12 @@ class _Portfolio:
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:
             if self._is_searched_here(task, engine):
-                with suppress(_CapReached):
+                with suppress(search.CapReached):
                     return self._exact(task, self._planner.moves)
             if engine == LABEL_SETTING:
-                return self._exact(task, self._planner.memory_bytes / _BYTES_FOR_A_MOVE, deadline)
+                return self._exact_elsewhere(task, deadline)
             return self._by_fast_downward(task, deadline, engine)
-        except _CapReached:
-            message = "the search ran out of memory; allow more or ask for less"
-            raise Trouble(Outcome.OUT_OF_MEMORY, message) from None
-        except NegativeCostError:
+        except search.NegativeCostError:
             message = "a step costs less than nothing in some state; costs are 0 or more"
             raise Trouble(Outcome.UNSUPPORTED, message) from None
         except UnreachableGoalError:
@@ -386,34 +378,40 @@ class _Portfolio:
         is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
         return (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
 
-    def _exact(self, grounded: Grounded, cap: float, deadline: float = inf) -> PlanningResult:
-        """Search; with a deadline without what is forecast, as the plan is judged by that."""
-        has_deadline, most = deadline < inf, cap / grounded.work
-        asked_for = replace(self._problem, until={}) if has_deadline else self._problem
-        graph, task = grounded.search_task(asked_for, self._numbers)
-        if has_deadline and (task.numbers or task.tests):
-            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
-
-        def go_on(looked_at: int) -> None:
-            if looked_at > most:
-                raise _CapReached
-            if has_deadline:
-                self._process.check()
-                if time.monotonic() > deadline:
-                    raise Trouble(Outcome.OUT_OF_TIME, "the search was not at its end; allow more time or ask for less")
-
-        found = graph.plan(task.start, task.limits, go_on)
+    def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
+        graph, task = grounded.search_task(self._problem, self._numbers)
+        found = graph.plan(task.start, task.limits, cap // grounded.work)
         if found is None:
-            limited = ", ".join(self._problem.domain.limited)
-            message = f"no plan keeps the limits of {limited}" if limited and graph.is_in_reach(task.start) else ""
-            return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
+            return self._unsolvable(graph, task)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
+
+    def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
+        """Search in a process of its own, which delays no tick and may be killed; without what is forecast."""
+        graph, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
+        if task.numbers or task.tests:
+            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
+        command = [sys.executable, "-I", "-S", search.__file__]
+        ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
+        kind, *numbers = ended.output.decode(errors="replace").split() or [""]
+        if kind == "plan":
+            return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
+        if kind == "none":
+            return self._unsolvable(graph, task)
+        if MemoryError.__name__ in ended.last_words:
+            raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
+        message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
+        raise Trouble(Outcome.ENGINE_CRASHED, message)
+
+    def _unsolvable(self, graph: search.TaskGraph, task: search.Task) -> PlanningResult:
+        limited = ", ".join(self._problem.domain.limited)
+        message = f"no plan keeps the limits of {limited}" if limited and graph.is_in_reach(task.start) else ""
+        return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
 
     def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> PlanningResult:
         written = grounded.written(self._problem, self._numbers)
         if written is None:
             return PlanningResult(Outcome.SOLVED_OPTIMALLY)
-        text, estimate, are_costs_exact = written
+        text, estimate, lost = written
         is_optimal = engine == "fast-downward-opt"
         # each line that is written wakes this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
@@ -425,8 +423,9 @@ class _Portfolio:
             steps = tuple([grounded.step(number) for number in found])
         except IndexError as error:
             raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
-        if is_optimal and not are_costs_exact:
-            return PlanningResult(Outcome.SOLVED, steps, message="costs too far apart for Fast Downward were rounded")
+        if is_optimal and lost:  # what this plan seems to cost there, no other costs less than
+            message = f"within {float(len(steps) * lost):.3g} of the least cost, as costs too far apart were rounded"
+            return PlanningResult(Outcome.SOLVED, steps, message=message)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY if is_optimal else Outcome.SOLVED, steps)
 
     def _checked(self, way: str, answer: PlanningResult) -> PlanningResult:

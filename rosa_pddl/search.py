@@ -2,12 +2,15 @@
 
 Label setting for resource-constrained shortest paths, after Desrochers and Soumis, "A generalized permanent labelling
 algorithm for the shortest path problem with time windows", INFOR 26, 1988. Without limits it is A*. All numbers are
-whole, so sums are exact and so are comparisons with a limit. Who asks says after how much work to stop, so that the
-same question can always have the same answer.
+whole, so sums are exact and so are comparisons with a limit. Work is capped by how many moves are looked at, never by
+the clock, so the same question always has the same answer. Run as a program it answers one task from its standard
+input; it imports nothing but the standard library.
 """
 
+import marshal
 import operator
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import reduce
 from heapq import heapify, heappop, heappush
@@ -23,9 +26,6 @@ Fact: TypeAlias = tuple[int, int]
 State: TypeAlias = "tuple[int, ...]"
 """The value of each variable, and behind them exact numbers."""
 
-GoOn: TypeAlias = Callable[[int], None]
-"""Is told every now and then how many moves were looked at, and may raise."""
-
 _COMPARED = {"<": operator.lt, "<=": operator.le, "=": operator.eq, "!=": operator.ne}
 _COMPUTED = {
     "+": operator.add,
@@ -39,6 +39,10 @@ _MOST_KNOWN = 200_000
 
 class NegativeCostError(Exception):
     """A step costs less than nothing in some state."""
+
+
+class CapReached(Exception):
+    """The search looked at as many moves as it may, without an answer."""
 
 
 class Move(NamedTuple, Generic[S, T]):
@@ -82,10 +86,10 @@ class _Label(NamedTuple, Generic[S, T]):
     spent: tuple[int, ...]
 
 
-def cheapest(
-    graph: Graph[S, T], start: S, limits: Sequence[float] = (), go_on: GoOn | None = None
-) -> Found[S, T] | None:
+def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: float = inf) -> Found[S, T] | None:
     """Find a way of least cost that uses up no more than the limits; None is a proof that there is none.
+
+    CapReached is raised where looking at as many moves as the cap gives no answer.
 
     Labels leave the queue by cost plus what is lacking at least. So those of a state leave it in order of cost, and a
     label is worth following only if it uses less of something than every one before it; the first at a goal is
@@ -131,8 +135,8 @@ def cheapest(
             latest[key] = compared
             pushed += 1
             heappush(queue, (cost + least, weight, pushed, _Label(label, move, to, reached), key))
-        if go_on is not None:
-            go_on(looked_at)
+        if looked_at > cap:
+            raise CapReached
     return None
 
 
@@ -263,11 +267,11 @@ class TaskGraph:
             for number in range(1 + len(task.limits))
         ]
 
-    def plan(self, start: State, limits: Sequence[int], go_on: GoOn | None = None) -> Found[State, int] | None:
+    def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
         """Return a plan of least cost within the limits, its moves named by operations; the rest is as `cheapest`."""
         if self._known > _MOST_KNOWN:
             self._moves, self._least, self._known = {}, {}, 0
-        return cheapest(self, self._closed(list(start)), limits, go_on)
+        return cheapest(self, self._closed(list(start)), limits, cap)
 
     def is_in_reach(self, start: State) -> bool:
         """Whether the goal is, as far as can be seen without searching, were nothing limited."""
@@ -435,3 +439,24 @@ def _left(arcs: Sequence[tuple[int, int, int]], wanted: int, size: int, amounts:
         least[one, two] = min(amounts[index], least.get((one, two), amounts[index]))
     far = distances([(one, two, takes) for (one, two), takes in least.items()], [wanted])
     return [far.get(value, inf) for value in range(size)]
+
+
+# ---------------------------------------------------------------- as a program
+
+
+def written(task: Task) -> bytes:
+    """Return a task as this program reads it."""
+    operations, rules = [tuple(one) for one in task.operations], [tuple(one) for one in task.rules]
+    return marshal.dumps((task.sizes, task.start, task.goal, operations, task.limits, rules))
+
+
+def _main() -> None:
+    sizes, start, goal, operations, limits, rules = marshal.load(sys.stdin.buffer)
+    operations = tuple([Operation(*one) for one in operations])
+    graph = TaskGraph(Task(sizes, start, goal, operations, limits, tuple([Rule(*one) for one in rules])))
+    found = graph.plan(start, limits)
+    print(*(["none"] if found is None else ["plan", *(move.what for move in found.moves)]))
+
+
+if __name__ == "__main__":
+    _main()

@@ -63,11 +63,6 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
     def satisfies(optimality_guarantee: engines.OptimalityGuarantee) -> bool:
         return True
 
-    @staticmethod
-    def get_credits(**_: object) -> engines.Credits:
-        summary = "Plans of least cost within limits of resources, by label setting."
-        return engines.Credits(LABEL_SETTING, "rosa-taca", "", "", "Apache-2.0", summary, summary)
-
     def _solve(
         self,
         problem: UpThing,

@@ -3,12 +3,14 @@
 from fractions import Fraction
 from itertools import product
 from math import inf
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rosa_pddl import Outcome, Planner, PlannerSettingError, Problem, flaw, initial_state, parse_domain
+from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.search import Operation, Task, TaskGraph
 from rosa_pddl.validate import ended, missing_at_start
 
@@ -205,7 +207,11 @@ def test_numbers_that_make_no_sense_are_told_by_name():
     assert "(effort bc) is needed but has no value; state '(= (effort bc) NUMBER)' in :init" in missing.message
 
 
-def test_a_search_that_is_late_or_too_large_is_ended_and_has_a_name():
+def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large_and_has_a_name(monkeypatch):
+    asked, ask = [], ProcessHandle.ask
+    monkeypatch.setattr(
+        ProcessHandle, "ask", lambda self, command, **given: asked.append(command[-1]) or ask(self, command, **given)
+    )
     names = [f"s{number}" for number in range(40)]
     actions = [f"(:action on_{one} :effect (and ({one}) (increase (used) {2**k})))" for k, one in enumerate(names)]
     domain = parse_domain(
@@ -219,6 +225,7 @@ def test_a_search_that_is_late_or_too_large_is_ended_and_has_a_name():
     assert late.outcome is Outcome.OUT_OF_TIME, late
     large = Planner("label-setting", timeout_s=300.0, warm=False, memory_mb=60).plan(problem)
     assert large.outcome is Outcome.OUT_OF_MEMORY, large
+    assert [Path(program).name for program in asked] == ["search.py", "search.py"]
 
 
 # ---------------------------------------------------------------- random domains
