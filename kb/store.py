@@ -69,6 +69,7 @@ class Store:
         self.is_new = model is not None and store_file.make(self.path, _declared(model))
         self._guard, self._mark = store_file.guarded(self.path), -1
         self.using = threading.Lock()
+        _IN_USE.add(self.using)
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
@@ -392,13 +393,14 @@ def _blamed(path: Path) -> Iterator[None]:
 
 HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
 """The locks of all knowledge bases."""
+_IN_USE: Final[WeakSet[Any]] = WeakSet()
+"""The locks of all files: SQLite has locks of its own, which a child would inherit as they are."""
 
 
 def _hold() -> None:
     """Have nothing half-done while a process is forked."""
-    for lock in tuple(HELD_OVER_FORKS):
-        lock.acquire()
-        _HELD.append(lock)
+    _HELD.extend(lock for lock in tuple(HELD_OVER_FORKS) if lock.acquire())
+    _HELD.extend(lock for lock in tuple(_IN_USE) if lock.acquire(timeout=1.0))
 
 
 def _let_go() -> None:

@@ -320,9 +320,7 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> Parameter
         known = [*elements.PARAMETER_TYPES.values(), *(f"{one}_array" for one in elements.PARAMETER_TYPES.values())]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
-        if word.endswith("_array"):
-            return [read(item) for item in _items(value, str if "str" in word else object)]  # type: ignore[return-value]  # all of one type
-        return read(value)
+        return [read(item) for item in _items(value, word)] if word.endswith("_array") else read(value)  # type: ignore[return-value]  # all of one type
     except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 
@@ -342,13 +340,13 @@ _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
 }
 
 
-def _items(value: Literal, of: type) -> list[object]:
+def _items(value: Literal, word: str) -> list[object]:
     """Return the items of a list, as Python or JSON write one; texts may be without quotes, and stay as written."""
     if not isinstance(value, str):
         return [value]
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
         items = ast.literal_eval(value.strip())
-        if isinstance(items, list) and all(isinstance(item, of) for item in items):
+        if isinstance(items, list) and (not word.startswith("str") or all(isinstance(item, str) for item in items)):
             return items
     inner = re.fullmatch(r"\s*\[\s*([\s\S]*?)\s*\]\s*", value)
     if inner is None:

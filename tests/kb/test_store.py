@@ -696,6 +696,27 @@ def test_child_of_a_fork_is_told_to_open_its_own_store_and_neither_hangs_nor_wri
         assert -1.0 not in [value for _, value in kb.attributes["load"].history]
 
 
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_fork_waits_for_the_file_since_sqlite_has_locks_that_a_child_would_inherit(tmp_path):
+    with kept(robot(), tmp_path / "m.sqlite3") as kb:
+        begun, done = threading.Event(), []
+
+        def use():
+            with kb.store.using:
+                begun.set()
+                time.sleep(0.2)
+                done.append(True)
+
+        user = threading.Thread(target=use)
+        user.start()
+        assert begun.wait(60.0)
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if done else 1)
+        user.join()
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
 def test_history_that_is_too_long_to_be_checked_at_once_is_checked_as_it_is_read(tmp_path, monkeypatch):
     path = tmp_path / "m.sqlite3"
     with kept(robot(), path, keep=20_000) as kb:  # however many are written together, none is dropped
