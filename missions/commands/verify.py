@@ -40,14 +40,13 @@ def verify(
     setup = setup_of(find_mission(mission), task, **options)
     groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
     with ExitStack() as stack:
-        earlier = _earlier(resume) if resume is not None and resume.exists() else None
         files = open_files({"json": json, "report": report, "test": test, "resume": resume}, stack)
 
         def explore(found: Exploration) -> None:
-            if earlier is not None:
+            if resume is not None and resume.exists():
                 try:
-                    found.go_on_from(earlier)
-                except MissionError as error:
+                    found.go_on_from(resume.read_bytes())
+                except (MissionError, OSError) as error:
                     advice = "begin anew with another file, or with none"
                     raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
             with _interruptible(found):
@@ -79,13 +78,6 @@ def verify(
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
         typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}")
         raise typer.Exit(UNFINISHED)
-
-
-def _earlier(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise MissionError(f"cannot read {path}: {error}") from error
 
 
 @contextmanager

@@ -135,7 +135,7 @@ class Store:
             except BlockingIOError as error:
                 raise MissionError(f"another program is running the campaign in {folder}") from error
             self._file = stack.enter_context(closing(_opened(folder / FILE)))
-            self._file.executescript("PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL")
+            self._file.executescript("PRAGMA journal_mode=WAL; PRAGMA synchronous=1; PRAGMA user_version=0")
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -172,6 +172,8 @@ class Store:
 
 
 def _opened(path: Path, mode: str = "rw") -> sqlite3.Connection:
+    if not os.access(path.parent, os.W_OK) and not path.with_name(f"{path.name}-wal").exists():
+        mode = "ro&immutable=1"  # SQLite would write down beside the file that it reads
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None)
 
 

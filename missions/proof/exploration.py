@@ -1,12 +1,15 @@
 """Every situation that a tree, its knowledge base and the manager can get into, found by running them."""
 
 import gc
+import gzip
 import io
 import json
 import os
 import pickle
+import sys
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
@@ -20,7 +23,6 @@ _AT_A_TIME: Final = 32
 
 _ALONE_S: Final = 1.0
 """For so long one process explores: most missions are known then [s]."""
-
 
 _PARTS: Final = (Situation, Step, Change, Changed, Ticked, Known, Doing, frozenset)
 _APART: Final = {"rig", "known", "doing", "holds", "_rounds"}
@@ -57,6 +59,8 @@ class Exploration:
         self._changed: dict[int, list[Changed]] = {}
         self.is_finished, self.transitions, self.seconds, self.megabytes = False, 0, 0.0, 0.0
         self._is_stopped = False
+        sources = [Path(getattr(one, "__file__", None) or "") for one in [*sys.modules.values()]]
+        self._newest = max(one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file())
         self._reach(rounds.first, -1, Step())
 
     def explore(self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None) -> "Exploration":
@@ -119,31 +123,36 @@ class Exploration:
     def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: what led where, not what states hold."""
         own = {name: value for name, value in vars(self).items() if name not in _APART}
-        return pickle.dumps((self._mark(), own, [*self.holds.values()], self._rounds.news(of_all=True)))
+        told = pickle.dumps((self._mark(), own, [*self.holds.values()], self._rounds.news(of_all=True)))
+        return gzip.compress(told, mtime=0)  # which says whether it is whole
 
     def go_on_from(self, kept: bytes) -> None:
         """Take over what an earlier exploration of the same mission has found.
+
+        For a second it is explored from the beginning, and compared: a smaller mission is so explored anew.
 
         Raises:
             MissionError: it is not what one has left, or one of another mission, or the mission does otherwise now.
         """
         try:
-            mark, own, holds, news = _Reader(io.BytesIO(kept)).load()
-        except Exception as error:  # whatever pickle makes of what is none
+            mark, own, holds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
+        except Exception as error:  # whatever gzip and pickle make of what is none
             raise MissionError(f"it is not what an exploration has left: {error!r}") from error
-        if mark != self._mark():
+        if mark == self._mark():
+            self.explore(len(own["situations"]) + own["is_finished"], _ALONE_S, cores=1)
+        found: list[dict[Any, Any]] = [self.ticks, self._changed, *self._rounds.news(of_all=True)[0]]
+        kept_of = [own["ticks"], own["_changed"], *news[0]]
+        if mark != self._mark() or any(not one.items() <= of.items() for one, of in zip(found, kept_of, strict=True)):
             raise MissionError("it is of another mission, of other options, or the mission has been changed since")
         vars(self).update(own)
         self.holds.update(zip(self.holds, holds, strict=True))
         self._rounds.hear(news)
-        for number in self.unexplored[:1]:
-            self.load(number)
 
     def _mark(self) -> str:
         """Return what tells explorations apart."""
         around, rounds = self.rig.surroundings, self._rounds
         bounds = around.values, around.alike, around.failures, around.at_once
-        return json.dumps([rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)])
+        return json.dumps([self._newest, rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)])
 
     def _way(self, number: int) -> Way:
         found = []

@@ -5,6 +5,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from resource import RUSAGE_SELF, getrusage
 from typing import Any, Final, NamedTuple
@@ -96,11 +97,13 @@ class Workers:
         self._rounds, self._way, self._held = rounds, way, [0.0] * count
         context = multiprocessing.get_context("fork")
         pipes = [context.Pipe() for _ in range(count)]
-        self._pipes = [ours for ours, _ in pipes]
-        self._copies = [context.Process(target=_work, args=(rounds, theirs), daemon=True) for _, theirs in pipes]
+        self._pipes, ends = [ours for ours, _ in pipes], [end for pipe in pipes for end in pipe]
+        self._copies = [context.Process(target=_work, args=(rounds, theirs, ends), daemon=True) for _, theirs in pipes]
         with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which a copy lacks
             for one in self._copies:
                 one.start()
+        for _, theirs in pipes:  # held by the copies alone: who waits for one that has died hears of it
+            theirs.close()
 
     @property
     def megabytes(self) -> float:
@@ -109,12 +112,16 @@ class Workers:
     def ask(self, jobs: Iterable[Job]) -> list[list[Any]]:
         """Return what is found, for each job `Changed` or `Ticked`; what one finds of a state, it is asked again."""
         places = [(job, job.moment.known % len(self._pipes)) for job in jobs]
-        for number, pipe in enumerate(self._pipes):
-            part = [job for job, place in places if place == number]
-            pipe.send((part, {one: self._way(one) for one in {job.number for job in part}}))
         found: list[Iterator[list[Any]]] = []
-        for number, pipe in enumerate(self._pipes):
-            answers, news, self._held[number] = pipe.recv()
+        try:
+            for number, pipe in enumerate(self._pipes):
+                part = [job for job, place in places if place == number]
+                pipe.send((part, {one: self._way(one) for one in {job.number for job in part}}))
+            told = [pipe.recv() for pipe in self._pipes]
+        except (EOFError, OSError) as error:
+            raise MissionError("a process that explores has died; if memory ran out, use fewer --cores") from error
+        self._held = [held for *_, held in told]
+        for answers, news, _ in told:
             if isinstance(answers, str):
                 raise MissionError(answers)
             self._rounds.hear(news)
@@ -127,15 +134,18 @@ class Workers:
             one.join()
 
 
-def _work(rounds: Rounds, pipe: Connection) -> None:
+def _work(rounds: Rounds, pipe: Connection, ends: Iterable[Connection]) -> None:
+    """Answer until nobody asks any more: whoever holds an end keeps the one who waits at the other from knowing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # who has asked is interrupted, and ends this one
-    while True:
-        answers: list[list[Any]] | str
-        try:
+    for one in ends:
+        if one is not pipe:
+            one.close()
+    with suppress(EOFError, OSError):
+        while True:
             jobs, ways = pipe.recv()
-            answers = [_answer(rounds, job, ways.__getitem__) for job in jobs]
-        except EOFError:
-            return
-        except Exception as error:
-            answers = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
-        pipe.send((answers, rounds.news(), megabytes()))
+            answers: list[list[Any]] | str
+            try:
+                answers = [_answer(rounds, job, ways.__getitem__) for job in jobs]
+            except Exception as error:
+                answers = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+            pipe.send((answers, rounds.news(), megabytes()))

@@ -234,7 +234,7 @@ class LiveView(AbstractContextManager["LiveView"]):
                 answer = self._answer(asked)
             except (KnowledgeBaseError, MissionError) as error:
                 answer = {"error": str(error)}
-            except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            except (ValueError, ArithmeticError, TypeError, KeyError, AttributeError, RecursionError) as error:
                 answer = {"error": f"that is nothing a page says: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None

@@ -36,11 +36,7 @@ BADGES: Final = {  # how the number of an adaptation looks: face, edge, digits
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
 ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
 CROWD, LONELY_M = 20, 1.0  # of more places only those are named that the way comes so near to
-LONGEST, STEPS, FIGURES = (
-    420,
-    3,
-    3,
-)  # letters of a reason, steps of a plan, figures in the title: what there is room for
+LONGEST, STEPS, FIGURES = 420, 3, 3  # letters of a reason, steps of a plan and figures in the title at most
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},

@@ -427,6 +427,20 @@ def altered(path, query):
         file.execute(query)
 
 
+def test_folder_that_cannot_be_written_can_be_read(tmp_path, monkeypatch):
+    campaign, path = begun(tmp_path / "c"), tmp_path / "c" / FILE
+    before = lines(tmp_path / "c")
+    for one in (path, path.parent):
+        one.chmod(0o444 if one is path else 0o555)
+    monkeypatch.setattr("missions.experiments.results.os.access", lambda *_: False)  # as nobody's, whoever tests
+    assert read_store(tmp_path / "c").campaign == campaign
+    assert lines(tmp_path / "c") == before
+    assert list(path.parent.iterdir()) == [path]
+    with pytest.raises(MissionError, match=r"cannot write to .*: attempt to write a readonly database"):
+        Store(tmp_path / "c", None, resume=True)
+    path.parent.chmod(0o755)
+
+
 def test_damaged_run_is_told_when_it_is_read(tmp_path):
     begun(tmp_path / "c")
     content = (tmp_path / "c" / FILE).read_bytes()

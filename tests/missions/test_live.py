@@ -194,6 +194,7 @@ def test_nonsense_is_answered_in_a_word_and_ten_megabytes_of_it_close_the_door(r
         "3",
         '{"past": "x"}',
         '{"past": [1]}',
+        '{"past": [1e999, 3]}',
         '{"ask": "whatif", "measured": 3}',
         "[" * 5000,
     ):

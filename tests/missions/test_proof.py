@@ -5,12 +5,18 @@ The whole of the mutants and of the twin's missions is in tests/benchmarks/test_
 
 import json
 import operator
+import os
 import pickle
 import signal
+import subprocess
+import sys
+import time
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
+from subprocess import PIPE
+from types import SimpleNamespace
 
 import pytest
 from proof_mutants import CORRECT, FULL, MUTANTS, Act, Keeps, either, rover_model, until
@@ -146,7 +152,8 @@ def test_several_processes_find_what_one_finds(setup, monkeypatch):
 
 
 @pytest.mark.parametrize("setup", SHARED)
-def test_exploration_goes_on_from_a_file(setup):
+def test_exploration_goes_on_from_a_file(setup, monkeypatch):
+    monkeypatch.setattr(exploration, "_ALONE_S", 0.0)
     asked = (lambda rig: bool(rig.required),)
     whole = Exploration(setup, asked).explore(seconds=600.0)
     found = Exploration(setup, asked)
@@ -155,6 +162,69 @@ def test_exploration_goes_on_from_a_file(setup):
         found.go_on_from(before.explore(most=len(before.situations) + len(whole.situations) // 3).as_bytes())
         found.explore(most=len(found.situations))
     assert all_of(found) == all_of(whole)
+
+
+COPIES = """
+import sys, time
+from missions.proof import exploration, workers
+from missions.proof.exploration import Exploration
+from missions.proof.verification import setup_of
+from missions.suave_extended import MISSION
+exploration._ALONE_S, start = 0.0, workers.Workers.__init__
+def told(self, *given):
+    start(self, *given)
+    print(*(one.pid for one in self._copies), flush=True)
+workers.Workers.__init__ = told
+Exploration(setup_of(MISSION, slow=True)).explore(seconds=60.0, cores=2)
+"""
+
+
+def is_alive(pid):
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.skipif(not CAN_COPY, reason="where a process cannot begin as a copy, one explores")
+def test_no_process_is_left_when_the_program_is_killed_and_none_waits_for_one_that_was():
+    for is_parent in (True, False):
+        with subprocess.Popen([sys.executable, "-c", COPIES], stdout=PIPE, stderr=PIPE, text=True) as program:
+            copies = [int(one) for one in program.stdout.readline().split()]
+            assert all(map(is_alive, copies))
+            os.kill(program.pid if is_parent else copies[0], signal.SIGKILL)
+            said = program.communicate(timeout=30)[1]
+        assert is_parent or "a process that explores has died; if memory ran out, use fewer --cores" in said
+        end = time.monotonic() + 20.0
+        while any(map(is_alive, copies)) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert not any(map(is_alive, copies))
+
+
+def test_exploration_goes_on_from_no_file_of_a_tree_or_of_leaves_that_do_otherwise_now(tmp_path, monkeypatch):
+    case = NAMED["no guard"]
+    setup = Setup(case.model, case.build, start=FULL["start"])
+    kept = Exploration(setup).explore().as_bytes()
+    found = Exploration(setup)
+    found.go_on_from(kept)
+    assert found.is_finished
+    for changed in (replace(setup, build=NAMED["either"].build), replace(setup, leaves={"explore": Leaf("F")})):
+        with pytest.raises(MissionError, match="changed since"):
+            Exploration(changed).go_on_from(kept)
+    monkeypatch.setattr(exploration, "_ALONE_S", 0.0)
+    found.go_on_from(kept)
+    monkeypatch.setitem(sys.modules, "edited", SimpleNamespace(__file__=str(tmp_path / "edited.py")))
+    (tmp_path / "edited.py").write_text("")
+    with pytest.raises(MissionError, match="changed since"):
+        Exploration(setup).go_on_from(kept)
+
+
+def test_exploration_goes_on_from_no_file_in_which_a_bit_is_wrong():
+    kept = bytearray(Exploration(setup_of(SUAVE)).explore(most=10).as_bytes())
+    for place in range(12, len(kept), 97):
+        kept[place] ^= 4
+        with pytest.raises(MissionError, match="not what an exploration has left"):
+            Exploration(setup_of(SUAVE)).go_on_from(bytes(kept))
+        kept[place] ^= 4
 
 
 def test_file_of_another_mission_is_not_gone_on_from():
@@ -178,7 +248,7 @@ def test_mission_that_does_otherwise_now_is_not_gone_on_with():
     text = Exploration(setup).explore(most=4).as_bytes()
     Exploration(setup).go_on_from(text)
     done.append(True)
-    with pytest.raises(MissionError, match="same round does not lead to the same situation"):
+    with pytest.raises(MissionError, match="changed since"):
         Exploration(setup).go_on_from(text)
 
 
@@ -517,7 +587,7 @@ def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypat
     assert kept.read_text() == "{}"
     kept.unlink()
     kept.mkdir()
-    assert f"cannot read {kept}" in str(verify_suave().exception)
+    assert f"{kept}: it is a directory" in str(verify_suave().exception)
 
 
 def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tmp_path, monkeypatch):
