@@ -12,7 +12,6 @@ import os
 import socket
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
-from ipaddress import ip_address
 from secrets import token_urlsafe
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from websockets.http11 import Request, Response
 
 PORT: Final = 8420
+_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 KEEP: Final = 100_000
 """How many rows a live page can look back."""
 BEAT_S: Final = 0.1
@@ -96,7 +96,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         with needs("live", "the live page"):
             import websockets  # noqa: F401  # used later, in the server's thread
         self._kb, self._steering = kb, steering
-        self._token = token if token is not None or _is_this_machine(host) else token_urlsafe(16)
+        self._token = token if token is not None or host in _LOOPBACK else token_urlsafe(16)
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
@@ -260,13 +260,6 @@ class _Page:
     def __init__(self, websocket: "ServerConnection") -> None:
         self.websocket = websocket
         self.next = self.dropped = 0
-
-
-def _is_this_machine(host: str) -> bool:
-    try:
-        return host == "localhost" or ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def _listening(host: str, port: int) -> socket.socket:
