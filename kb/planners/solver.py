@@ -61,7 +61,7 @@ class _Program:
         return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
 
     def set_first_of(self, value: int) -> None:
-        """Ask for the choice of a value that comes first; the search has to go in this order, and to keep them all."""
+        """Ask for the choice of a value that comes first; the search goes in this order, unless it presolves."""
         self.model.add(self.gain >= value)
         self.model.clear_objective()
         self.model.clear_hints()
@@ -145,7 +145,7 @@ class _Search:
         if status == cp_model.OPTIMAL:
             program.set_first_of(gains[0])
             self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
-            self._solver.parameters.keep_all_feasible_solutions_in_presolve = True
+            self._solver.parameters.cp_model_presolve = False
             is_proven = self._run(program) in (cp_model.OPTIMAL, cp_model.FEASIBLE)
             if is_proven:
                 picks, cost = program.read(self._solver), self._solver.value(program.cost)

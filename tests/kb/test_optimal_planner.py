@@ -1,6 +1,7 @@
 """The best joint choice: equal to trying everything, the same every time, and honest about what was not proven."""
 
 import math
+from random import Random
 
 import pytest
 from best_by_trying import best_by_trying, exact, outcome
@@ -85,6 +86,31 @@ def test_best_choice_is_the_one_found_by_trying_all(kb, criterion):
     assert (found.gap, found.resolution) == (0.0, 0.0)
     assert dict(found.choice.designs) == designs
     assert dict(found.choice.configurations) == configurations
+
+
+@pytest.mark.parametrize("seed", range(15))
+def test_of_many_equally_good_choices_it_is_the_first(seed):
+    random, model = Random(seed), Model("tied")
+    model.quality_attribute("accuracy")
+    parts = [model.component(f"part {number}") for number in range(5)]
+    for part in parts:
+        for number in range(random.choice((0, 2, 3))):
+            part.configuration(f"{number} of {part.name}", {}, priority=random.randint(0, 2))
+    for number in range(3):
+        function = model.function(f"function {number}")
+        for one in range(random.randint(2, 4)):
+            components = random.sample(parts, random.randint(1, 3))
+            design = function.design(f"{one} of {function.name}", components, priority=random.randint(0, 2))
+            if random.random() < 0.4:
+                design.estimate("accuracy", 1.0, random.choice(("positive", "absolute")))
+    model.action("explore", requires=model.functions.values())
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.request_action("explore", "accuracy")
+    criterion = Criterion({"accuracy": 1.0})
+    _, designs, configurations = best_by_trying(state_of(kb), criterion)
+    found = solve(encode(state_of(kb), criterion))
+    assert found.is_proven
+    assert (dict(found.choice.designs), dict(found.choice.configurations)) == (designs, configurations)
 
 
 @SLOW
