@@ -180,12 +180,12 @@ class Exploration:
                 self._note(change.faults, number, Step(change.changes))
                 self.transitions += 1
                 if moment not in self.ticks:
-                    self.ticks[moment] = ticked[moment]
                     for tick in ticked[moment]:
                         step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
                         self._note(tick.faults, number, step)
                         self._reach(tick.after, number, step)
                         self.transitions += 1
+                    self.ticks[moment] = ticked[moment]
         self.count += len(batch)
 
     def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
