@@ -1,6 +1,6 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
-from kb.checks.findings import Finding, Severity
+from kb.checks import Finding, Severity
 from kb.diagnostics import DiagnosticProblem
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, Log, StatusChange
@@ -13,16 +13,16 @@ from kb.exceptions import (
     ProtocolError,
     UnknownName,
 )
-from kb.execution.executor import StagedExecutor
+from kb.execution import StagedExecutor
+from kb.explanation import Explanation
 from kb.explanation.choice import ChoiceExplanation
-from kb.explanation.reasons import Explanation
 from kb.files import ModelFileError
 from kb.forecasts import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
-from kb.planners.choice import Choice, Criterion, Optimum
+from kb.planners import Choice, Criterion, Optimum
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.questions import Situation

@@ -5,7 +5,6 @@ from dataclasses import fields
 from typing import Any, NamedTuple
 
 from kb.elements import CHECKS, Changeable, Constraint, Estimation
-from kb.facts import tables_of
 from kb.model import Model
 from kb.owl import individuals
 
@@ -30,9 +29,7 @@ def amend(model: Model, serials: individuals.Serials, how: str, written: Any) ->
     is_id = how == "removed"
     if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
-    named = (one for table in tables_of(model).values() for one in table.values())
-    everything: tuple[Changeable, ...] = (*named, *model.constraints, *model.estimations)
-    known = {individuals.element_id(one, serials): one for one in everything}
+    known = {individuals.element_id(one, serials): one for table in model.tables.values() for one in table.values()}
     if is_id:
         model.remove(known[written])
         return
@@ -43,7 +40,7 @@ def amend(model: Model, serials: individuals.Serials, how: str, written: Any) ->
             declarer.declare(given)
         for one in given:
             if isinstance(made := declarer.known.get(one.id), Constraint | Estimation):
-                serials.give(made, int(one.id.rpartition(".")[2]))
+                serials[made] = int(one.id.rpartition(".")[2])
         return
     declarer.nested = {one.id: one for one in given}
     element = known[given[-1].id]
@@ -60,7 +57,7 @@ def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[M
     names = [str(value) for one in given if one.kind == individuals.MODEL for value in one.values["name"]]
     then = Model(names[0])
     individuals.Declarer(then).declare(given)
-    numbers = individuals.Serials(then)
+    numbers = individuals.Serials.of(then)
     for one in amendments:
         amend(then, numbers, *one)
     return then, numbers
@@ -70,12 +67,8 @@ def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> in
     """Return the numbers of one model for another that is as it; None if it is not."""
     if then != model:
         return None
-    serials = individuals.Serials(Model(model.name))
-    for before, now in zip(then.constraints, model.constraints, strict=True):
-        serials.give(now, numbers.of(before))
-    for was, given in zip(then.estimations, model.estimations, strict=True):
-        serials.give(given, numbers.of(was))
-    return serials
+    pairs = zip(individuals.unnamed(then), individuals.unnamed(model), strict=True)
+    return individuals.Serials((now, numbers[before]) for before, now in pairs)
 
 
 def differences(then: Model, now: Model) -> list[str]:
@@ -93,11 +86,8 @@ def _statements(model: Model) -> dict[str, None]:
     """Return all that a model says; what has no name is known by what is said of it alone."""
     statements: dict[str, None] = {}
     for one in individuals.individuals(model):
-        said = (f"{name} {_shown(values)}" for name, values in one.values.items() if name != "position")
+        given = {name: " and ".join(map(individuals.shown, each)) for name, each in one.values.items()}
+        said = (f"{name} {shown}" for name, shown in given.items() if name != "position")
         own = one.kind if one.id.rpartition(".")[2].isdigit() else one.id
         statements[f"{own} ({', '.join(said)})"] = None
     return statements
-
-
-def _shown(values: Iterable[individuals.Value]) -> str:
-    return " and ".join(one.id if isinstance(one, individuals.Ref) else repr(one) for one in values)

@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"})
 COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
 NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
-NOT_FINITE: Final = frozenset({"nan", "inf", "infinity"})
 COMPONENT_VALUES: Final = dict.fromkeys(("ok", "recovered"), "component_recovered") | dict.fromkeys(
     ("error", "failure", "false"), "component_failed"
 )
@@ -60,9 +59,7 @@ def _read_status(status: object) -> Iterator[Reading | DiagnosticProblem]:
 
 def _measured(key: str, value: str) -> Reading | DiagnosticProblem:
     # float() reads more than numbers: underscores, and digits of every script
-    if not NUMBER.fullmatch(value.strip()) and value.strip().lower().lstrip("+-") not in NOT_FINITE:
-        return DiagnosticProblem(key, value, "a measurement is a number")
-    number = float(value)
+    number = float(value) if NUMBER.fullmatch(value.strip()) else math.nan
     if not math.isfinite(number):
         return DiagnosticProblem(key, value, "a measurement is a finite number")
     return Reading("measure", (key, number), value)

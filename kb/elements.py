@@ -398,10 +398,10 @@ class Attribute(Element):
     Attributes:
         kind: what it describes.
         max_age: how long a measurement holds [s]; for ever by default.
-        when_stale: what its constraints are once the latest measurement is older than that.
+        when_stale: what its constraints are once the latest measurement is older: "not evaluated" or "violated".
         agreement: n of the last k measurements have to say so before a constraint on it changes, as (n, k).
-        unit: of its values, as it is shown; may be empty.
-        low, high: no value lies outside; a measurement that does is refused.
+        unit: of its values, as it is shown, e.g. "V"; may be empty.
+        low, high: no value lies outside; a measurement that does is refused. Infinite by default.
         forecasting: how it is forecast; see `forecast`. Empty if only by its rates, or not at all.
         rates: how fast it changes, as far as that is stated; see `changes`.
     """
@@ -595,7 +595,7 @@ class ByName(dict[Any, T]):
         self._kind = kind
 
     def __missing__(self, name: object) -> T:
-        raise UnknownName(self._kind, name, map(str, self))
+        raise UnknownName(self._kind, name, map(str, tuple(self)))  # as of now: another thread may add to it
 
 
 def called(element: Changeable) -> str:

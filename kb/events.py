@@ -3,7 +3,8 @@
 import logging
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
@@ -13,7 +14,7 @@ from threading import Condition, Lock, get_ident
 from typing import Any, Final, NamedTuple, Self
 
 from kb.exceptions import InvalidValue
-from kb.records import Memory, ReconfigurationPlan
+from kb.records import Memory, ReconfigurationPlan, plain
 from kb.status import Status
 
 
@@ -100,14 +101,10 @@ class Event(NamedTuple):
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
-        said = {
-            "changes": [list(map(str, one)) for one in self.changes],
-            "cause": self.cause,
-            "effects": [list(one) for one in self.effects],
-            "words": self.words,
-        }
-        arguments = [_plain(one) for one in self.arguments]
+        arguments, effects = plain(self.arguments), [list(one) for one in self.effects]
+        changes = [list(map(str, one)) for one in self.changes]  # there can be many
         written = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
+        said = {"changes": changes, "cause": self.cause, "effects": effects, "words": self.words}
         return written | {name: value for name, value in said.items() if value not in ([], None, "")}
 
     @classmethod
@@ -131,14 +128,6 @@ class Event(NamedTuple):
             None,
             str(written.get("words", "")),
         )
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(one) for one in value]
-    return value
 
 
 def _of(event: Event, place: int) -> str:
@@ -184,23 +173,18 @@ class Log:
 
     Measurements are far more than anything else and are held apart, so that they push nothing else out.
 
-    Args:
-        memory: how much is held.
-
     Attributes:
         last: number of the last event; 0 before the first.
         begins: number of the event from which on every one is held; 1 while none is forgotten.
         time: of the last event [s].
-        heard: called with nothing when there is a new event.
-        settle: called with nothing before all are looked at, to put in place what was interrupted.
-        witnesses: called with each event when it is in by the thread that tells it, which holds the base; they may ask.
     """
 
-    def __init__(self, memory: Memory) -> None:
+    def __init__(self, memory: Memory, lock: AbstractContextManager[object]) -> None:
+        self._lock = lock  # of the base that tells them: what is told meanwhile is told before or after
         self.last, self.begins, self.time = 0, 1, -math.inf
-        self.heard: Callable[[], None] | None = None
-        self.settle: Callable[[], None] = lambda: None
-        self.witnesses: tuple[Callable[[Event], None], ...] = ()
+        self.heard: Callable[[], None] | None = None  # called when there is a new event
+        self.settle: Callable[[], None] = lambda: None  # called before all are looked at: what was interrupted ends
+        self.witnesses: tuple[Callable[[Event], None], ...] = ()  # hear of each by the thread that holds the base
         self._most, self._span = memory.events, memory.span
         self._measured: deque[Event] = deque()
         self._others: deque[Event] = deque()
@@ -208,11 +192,11 @@ class Log:
     def append(self, event: Event) -> None:
         """Add an event; one that is there already, by its number, is added no second time."""
         events = self._measured if event.verb == "measure" else self._others
-        if not events or events[-1].number < event.number:
-            while events and (len(events) >= self._most or events[0].time < event.time - self._span):
-                self.begins = max(self.begins, events[0].number + 1)
-                events.popleft()
+        if not events or events[-1].number < event.number:  # no signal is handled between this and what follows
             events.append(event)
+        while len(events) > self._most or events[0].time < event.time - self._span:
+            self.begins = max(self.begins, events[0].number + 1)
+            events.popleft()
         self.last, self.time = event.number, event.time
         if self.heard is not None:
             self.heard()
@@ -224,8 +208,9 @@ class Log:
 
     def since(self, number: int, *, measurements: bool = True) -> Iterator[Event]:
         """Yield the events after one, in order, with the measurements among them or without."""
-        others = _later(self._others, number)
-        measured = _later(self._measured, number) if measurements else []
+        with self._lock:
+            others = _later(self._others, number)
+            measured = _later(self._measured, number) if measurements else []
         return merge(measured, others, key=_NUMBER) if measured and others else iter(measured or others)
 
     def __iter__(self) -> Iterator[Event]:
@@ -237,6 +222,8 @@ class Log:
 
 
 def _later(events: deque[Event], number: int) -> list[Event]:
+    if not events or events[0].number > number:
+        return list(events)
     later: list[Event] = []
     for event in reversed(events):
         if event.number <= number:
@@ -285,8 +272,7 @@ class Publisher:
     def deliver(self, told: int = 0) -> None:
         """Call the subscribers with what is new, unless a thread is at it already, which then does this too.
 
-        Args:
-            told: number of the event that this thread has just told.
+        The number given is that of the event that this thread has just told.
         """
         while any(one.heard < self._log.last for one in self._subscribers) and not self._is_held():
             turn: list[bool] = []

@@ -6,7 +6,7 @@ that. What is not stated is not so: no component is active, nothing is selected 
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from kb import elements
 from kb.status import Status
@@ -14,13 +14,9 @@ from kb.status import Status
 
 @dataclass(frozen=True, slots=True)
 class MeasurementFact:
-    """An attribute had a value.
+    """An attribute had a value, in its unit; unless it is the latest that was known it belongs to the history only.
 
-    Attributes:
-        attribute: its name.
-        value: in the attribute's unit.
-        time: when [s since 1970-01-01 UTC]; None for the time when the knowledge base is made.
-        latest: nothing newer was known; otherwise it belongs to the history only.
+    It was measured at a time [s since 1970-01-01 UTC]; None is that when the knowledge base is made.
     """
 
     attribute: str
@@ -60,13 +56,9 @@ class ActiveFact:
 
 @dataclass(frozen=True, slots=True)
 class RequiredActionFact:
-    """An action was asked for; it still is while there is no end.
+    """An action was asked for, with the weight of each attribute to favour; it still is while there is no end.
 
-    Attributes:
-        action: its name.
-        preference: weight by name of each attribute to favour.
-        start, end: [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
-        result: "completed", "failed" or "abandoned", None while it is open.
+    Start and end are times [s since 1970-01-01 UTC]; a start of None is that when the knowledge base is made.
     """
 
     action: str
@@ -132,26 +124,11 @@ class Amended(NamedTuple):
     put: Callable[[], None]
 
 
-TABLES: Final[Mapping[str, type[elements.Element]]] = {
-    "actions": elements.Action,
-    "functions": elements.Function,
-    "components": elements.Component,
-    "designs": elements.FunctionDesign,
-    "configurations": elements.Configuration,
-    "attributes": elements.Attribute,
-}
-"""The mapping of a model that holds the elements of each class."""
-
-
 class Contents(elements.Owner, Protocol):
     """A model, for those who read it or declare what a file says; see `Model`."""
 
     attributes: Mapping[str, elements.Attribute]
-    components: Mapping[str, elements.Component]
-    configurations: Mapping[str, elements.Configuration]
-    functions: Mapping[str, elements.Function]
-    designs: Mapping[str, elements.FunctionDesign]
-    actions: Mapping[str, elements.Action]
+    tables: Mapping[type, Mapping[Any, Any]]
     notes: list[str]
     places: dict[elements.Element | elements.Constraint, str]
 
@@ -165,9 +142,3 @@ class Contents(elements.Owner, Protocol):
         self, elements: Iterable[elements.Constrainable], expression: elements.Expression
     ) -> elements.Constraint: ...
     def add_fact(self, fact: Fact) -> None: ...
-
-
-def tables_of(model: Contents) -> Mapping[type[elements.Element], Mapping[str, elements.Element]]:
-    """Return all elements that have names by their class, so that what refers to others comes after these."""
-    tables = {cls: getattr(model, word) for word, cls in TABLES.items()}
-    return {cls: tables[cls] for cls in elements.KINDS if cls in tables}

@@ -36,30 +36,26 @@ def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
     for node in agenda[_TOP]:
         agenda[0].update(dict.fromkeys(node.constraints))
     changes: list[StatusChange] = []
+    status = state.status
     for nodes in agenda[:_TOP]:
         state.visited += len(nodes)
         for node in nodes:
             index = node.index
-            old, new = state.status[index], infer(state, node)
-            if new is not old:
-                state.status[index] = new
-                changes.append(StatusChange(node.kind, node.name, old, new))
-                may_be_chosen_for = node.kind in ("function", "component")
-                adaptable = may_be_chosen_for and is_adaptable(state, node)
-                for whole in _concerned(state, node, old, new):
-                    agenda[whole.level][whole] = None
-                if may_be_chosen_for:
-                    state.adaptable.mark(node, adaptable)
+            old, new = status[index], infer(state, node)
+            if new is old:
+                continue
+            state.put(status, index, new)
+            kind = node.kind
+            changes.append(StatusChange(kind, node.name, old, new))
+            wholes: Iterable[Node] = node.wholes
+            may_be_chosen_for = kind == "function" or kind == "component"
+            if may_be_chosen_for:
+                state.mark(state.adaptable, node, is_adaptable(state, node))
+            if (old in IMPOSSIBLE) == (new in IMPOSSIBLE):
+                wholes = state.users[index].nodes() if may_be_chosen_for else () if kind == "constraint" else wholes
+            for whole in wholes:
+                agenda[whole.level][whole] = None
     return changes
-
-
-def _concerned(state: State, node: Node, old: Status, new: Status) -> Iterable[Node]:
-    if (old in IMPOSSIBLE) == (new in IMPOSSIBLE):
-        if node.kind == "constraint":
-            return ()
-        if node.kind in ("function", "component"):
-            return state.users[node.index]
-    return node.wholes
 
 
 def _touch(state: State, node: Node, agenda: Agenda) -> None:
@@ -67,7 +63,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
     if node.kind == "action":
         required = state.requested[node.index] or state.asserted_required[node.index]
         if required != state.required[node.index]:
-            state.required[node.index] = required
+            state.put(state.required, node.index, required)
             for function in node.parts:
                 _use(state, function, node, required, agenda)
     elif node.kind in ("function", "component"):
@@ -77,7 +73,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
     elif node.kind == "function design":
         selected = state.selected[node.index]
         _touch(state, node.wholes[0], agenda)
-        state.obsolete.mark(node, selected and not state.required[node.wholes[0].index])
+        state.mark(state.obsolete, node, selected and not state.required[node.wholes[0].index])
         for component in node.parts:
             _use(state, component, node, selected, agenda)
     elif node.kind == "configuration":
@@ -86,7 +82,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
 
 
 def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> None:
-    state.users.mark(part.index, user, uses)
+    state.mark(state.users.of(part.index), user, uses)
     _touch(state, part, agenda)
 
 
@@ -95,7 +91,7 @@ def _require(state: State, node: Node) -> None:
     required = state.asserted_required[node.index] or bool(state.users[node.index])
     if required == state.required[node.index]:
         return
-    state.required[node.index] = required
+    state.put(state.required, node.index, required)
     if node.kind == "function":
         for design in node.parts:
             _serve(state, design, required)
@@ -103,10 +99,12 @@ def _require(state: State, node: Node) -> None:
 
 def _serve(state: State, design: Node, required: bool) -> None:
     """Count a design of a function that has become required among those that its components serve, or no longer."""
-    state.obsolete.mark(design, state.selected[design.index] and not required)
+    state.mark(state.obsolete, design, state.selected[design.index] and not required)
+    served, put = state.served, state.put
     for component in design.parts:
-        before = state.served[component.index]
-        state.served[component.index] = after = before + (1 if required else -1)
+        before = served[component.index]
+        after = before + (1 if required else -1)
+        put(served, component.index, after)
         if not before or not after:
             _mark_component(state, component)
             for configuration in component.parts:
@@ -115,13 +113,13 @@ def _serve(state: State, design: Node, required: bool) -> None:
 
 def _mark_component(state: State, component: Node) -> None:
     index = component.index
-    state.lacking.mark(component, state.required[index] and not state.active[index])
-    state.obsolete.mark(component, state.active[index] and not state.served[index])
+    state.mark(state.lacking, component, state.required[index] and not state.active[index])
+    state.mark(state.obsolete, component, state.active[index] and not state.served[index])
 
 
 def _mark_configuration(state: State, configuration: Node) -> None:
     selected = state.selected[configuration.index]
-    state.obsolete.mark(configuration, selected and not state.served[configuration.wholes[0].index])
+    state.mark(state.obsolete, configuration, selected and not state.served[configuration.wholes[0].index])
 
 
 def is_adaptable(state: State, node: Node) -> bool:
@@ -133,31 +131,26 @@ def is_adaptable(state: State, node: Node) -> bool:
 
 
 def infer(state: State, node: Node) -> Status:
-    asserted = state.asserted[node.index]
+    index, kind = node.index, node.kind
+    asserted = state.asserted[index]
     if asserted is not None:
         return asserted
-    status, selected = state.status, state.selected
-    if node.kind == "constraint":
+    if kind == "constraint":
         return _compared(state, node, node.element, node.parts[0])
+    status, selected, required = state.status, state.selected, state.required[index]
     constraints = [status[constraint.index] for constraint in node.constraints]
-    if node.kind == "configuration":
+    if kind == "configuration":
         return configuration_status(constraints)
-    if node.kind == "component":
-        return component_status(
-            failed=state.failed[node.index],
-            constraints=constraints,
-            configurations=[(status[part.index], selected[part.index]) for part in node.parts],
-            required=state.required[node.index],
-            active=state.active[node.index],
-        )
-    if node.kind == "function design":
-        components = [status[part.index] for part in node.parts]
-        return design_status(constraints=constraints, components=components, selected=selected[node.index])
-    if node.kind == "function":
-        designs = [(status[part.index], selected[part.index]) for part in node.parts]
-        return function_status(designs=designs, required=state.required[node.index])
-    functions = [status[part.index] for part in node.parts]
-    return action_status(constraints=constraints, functions=functions, required=state.required[node.index])
+    parts = [status[part.index] for part in node.parts]
+    if kind == "function design":
+        return design_status(constraints=constraints, components=parts, selected=selected[index])
+    if kind == "action":
+        return action_status(constraints=constraints, functions=parts, required=required)
+    chosen = [status[part.index] for part in node.parts if selected[part.index]]
+    if kind == "function":
+        return function_status(designs=parts, selected=chosen, required=required)
+    facts = {"failed": state.failed[index], "required": required, "active": state.active[index]}
+    return component_status(constraints=constraints, configurations=parts, selected=chosen, **facts)
 
 
 def _compared(state: State, node: Node, constraint: Constraint, attribute: Node) -> Status:
@@ -168,10 +161,7 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 
 def infer_anew(state: State) -> None:
-    """Infer everything from the facts, as after a change of the model; it may be done again.
-
-    Without a fact all is feasible (a constraint not evaluated) but functions without designs and what needs them.
-    """
+    """Infer everything from the facts, as after a change of the model; it may be done again."""
     state.grow()
     state.forget_inferred()
     propagate(state, state.network.present())

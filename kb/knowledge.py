@@ -1,30 +1,36 @@
 """What is known: the fold of the events of a log, each put in place as a whole or not at all.
 
-What an event makes of facts and statuses is computed on a layer over the state; then it is in, and the layer is put
-in place. Whatever interrupts that, whoever comes next puts it in place again, which may be done any number of times.
+While an event changes facts and statuses, what was there before is kept: interrupted, all that is undone by whoever
+comes next. Then it is in: what else it makes is put in place, and whoever comes next does that again where it was
+interrupted. Either may be done any number of times.
 """
 
 import math
 from base64 import b64decode, b64encode
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from inspect import currentframe
+from itertools import islice
+from traceback import walk_stack
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from kb import facts
 from kb.amendments import amendment
 from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
+from kb.exceptions import KnowledgeBaseError
+from kb.explanation import reading, staleness, why_selected
 from kb.explanation.choice import note_nothing
-from kb.explanation.reasons import reading, staleness, why_selected
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref
 from kb.owl.individuals import Serials
 from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
-from kb.state import FACTS, History, Overlay, Reason, State, unset
+from kb.state import FACTS, History, Reason, State, unset
 from kb.status import Status
 
 Put = Callable[[], None]
@@ -33,10 +39,12 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
+_EVENTFUL: Final = ("apply", "measure", "finish", "advance")  # what is at work while something is told, or time passes
 
 
-_Pending = tuple[Event, Sequence[Put], bool, bool]
-"""An event; what is put in place; whether the layer is, too; and whether the event matters to a planner."""
+_Pending = tuple[Event, Sequence[Put], bool, bool] | Literal["open"]
+"""An event that is in; what is still to be put in place; whether the state has changed, and whether it matters to a
+planner. An event that is not in is "open"."""
 
 
 class Knowledge:
@@ -47,15 +55,6 @@ class Knowledge:
         clock: gives the time [s] of such a change.
         lock: to be held by whoever calls anything here; held for such a change.
         memory: how much of the past is held.
-
-    Attributes:
-        now: the time until which time has done what it does [s].
-        revision: number of the last event that can matter to a planner.
-        changed_by: number of the event that last changed the status of a node, by index.
-        feasibility: number of the event that last made an action feasible or unfeasible.
-        in_words: whether measurements are put in words, too.
-        pending: what has been interrupted while it was put in place; see `finish`.
-        heard: called after a change of the model, without the lock.
     """
 
     def __init__(
@@ -65,25 +64,22 @@ class Knowledge:
         lock: AbstractContextManager[object],
         memory: Memory | None = None,
     ) -> None:
-        memory = memory or Memory()
-        self.model = model
+        self._memory = memory = memory or Memory()
+        self.model, self.clock, self._lock = model, clock, lock
         self.network = network = Network(model)
-        self.serials = Serials(model)
-        self._memory, self.log = memory, Log(memory)
+        self.serials = Serials.of(model)
+        self.log = Log(memory, lock)
         self.state = State(network)
-        infer_anew(self.state)
+        propagate(self.state, [node for node in network.functions.values() if not node.parts])  # all else is feasible
         self.measurements = Measurements(self.state, memory)
         self.records = Records(memory)
-        self.now = -math.inf
-        self.revision = 0
-        self.changed_by: dict[int, int] = {}
-        self.feasibility: int | None = None
-        self.in_words = False
-        self.heard: Callable[[], None] = lambda: None
-        self.clock, self._lock = clock, lock
-        self._layer = Overlay(self.state, lasting=True)
-        self._is_laid = False
-        self.pending: _Pending | None = None
+        self.now = -math.inf  # until when time has done what it does [s]
+        self.revision = 0  # number of the last event that can matter to a planner
+        self.changed_by: dict[int, int] = {}  # the event that last changed a node's status but by a plan's switches
+        self.feasibility: int | None = None  # number of the event that last made an action feasible or unfeasible
+        self.in_words = False  # whether measurements are put in words, too
+        self.heard: Callable[[], None] = lambda: None  # called after a change of the model, without the lock
+        self.pending: _Pending | None = None  # an event that was interrupted; see `finish`
         self._amended: facts.Amended | None = None
         self._before: Mapping[Node, Status] = {}
 
@@ -92,17 +88,19 @@ class Knowledge:
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
         """Make an event of what is said, and put it in place; None if it would change nothing."""
         if self.pending is not None:
-            self.finish()
+            self.settled(is_told=True)
         if verb not in RECORDS:
-            self._lay()
+            self._open()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
         made: Event | None = getattr(self, f"_{verb}")(event, *arguments)
+        if made is None:
+            self.finish()
         return made
 
     def measure(self, node: Node, value: float, time: float) -> Event:
         """Make an event of a measurement; the quickest of all, for it is the most frequent."""
         if self.pending is not None:
-            self.finish()
+            self.settled(is_told=True)
         index, state, measurements = node.index, self.state, self.measurements
         before, was_stale = state.value[index], state.stale[index]
         thresholds = self.network.thresholds(node)
@@ -124,14 +122,18 @@ class Knowledge:
         )
         if not touched and not thresholds.steady:
             self.pending = event, (put,), False, False
-            put()  # as `finish` does, in fewer steps
-            self.log.append(event)
-            self.pending = None
-            for witness in self.log.witnesses:
-                witness(event)
+            if self.log.witnesses:
+                self.finish()
+            else:
+                put()  # as `finish` does, in fewer steps
+                self.log.append(event)
+                self.pending = None
             return event
-        layer = self._lay()
-        layer.value[index], layer.time[index], layer.stale[index] = value, time, False
+        self._open()
+        state.put(state.value, index, value)
+        state.put(state.stale, index, False)
+        if not thresholds.steady:
+            return self._put(event, touched, put, words=words, matters=None)
         judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
         touched = [*self._judged(judged), *touched]
         put_judged = partial(measurements.put_judged, judged, time)
@@ -139,10 +141,9 @@ class Knowledge:
 
     def settle(self, now: float) -> None:
         """Put in place what was interrupted, and have time do what it has done by now [s]."""
-        if self.pending is not None:
-            self.finish()
+        self.settled()
         self.now = max(now, self.log.time)
-        if self.now >= self.measurements.alarms.next:
+        if self.now >= self.measurements.alarms.next and not self._is_under_way():
             self.advance(self.now)
 
     def advance(self, now: float) -> None:
@@ -161,30 +162,58 @@ class Knowledge:
                 self.apply(time, "dwell", (node.ref,))
 
     def finish(self) -> None:
-        """Put in place what was interrupted."""
-        pending = self.pending
+        """Undo what was interrupted before it was in; put the rest in place if it was in."""
+        pending, state = self.pending, self.state
         if pending is None:
             return
-        event, puts, is_laid, matters = pending
-        if is_laid:
-            self._layer.put_in_place()
-            self.state.visited += self._layer.visited
-            self._layer.visited = 0
-            self.state.version = event.number
+        if pending == "open":
+            state.undo()
+            self.pending = None
+            return
+        event, puts, changes_state, matters = pending
+        if changes_state:
+            state.version = event.number
         for put in puts:
             put()
+        if self.pending is not pending:  # who has asked meanwhile has done so too, and has come between
+            self.finish()
+            return
         if event.verb == "amend":
             event = Event(*event[:4], self._changes(), *event[5:])
         if event.changes:
-            self.changed_by.update(dict.fromkeys(self._layer.changed(), event.number))
+            # else a plan has switched it: of one that ends by itself a reason is told
+            if event.verb != "component_active" or event.arguments[2] or not self.records.open_plans:
+                for array, index, _ in state.kept or ():
+                    if array is state.status:
+                        self.changed_by[index] = event.number
             if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
                 self.feasibility = event.number
         if matters:
             self.revision = event.number
+        is_new = self.log.last < event.number
         self.log.append(event)
-        self.pending = None
-        for witness in self.log.witnesses:
+        state.kept = self.pending = None
+        for witness in self.log.witnesses if is_new else ():
             witness(event)
+
+    def settled(self, *, is_told: bool = False) -> State:
+        """Return what is known once an interrupt is settled; a handler of signals asks, and an event goes on."""
+        pending = self.pending
+        if pending is None or not self._is_under_way():
+            self.finish()
+        elif is_told:
+            raise KnowledgeBaseError("what handles a signal can tell nothing in the midst of an event; tell it later")
+        elif pending == "open":
+            return self.state.before()
+        else:
+            self.finish()
+            self.pending = pending[0], *pending[1:]  # another one: so it is done again
+        return self.state
+
+    def _is_under_way(self) -> bool:
+        """Tell whether this thread is in the midst of an event, below whoever asks this in order to do something."""
+        below = (frame for frame, _ in islice(walk_stack(currentframe()), 3, None))
+        return any(one.f_code.co_name in _EVENTFUL and one.f_locals.get("self") is self for one in below)
 
     def _put(
         self,
@@ -210,31 +239,30 @@ class Knowledge:
             matters: whether it can matter to a planner; None if only changed statuses do.
         """
         if touched:
-            changes = [*changes, *propagate(self._layer, touched)]
+            changes = [*changes, *propagate(self.state, touched)]
         if changes or effects or plan is not None or words:
             event = Event(*event[:4], tuple(changes), event.cause, effects, plan, words)
-        is_laid = bool(touched) if event.verb == "measure" else event.verb not in RECORDS
-        self.pending = event, puts, is_laid, bool(changes) if matters is None else matters
+        changes_state = bool(touched) if event.verb == "measure" else event.verb not in RECORDS
+        self.pending = event, puts, changes_state, bool(changes) if matters is None else matters
         self.finish()
         return event
 
-    def _lay(self) -> Overlay:
-        if self._is_laid:
-            self._layer.clear()
-        self._is_laid = True
-        return self._layer
+    def _open(self) -> None:
+        """Begin to change the state: until the event is in, what was there is kept."""
+        self.state.kept = []
+        self.pending = "open"
 
     def _judged(self, judged: Iterable[Judged]) -> list[Node]:
         changed = [(node, after) for node, after, _ in judged if after is not None]
         for node, after in changed:
-            self._layer.verdict[node.index] = after
+            self.state.put(self.state.verdict, node.index, after)
         return [node for node, _ in changed]
 
     # ---------------------------------------------------------------- what time does
 
     def _stale(self, event: Event, name: str) -> Event:
         node = self.network.attributes[name]
-        self._layer.stale[node.index] = True
+        self.state.put(self.state.stale, node.index, True)
         words = f"{name} {staleness(self.state.time[node.index], node, event.time)}"
         put = partial(self.measurements.put_stale, node)
         return self._put(event, node.constraints, put, words=words, matters=None)
@@ -260,18 +288,18 @@ class Knowledge:
         return self._stated(event, self.network.components[name], "failed", True, reason)
 
     def _component_recovered(self, event: Event, name: str) -> Event:
-        node, layer = self.network.components[name], self._layer
-        if layer.asserted[node.index] is Status.FAILURE:
-            layer.asserted[node.index] = None
-            layer.give_reason("asserted", node)
+        node, state = self.network.components[name], self.state
+        if state.asserted[node.index] is Status.FAILURE:
+            state.put(state.asserted, node.index, None)
+            state.give_reason("asserted", node)
         return self._stated(event, node, "failed", False)
 
     def _component_active(self, event: Event, name: str, active: bool, reason: str) -> Event:
         return self._stated(event, self.network.components[name], "active", active, "" if active else reason)
 
     def _stated(self, event: Event, node: Node, column: str, is_so: bool, reason: str = "") -> Event:
-        getattr(self._layer, column)[node.index] = is_so
-        self._layer.give_reason(column, node, reason)
+        self.state.put(self.state.columns[column], node.index, is_so)
+        self.state.give_reason(column, node, reason)
         return self._put(event, [node])
 
     def _assert_status(self, event: Event, ref: Ref, status: str, reason: str, until: float | None) -> Event:
@@ -285,8 +313,8 @@ class Knowledge:
         self, event: Event, ref: Ref, status: Status | None, reason: str = "", until: float | None = None, *, words: str
     ) -> Event:
         node, alarms = self.network.referred(ref), self.measurements.alarms
-        self._layer.asserted[node.index] = status
-        self._layer.give_reason("asserted", node, reason, until)
+        self.state.put(self.state.asserted, node.index, status)
+        self.state.give_reason("asserted", node, reason, until)
         put = partial(alarms.clear, ~node.index) if until is None else partial(alarms.set, ~node.index, until)
         return self._put(event, [node], put, words=f"{node.name} is {words}")
 
@@ -294,29 +322,29 @@ class Knowledge:
         return self._stated(event, self.network.referred(ref), "asserted_required", bool(required))
 
     def _assert_selected(self, event: Event, ref: Ref, selected: bool | None, reason: str) -> Event:
-        node, layer = self.network.referred(ref), self._layer
-        layer.selected[node.index] = bool(selected)
+        node, state = self.network.referred(ref), self.state
+        state.put(state.selected, node.index, bool(selected))
         whole = node.wholes[0]
-        is_without = not any(layer.selected[part.index] for part in whole.parts)
-        layer.give_reason("unselected", whole, reason if is_without else "")
+        is_without = not any(state.selected[part.index] for part in whole.parts)
+        state.give_reason("unselected", whole, reason if is_without else "")
         return self._stated(event, node, "selected", bool(selected), reason if selected else "")
 
     def _note_no_choice(self, event: Event, reason: str) -> Event:
-        note_nothing(self._layer, reason)
+        note_nothing(self.state, reason)
         return self._put(event, matters=False)
 
     # ---------------------------------------------------------------- requests and plans
 
     def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Event:
         node = self.network.actions[name]
-        self._layer.requested[node.index] = True
+        self.state.put(self.state.requested, node.index, True)
         weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
         record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
         return self._put(event, [node], partial(self.records.put, "requests", event.number, record))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:
         node, record = self.network.actions[name], self.records.required[name]
-        self._layer.requested[node.index] = False
+        self.state.put(self.state.requested, node.index, False)
         words = f"{name} is {result}: {reason}" if reason else f"{name} is {result}"
         ended = (*self.records.ended, words)[-_ENDED:] if reason else self.records.ended
         end = {"result": result, "end": event.time, "reason": reason}
@@ -325,26 +353,24 @@ class Knowledge:
     def _select(
         self, event: Event, designs: Mapping[str, str], configurations: Mapping[str, str], reason: str
     ) -> Event | None:
-        layer, network = self._layer, self.network
+        state, network = self.state, self.network
         chosen = [network.designs[name] for name in designs.values()]
         given = [network.configurations[name] for name in configurations.values()]
-        ended = self.records.ended
-        selection = reselect(layer, chosen, given)
-        for node in dict.fromkeys([*selection.reselected, *chosen, *given]):
-            layer.give_reason("selected", node, reason if layer.selected[node.index] else "")
-            layer.give_reason("unselected", node.wholes[0])
-        changed = [
-            node for node in selection.reselected if layer.selected[node.index] != self.state.selected[node.index]
-        ]
-        effects = tuple((node.kind, node.name, layer.selected[node.index]) for node in dict.fromkeys(changed))
+        why = why_selected(state, [*chosen, *given], event.time, reason, self.records.ended)
+        selection = reselect(state, chosen, given)
+        flips = Counter(selection.reselected)
+        changed = [node for node, times in flips.items() if times % 2]
+        effects = tuple((node.kind, node.name, state.selected[node.index]) for node in changed)
+        before = len(state.kept or ())
+        for node in dict.fromkeys([*flips, *chosen, *given]):
+            state.give_reason("selected", node, reason if state.selected[node.index] else "")
+            state.give_reason("unselected", node.wholes[0])
         if selection:
-            why = why_selected(self.state, [*chosen, *given], event.time, reason, ended)
             number = next(reversed(self.records.plans), 0) + 1
-            plan = planned(self.state, selection, why, event.time, event.cause, number)
+            plan = planned(state, selection, why, event.time, event.cause, number)
             put = partial(self.records.put, "plans", number, plan)
             return self._put(event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False)
-        known, reasons = self.state.reasons, layer.reasons.items()
-        if not effects and all(reason == known.get(key, Reason()) for key, reason in reasons):
+        if not effects and len(state.kept or ()) == before:
             return None
         return self._put(event, changes=selection.changes, effects=effects, matters=bool(effects))
 
@@ -401,7 +427,7 @@ class Knowledge:
     def begin(self, facts: Sequence[facts.Fact], now: float) -> None:
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
-        self.log = Log(self._memory)
+        self.log = Log(self._memory, self._lock)
         self.log.append(Event(1, now, "begin", ()))
         self.changed_by.clear()
         self.feasibility, self.revision, self.state.version = None, 1, 1
@@ -412,7 +438,8 @@ class Knowledge:
             if fact.latest:
                 self.measure(node, fact.value, time)
             else:
-                self.measurements.history(node).add(time, fact.value)
+                history = self.measurements.history(node)
+                history.add(time, fact.value, len(history.pairs))
         elif isinstance(fact, facts.StatusFact):
             self.apply(now, "assert_status", (self.network.find(fact.element).ref, str(fact.status), "", None))
         elif isinstance(fact, facts.RequiredFact):
@@ -437,13 +464,14 @@ class Knowledge:
     def amended(self, change: facts.Amended) -> None:
         """Know what follows from a change of the model; nothing more if that is known already."""
         with self._lock:
-            self.finish()
+            self.settled()
             if change is self._amended:
                 return
+            self.settled(is_told=True)
             for element in change.elements if change.how == "removed" else ():
                 if isinstance(element, Action) and element.name in self.records.required:
                     self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
-            self._lay()
+            self.state.kept = None
             present = {node: self.state.status[node.index] for node in self.network.present()}
             nodes = [node for node in present if node.element in change.elements]
             self._before = {
@@ -458,8 +486,10 @@ class Knowledge:
                 tuple(amendment(change.how, change.elements, self.serials)),
                 words=f"{names} {change.how} in the model",
             )
-            self.pending = event, (partial(self._renew, change, nodes),), False, True
-            self.finish()
+            put = partial(self._renew, change, nodes)
+            if change is not self._amended:  # nor has it been amended for what has asked meanwhile
+                self.pending = event, (put,), False, True
+                self.finish()
 
     def _renew(self, change: facts.Amended, known: Sequence[Node]) -> None:
         """Relate what is in the model now, and infer all anew; it may be done again."""
@@ -558,9 +588,9 @@ class Knowledge:
     # ---------------------------------------------------------------- what led to what
 
     def cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
-        """Return the event that last changed the status of what is chosen for; without any, that ended a request."""
-        wholes = [whole.index for node in chosen for whole in node.wholes]
-        known = [self.changed_by[index] for index in wholes if index in self.changed_by]
+        """Return the event that last changed the status of what is chosen for or among; else that ended a request."""
+        about = [one.index for node in chosen for whole in node.wholes for one in (whole, *whole.parts)]
+        known = [self.changed_by[index] for index in about if index in self.changed_by]
         if not chosen and self.records.last_end is not None:
             known = [self.records.last_end[1]]
         return max(known, default=None)

@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import finalize
 
-from kb import questions
+from kb import questions, views
 from kb.amendments import amend
 from kb.diagnostics import DiagnosticProblem, read_diagnostics
 from kb.elements import Parameters, finite_number, flag, status_of, text
@@ -20,7 +20,7 @@ from kb.elements import parameters as checked_parameters
 from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
-from kb.explanation.reasons import why, why_selected
+from kb.explanation import why, why_selected
 from kb.forecasts import Forecaster, feasible_until
 from kb.knowledge import Knowledge
 from kb.model import Model
@@ -46,7 +46,6 @@ from kb.records import (
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
-from kb.views import views_of
 
 _log = logging.getLogger(__name__)
 
@@ -135,6 +134,7 @@ class KnowledgeBase:
             raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
         if not isinstance(memory, Memory | None):
             raise InvalidValue(f"how much is held in memory is said by a kb.Memory, not by {memory!r}")
+        model.settle()
         self.model = model
         self._time = _Time(clock, model)
         self._lock = RLock()
@@ -156,8 +156,13 @@ class KnowledgeBase:
         self.log: Log = known.log
         self.log.settle = partial(_settle, model, self._held)
         self.history = HistoryView(known.records, self.reading)
-        views = views_of(self, known.network)
-        self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
+        network = known.network
+        self.actions = views.Views(self, network.actions, views.ActionView)
+        self.functions = views.Views(self, network.functions, views.FunctionView)
+        self.components = views.Views(self, network.components, views.ComponentView)
+        self.designs = views.Views(self, network.designs, views.DesignView)
+        self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
+        self.attributes = views.Views(self, network.attributes, views.AttributeView)
         model.watch(known)
         HELD_OVER_FORKS.add(self._lock)
         if self._store is not None:
@@ -170,12 +175,12 @@ class KnowledgeBase:
     def is_feasible(self, action: str) -> bool:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
         known, network = self._knowledge, self._knowledge.network
-        revision, statuses = network.revision, known.state.status
+        revision, visited, statuses = network.revision, known.state.visited, known.state.status
         if self.model.pending is None and known.pending is None and known.measurements.alarms.next == math.inf:
-            place = network.actions[action].index
-            status = statuses[place] if network.revision == revision else None  # one reading needs no lock,
-            if network.revision == revision:  # unless the model is changed meanwhile
-                return status is not Status.UNFEASIBLE
+            node = network.actions.get(action)
+            status = statuses[node.index] if node is not None and network.revision == revision else None
+            if status is not None and (network.revision, known.state.visited) == (revision, visited):
+                return status is not Status.UNFEASIBLE  # one reading needs no lock, unless something is inferred
         return questions.is_feasible(self, action)
 
     selectable_actions = questions.selectable_actions
@@ -446,7 +451,8 @@ class KnowledgeBase:
             configurations: name of the configuration by name of its component.
             reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
             dry_run: only return the plan; nothing is selected, and nobody hears of it.
-            cause: number of the event that made it needed; without one, the latest that changed what is chosen for.
+            cause: number of the event that made it needed; without one, the latest that changed what is chosen
+                for, or among.
 
         Returns:
             The plan that leads there from the present state; None if there is nothing to do.
@@ -463,7 +469,7 @@ class KnowledgeBase:
         now = known.now
         for node in (*chosen, *given):
             if known.state.status[node.index] is Status.UNFEASIBLE:
-                raise Unselectable(f"{node.kind} {node.name} cannot be selected: {why(known.state, node, now)}")
+                raise Unselectable(f"{node} cannot be selected: {why(known.state, node, now)}")
         if dry_run:
             layer = Overlay(known.state)
             reasons = why_selected(layer, [*chosen, *given], now, reason, known.records.ended)
@@ -684,7 +690,6 @@ class KnowledgeBase:
         return self._knowledge.network.components[name]
 
     def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
-        self._knowledge.finish()
         return meant(self, self._knowledge.state, element, kinds, unique=True)
 
 
@@ -739,9 +744,7 @@ def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # n
         taken: list[bool] = []
         try:
             taken.extend(map(lock.acquire, once))
-            if known.pending is not None:
-                known.finish()
-            return known.state
+            return known.state if known.pending is None else known.settled()
         except BaseException:
             if taken:
                 lock.release()

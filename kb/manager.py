@@ -7,12 +7,12 @@ your own monitor, planner or executor and the rest stays as it is.
 from collections.abc import Iterable
 from typing import Protocol
 
-from kb.exceptions import InvalidValue, ProtocolError, Unselectable
-from kb.execution.executor import StagedExecutor
+from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
+from kb.execution import StagedExecutor
 from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, wrong_answer
-from kb.planners.choice import Choice, choice_by_priority
+from kb.planners import Choice, choice_by_priority
 from kb.records import ReconfigurationPlan
 
 
@@ -143,10 +143,10 @@ class ConfigurationManager:
         return plan
 
     def _planned(self, revision: int) -> ReconfigurationPlan | None:
-        """Have the planner plan; what it chose may have become unfeasible meanwhile, which is no slip of its own."""
+        """Have the planner plan; what it chose may be unfeasible or removed by now, which is no slip of its own."""
         try:
             plan = self._planner.plan(self._kb)
-        except Unselectable:
+        except (Unselectable, UnknownName):
             if self._kb.revision == revision:
                 raise
             return None

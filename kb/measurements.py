@@ -7,7 +7,7 @@ remembered; inference reads it there.
 
 import heapq
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from kb.elements import Constraint
@@ -91,8 +91,7 @@ class Measurements:
         if element.max_age != math.inf:
             self._expire(attribute, time)
         history = state.histories.get(index) or self.history(attribute)
-        if len(history.pairs) == count:
-            history.add(time, value)
+        history.add(time, value, count)
 
     def _expire(self, attribute: Node, measured: float) -> None:
         max_age: float = attribute.element.max_age
@@ -128,10 +127,10 @@ class Measurements:
         end = self.since.get(node.index, -math.inf) + constraint.dwell
         return Judged(node, None, end) if known is not None and now < end else Judged(node, after, None)
 
-    def renew(self, node: Node, now: float) -> Sequence[Node]:
+    def renew(self, node: Node, now: float) -> None:
         if node.kind == "constraint":
             self._begin(node, now)
-            return [node]
+            return
         element, time, index = node.attribute, self._state.time[node.index], node.index
         self._state.stale[index] = False
         self.put_stale(node)
@@ -142,7 +141,6 @@ class Measurements:
             self._expire(node, time)
         for constraint in node.constraints:
             self._begin(constraint, now)
-        return node.constraints
 
     def resume(self, attribute: Node, now: float) -> None:
         measured, value = self._state.time[attribute.index], None
@@ -167,16 +165,9 @@ class Measurements:
 
 
 def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
-    """Return what measurements say of a constraint, whatever its dwell.
+    """Return what a constraint is by the latest measurements that count, whatever its dwell.
 
-    Args:
-        constraint: with its hysteresis.
-        values: the latest measurements that count, in the attribute's unit.
-        enough: how many of them have to agree.
-        before: what it was; None if it was neither satisfied nor violated.
-
-    Returns:
-        What it was, unless enough of the measurements say otherwise.
+    That is what it was before (None if neither satisfied nor violated), unless enough of them say otherwise.
     """
     votes = [_side(constraint, value, before) for value in values]
     agreed = [status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough]

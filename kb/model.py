@@ -24,8 +24,7 @@ from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_a
 from weakref import ref
 
 from kb import facts
-from kb.checks.findings import Finding
-from kb.checks.model import check_model
+from kb.checks import Finding, check_model
 from kb.elements import (
     CHECKS,
     KINDS,
@@ -61,7 +60,7 @@ from kb.elements import (
     status_of,
 )
 from kb.exceptions import DuplicateName, ModelError, UnknownName
-from kb.facts import TABLES, Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact, tables_of
+from kb.facts import Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.files import SUFFIXES, ModelFileError, write_text
 from kb.notebook import table as html_table
 from kb.owl.individuals import individuals, plain_json
@@ -70,22 +69,13 @@ from kb.records import check_result
 ElementT = TypeVar("ElementT", bound=Element)
 
 
+_NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
 _REQUIRABLE: Final = (Action, Function, Component)
 _SELECTABLE: Final = (FunctionDesign, Configuration)
 
 
 class Measured(TypedDict, total=False):
-    """What can be said of an attribute.
-
-    Attributes:
-        max_age: how long a measurement holds [s]; for ever by default.
-        when_stale: what its constraints are after that: "not evaluated" (by default) or "violated".
-        agreement: (n, k): n of the last k measurements have to say so before a constraint on it changes; (1, 1).
-        unit: of its values, as it is shown, e.g. "V"; none by default.
-        low: the least value that it can have; a measurement below is refused; -infinity by default.
-        high: the greatest value that it can have; infinity by default.
-        forecasting, rates: how it is forecast; see `Attribute.forecast` and `Attribute.changes`.
-    """
+    """What can be said of an attribute; what is meant by it, `kb.elements.Attribute` says."""
 
     max_age: float
     when_stale: StalePolicy | str
@@ -119,6 +109,7 @@ class Model:
     Each mapping below is by name, in order of declaration, and read-only.
 
     Attributes:
+        tables: all of it, by class: each of those above, constraints and estimations, after those that it refers to.
         notes: what a file said that has no meaning in a model, and what was made of it; `check` reports it.
         places: where the elements that come from files stand there, as file:line:column.
         pending: a change that is being made, or was interrupted; see `settle`.
@@ -134,12 +125,15 @@ class Model:
         self.pending: Amended | None = None
         self.notes: list[str] = []
         self.places: dict[Element | Constraint, str] = {}
-        self.attributes: Mapping[str, Attribute] = MappingProxyType(self._tables[Attribute])
-        self.components: Mapping[str, Component] = MappingProxyType(self._tables[Component])
-        self.configurations: Mapping[str, Configuration] = MappingProxyType(self._tables[Configuration])
-        self.functions: Mapping[str, Function] = MappingProxyType(self._tables[Function])
-        self.designs: Mapping[str, FunctionDesign] = MappingProxyType(self._tables[FunctionDesign])
-        self.actions: Mapping[str, Action] = MappingProxyType(self._tables[Action])
+        self.tables: Mapping[type, Mapping[Any, Any]] = MappingProxyType(
+            {cls: MappingProxyType(table) for cls, table in self._tables.items()}
+        )
+        self.attributes: Mapping[str, Attribute] = self.tables[Attribute]
+        self.components: Mapping[str, Component] = self.tables[Component]
+        self.configurations: Mapping[str, Configuration] = self.tables[Configuration]
+        self.functions: Mapping[str, Function] = self.tables[Function]
+        self.designs: Mapping[str, FunctionDesign] = self.tables[FunctionDesign]
+        self.actions: Mapping[str, Action] = self.tables[Action]
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
@@ -157,11 +151,11 @@ class Model:
         return tuple(self._facts)
 
     def quality_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
-        """Declare a measured property of the robot itself, e.g. its energy; see `Measured` for what can be said of it.
+        """Declare a measured property of the robot itself, e.g. its energy.
 
         Args:
             name: unique among attributes.
-            given: max_age, when_stale, agreement, unit, low, high, forecasting, rates.
+            given: max_age, when_stale, agreement, unit, low, high, forecasting, rates: see `kb.elements.Attribute`.
         """
         return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
@@ -379,9 +373,8 @@ class Model:
         return f"<Model {self.name!r}>"
 
     def _repr_html_(self) -> str:
-        rows = [
-            (KINDS[type(one)], name, _facts(one)) for table in tables_of(self).values() for name, one in table.items()
-        ]
+        named = (one for cls, table in self.tables.items() if issubclass(cls, Element) for one in table.values())
+        rows = [(KINDS[type(one)], one.name, _facts(one)) for one in named]
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
@@ -436,11 +429,13 @@ class Model:
             for one in added:
                 self._tables[type(one)][_key(one)] = one
 
-        if self._batch is None:
-            self._amend("declared", added, put)
-        else:
+        if self._batch is not None:
             self._batch.extend(added)
             put()
+        elif self._observers or len(added) > 1:
+            self._amend("declared", added, put)
+        else:
+            put()  # one step, which nobody hears of
 
     def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
         """Change something; it is in or out, for whoever watches too, once it is `pending`."""
@@ -458,7 +453,7 @@ class Model:
         return [observer for one in tuple(self._observers) if (observer := one()) is not None]
 
     def _meant(self, what: str, element: Changeable | str) -> Changeable:
-        tables: dict[str, dict[str, Element]] = {KINDS[cls]: self._tables[cls] for cls in TABLES.values()}
+        tables: dict[str, dict[str, Element]] = {KINDS[cls]: self._tables[cls] for cls in _NAMED}
         advice = "give the one meant, e.g. model."
         found = meant_by(element, tables, "element", advice) if isinstance(element, str) else element
         self._owned(what, found, Changeable)
@@ -503,7 +498,7 @@ def _suffix(file: Path, *, is_read: bool = True) -> str:
 
 def _users_of(model: Contents, element: Element) -> list[str]:
     given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
-    owners = (*model.actions.values(), *model.designs.values(), *model.configurations.values())
+    owners = (one for cls in (Action, FunctionDesign, Configuration) for one in model.tables[cls].values())
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
     users |= {one: f"constraint {one}" for one in model.constraints}
     users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
@@ -524,10 +519,9 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
         if not isinstance(fact.element, kinds):
             raise ModelError(f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}")
         return fact
-    tables = tables_of(model)
     for cls, name in _named_by(fact):
-        if not isinstance(name, str) or name not in tables[cls]:
-            raise UnknownName(KINDS[cls], name, tables[cls])
+        if not isinstance(name, str) or name not in model.tables[cls]:
+            raise UnknownName(KINDS[cls], name, model.tables[cls])
     given = {one.name: getattr(fact, one.name) for one in fields(fact)}
     values: dict[str, Any] = {
         name: finite_number(at) for name, at in given.items() if name in ("time", "start", "end") and at is not None

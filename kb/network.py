@@ -4,7 +4,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from kb.elements import (
     KINDS,
@@ -20,7 +20,7 @@ from kb.elements import (
     shown,
 )
 from kb.exceptions import InvalidValue, UnknownName
-from kb.facts import Contents, tables_of
+from kb.facts import Contents
 
 Ref = tuple[str, str] | tuple[str, str, int]
 """What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
@@ -40,29 +40,22 @@ LEVELS: Final = {
 class Node:
     """An element's place in the network.
 
-    Attributes:
-        index: its position in every array of a state.
-        element: what it stands for in the model; of which class, `kind` says.
-        name: the element's; a constraint is called by its text.
-        constraints: the constraints on it (of an attribute: those that compare it).
-        parts: what its status is inferred from, one level or more below: a component's configurations, a design's
-            components, a function's designs, an action's functions, a constraint's attribute.
-        wholes: what is inferred from its status.
+    Its parts are what its status is inferred from: a component's configurations, a design's components, a function's
+    designs, an action's functions, a constraint's attribute. Its wholes are what is inferred from its status.
     """
 
     __slots__ = ("constraints", "element", "index", "kind", "level", "name", "parts", "wholes")
 
-    element: Any
+    element: Any  # what it stands for in the model; of which class, `kind` says
+    name: str
+    constraints: list["Node"]  # those on it; of an attribute those that compare it
+    parts: list["Node"]
+    wholes: list["Node"]
 
     def __init__(self, index: int, kind: str, element: Element | Constraint) -> None:
-        self.index = index
-        self.kind = kind
-        self.level = LEVELS[kind]
+        self.index = index  # its position in every array of a state
+        self.kind, self.level = kind, LEVELS[kind]
         self.element = element
-        self.name = _name(element)
-        self.constraints: list[Node] = []
-        self.parts: list[Node] = []
-        self.wholes: list[Node] = []
 
     @property
     def attribute(self) -> Attribute:
@@ -85,19 +78,19 @@ class Node:
     def __repr__(self) -> str:
         return f"<{self.kind} {self.name!r}>"
 
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
 
 class Thresholds:
     """The constraints on one attribute in the order of the values at which they turn.
 
     Each of the four comparisons turns at one value t: it is one thing below t and the other from t on. For `>` and
     `<=` that is the next number above the written one.
-
-    Attributes:
-        steady: the constraints that are not in that order, for what they are depends on earlier measurements too.
     """
 
     def __init__(self, constraints: Iterable[Node]) -> None:
-        self.steady: list[Node] = []
+        self.steady: list[Node] = []  # not in that order: what they are depends on earlier measurements too
         self._turns: list[tuple[float, Node]] = []
         for node in constraints:
             if is_steady(node):
@@ -129,23 +122,12 @@ def _turn(node: Node) -> float:
     return value if node.constraint.operator in (">=", "<") else math.nextafter(value, math.inf)
 
 
-class _Related(NamedTuple):
-    constraints: list[Node]
-    parts: list[Node]
-    wholes: list[Node]
-
-
 class Network:
-    """One node per element of a model, by name within its kind; constraints by themselves.
-
-    Attributes:
-        revision: grows whenever the model is related anew.
-        kinds: all tables of what has a name, by kind.
-    """
+    """One node per element of a model, by name within its kind; constraints by themselves."""
 
     def __init__(self, model: Contents) -> None:
         self.model = model
-        self.revision = 0
+        self.revision = 0  # grows whenever the model is related anew
         self.nodes: list[Node] = []
         self._thresholds: dict[Node, Thresholds] = {}
         self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
@@ -172,7 +154,7 @@ class Network:
     def present(self) -> Iterator[Node]:
         """Yield every node that has not been removed."""
         for table in self._tables.values():
-            yield from table.values()
+            yield from tuple(table.values())
 
     def referred(self, ref: Ref) -> Node:
         match ref:
@@ -192,25 +174,24 @@ class Network:
         """
         self.revision += 1
         self._thresholds.clear()
-        elements: list[Element | Constraint] = []
-        for table in tables_of(self.model).values():
-            elements += table.values()
-        elements += self.model.constraints
-        related = {self._node(one): _Related([], [], []) for one in elements}
+        tables = (table for cls, table in self.model.tables.items() if KINDS[cls] in LEVELS)
+        related: dict[Node, tuple[list[Node], list[Node], list[Node]]] = {
+            self._node(one): ([], [], []) for table in tables for one in table.values()
+        }
 
         def join(part: Node, whole: Node) -> None:
-            related[whole].parts.append(part)
-            related[part].wholes.append(whole)
+            related[whole][1].append(part)
+            related[part][2].append(whole)
 
-        for node, of in related.items():
+        for node, (_, parts, wholes) in related.items():
             element = node.element
             if isinstance(element, Constraint):
                 attribute = self.attributes[element.attribute]
-                of.parts.append(attribute)
+                parts.append(attribute)
                 targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(element.constrained)]
-                of.wholes.extend(targets)
+                wholes.extend(targets)
                 for one in (attribute, *targets):
-                    related[one].constraints.append(node)
+                    related[one][0].append(node)
             elif isinstance(element, Configuration):
                 join(node, self.components[element.component])
             elif isinstance(element, FunctionDesign):
@@ -221,10 +202,10 @@ class Network:
                 for name in dict.fromkeys(element.functions):
                     join(self.functions[name], node)
         for nodes in self._tables.values():
-            for key in [key for key, node in nodes.items() if node not in related]:
-                del nodes[key]
+            for key in [key for key, node in tuple(nodes.items()) if node not in related]:
+                nodes.pop(key, None)
         for node, of in related.items():
-            node.name, node.constraints, node.parts, node.wholes = _name(node.element), *of
+            node.constraints, node.parts, node.wholes = of
 
     def _node(self, element: Element | Constraint) -> Node:
         table, key = self._tables[type(element)], element if isinstance(element, Constraint) else element.name
@@ -232,7 +213,8 @@ class Network:
         if node is None or node.element is not element:
             node = Node(len(self.nodes), KINDS[type(element)], element)
             self.nodes.append(node)
-            table[key] = node
+        node.name = element.name if isinstance(element, Element) else str(element)
+        table[key] = node
         return node
 
     def thresholds(self, attribute: Node) -> Thresholds:
@@ -240,7 +222,3 @@ class Network:
         if found is None:
             found = self._thresholds[attribute] = Thresholds(attribute.constraints)
         return found
-
-
-def _name(element: Element | Constraint) -> str:
-    return element.name if isinstance(element, Element) else str(element)

@@ -9,23 +9,24 @@ from contextlib import contextmanager
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
+from kb import views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
+from kb.explanation import Explanation
+from kb.explanation import explain as explained
+from kb.explanation import why as explained_shortly
 from kb.explanation.choice import ChoiceExplanation
 from kb.explanation.choice import explain_choice as explained_choice
-from kb.explanation.reasons import Explanation
-from kb.explanation.reasons import explain as explained
-from kb.explanation.reasons import why as explained_shortly
 from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
-from kb.planners.choice import Choice, firsts_by_priority
+from kb.planners import Choice, firsts_by_priority
 from kb.reconfiguration import Obsolete, by_whole, reselect
 from kb.reconfiguration import obsolete as all_obsolete
 from kb.state import Overlay, State
 from kb.status import Status
-from kb.views import ElementView, Readable, views_of
+from kb.views import ElementView, Readable
 
 ELEMENTS: Final = ("action", "function", "component", "function design", "configuration", "constraint")
 """The kinds of elements that have a status; all but constraints have a name too."""
@@ -238,12 +239,16 @@ class Situation:
     ) -> None:
         self._base, self._at = base, at
         self.forecast = base.forecast
-        self._network = state.network
+        self._network = network = state.network
         self._assumptions = tuple(assumptions)
         self._seen = (-1, -1)
         self._overlay: Overlay | None = None
-        views = views_of(self, self._network)
-        self.actions, self.functions, self.components, self.designs, self.configurations, self.attributes = views
+        self.actions = views.Views(self, network.actions, views.ActionView)
+        self.functions = views.Views(self, network.functions, views.FunctionView)
+        self.components = views.Views(self, network.components, views.ComponentView)
+        self.designs = views.Views(self, network.designs, views.DesignView)
+        self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
+        self.attributes = views.Views(self, network.attributes, views.AttributeView)
 
     is_feasible = is_feasible
     selectable_actions = selectable_actions

@@ -52,7 +52,7 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     idle = [node for node in unneeded if node.kind == "component"]
     unselected = [node for node in unneeded if node.kind != "component"]
     for node in unselected:
-        state.selected[node.index] = False
+        state.put(state.selected, node.index, False)
     if unselected:
         changes += propagate(state, unselected)
     given_up = [
@@ -91,7 +91,7 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
             wanted = rival is node
             if state.selected[rival.index] == wanted:
                 continue
-            state.selected[rival.index] = wanted
+            state.put(state.selected, rival.index, wanted)
             changed.append(rival)
             if not wanted:
                 replaced.append(rival)

@@ -5,12 +5,14 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, fields
 from types import MappingProxyType
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from kb.elements import Parameters, is_number
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
 from kb.notebook import table
+
+T = TypeVar("T")
 
 RESULTS: Final = ("completed", "failed", "abandoned")
 
@@ -205,37 +207,22 @@ class VetoAnswer:
 
 
 class Records:
-    """All that is on record, by number, in order. What is put here may be put again.
-
-    Attributes:
-        requests: by number of the event that they began with.
-        required: the open requests, by action.
-        plans: by their own number.
-        open_plans: those that have not ended.
-        processes: by number of the event that they began with.
-        attempts: by their serial number.
-        answers: by number of the event.
-        ended: why requests have ended since the last plan, in words; the newest.
-        last_end: when a request ended last [s], and the number of that event.
-        begins: the time from which on nothing that has ended is forgotten [s].
-        rejected: how many readings of diagnostics could not be used.
-        progress: where actions are, by action and behaviour; empty once they begin anew.
-    """
+    """All that is on record, by number, in order. What is put here may be put again."""
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
-        self.requests: dict[int, RequiredAction] = {}
-        self.required: dict[str, RequiredAction] = {}
+        self.requests: dict[int, RequiredAction] = {}  # by number of the event that they began with
+        self.required: dict[str, RequiredAction] = {}  # those that are open, by action
         self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = {}
+        self.processes: dict[int, Process] = {}  # by number of the event that they began with
         self.attempts: dict[int, Attempt] = {}
-        self.answers: dict[int, VetoAnswer] = {}
-        self.ended: tuple[str, ...] = ()
-        self.last_end: tuple[float, int] | None = None
-        self.begins = -math.inf
-        self.rejected = 0
-        self.progress: dict[tuple[str, str], str] = {}
+        self.answers: dict[int, VetoAnswer] = {}  # by number of the event
+        self.ended: tuple[str, ...] = ()  # why requests have ended since the last plan, in words; the newest
+        self.last_end: tuple[float, int] | None = None  # when a request ended last [s], and the number of that event
+        self.begins = -math.inf  # the time from which on nothing that has ended is forgotten [s]
+        self.rejected = 0  # how many readings of diagnostics could not be used
+        self.progress: dict[tuple[str, str], str] = {}  # where actions are; empty once they begin anew
         self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
 
     def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
@@ -304,9 +291,7 @@ class Records:
         """Return all of it as values that JSON can hold, except what has to do with the plans of other bases."""
         known = {id(plan) for plan in self.plans.values()}
         return {
-            "requests": [_written(one) for one in self.requests.values()],
-            "plans": [_written(one) for one in self.plans.values()],
-            "processes": [_written(one) for one in self.processes.values()],
+            **{name: list(map(_written, getattr(self, name).values())) for name in ("requests", "plans", "processes")},
             "attempts": [_written(one) for one in self.attempts.values() if id(one.plan) in known],
             "answers": [[number, _written(one)] for number, one in self.answers.items() if id(one.plan) in known],
             "ended": self.ended,
@@ -316,14 +301,13 @@ class Records:
 
     def from_json(self, written: Mapping[str, Any]) -> None:
         """Put on record what `to_json` returned."""
-        for values in written["requests"]:
-            self.put("requests", values["number"], RequiredAction(**values))
+        for name, cls in (("requests", RequiredAction), ("processes", Process)):
+            for values in written[name]:
+                self.put(name, values["number"], cls(**values))
         for values in written["plans"]:
             tuples = {name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")}
             made = ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])})
             self.put("plans", made.number, made)
-        for values in written["processes"]:
-            self.put("processes", values["number"], Process(**values))
         for values in written["attempts"]:
             self.put("attempts", values["serial"], Attempt(**{**values, "plan": self.plans[values["plan"]]}))
         for number, values in written["answers"]:
@@ -334,50 +318,52 @@ class Records:
         self.last_end = None if last_end is None else (last_end[0], last_end[1])
 
 
+class _Kept(Generic[T]):
+    """What is in a table of the records, in order."""
+
+    def __init__(self, table: str) -> None:
+        self._table = table
+
+    def __get__(self, view: "HistoryView", _: type) -> tuple[T, ...]:
+        with view.reading():
+            return tuple(getattr(view.records, self._table).values())
+
+
 class HistoryView:
-    """What is not asked every day, of all that is on record; what has ended is forgotten at some time, see `Memory`."""
+    """What is not asked every day, of all that is on record; what has ended is forgotten at some time, see `Memory`.
+
+    Attributes:
+        actions: those that were required, in the order of the requests.
+        open_plans: the plans that have not ended, in the order in which they were made.
+        attempts: the commands that were given, in order, with what came of each.
+        answers: what was answered about plans before they were executed, in order.
+    """
+
+    __slots__ = ("reading", "records")
+
+    actions = _Kept[RequiredAction]("requests")
+    open_plans = _Kept[ReconfigurationPlan]("open_plans")
+    attempts = _Kept[Attempt]("attempts")
+    answers = _Kept[VetoAnswer]("answers")
 
     def __init__(self, records: Records, reading: Callable[[], AbstractContextManager[object]]) -> None:
-        self._records, self._reading = records, reading
-
-    def _read(self) -> Records:
-        with self._reading():
-            return self._records
+        self.records, self.reading = records, reading
 
     @property
     def begins(self) -> float:
         """The time from which on nothing is missing here [s]; `-math.inf` while nothing is forgotten."""
-        return self._records.begins
-
-    @property
-    def actions(self) -> tuple[RequiredAction, ...]:
-        """The actions that were required, in the order of the requests."""
-        return tuple(self._read().requests.values())
-
-    @property
-    def open_plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """The plans that have not ended, in the order in which they were made."""
-        return tuple(self._read().open_plans.values())
+        return self.records.begins
 
     @property
     def rejected(self) -> int:
         """How many readings of diagnostics could not be used so far."""
-        return self._records.rejected
+        return self.records.rejected
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
         """Where interrupted actions are, by action and behaviour, as the task layer has written it."""
-        return {key: saved for key, saved in self._read().progress.items() if saved}
-
-    @property
-    def attempts(self) -> tuple[Attempt, ...]:
-        """The commands that were given, in order, with what came of each."""
-        return tuple(self._read().attempts.values())
-
-    @property
-    def answers(self) -> tuple[VetoAnswer, ...]:
-        """What was answered about plans before they were executed, in order."""
-        return tuple(self._read().answers.values())
+        with self.reading():
+            return {key: saved for key, saved in self.records.progress.items() if saved}
 
 
 def check_result(result: str) -> None:
@@ -391,12 +377,17 @@ def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **e
 
 
 def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> dict[str, Any]:
-    return {field.name: _plain(getattr(record, field.name)) for field in fields(record)}
+    return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, ReconfigurationPlan):
-        return value.number
+def plain(value: object) -> object:
+    """Return a value as JSON can hold it; of a plan its number."""
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, tuple | list):
+        return [plain(one) for one in value]
     if isinstance(value, frozenset):
         return sorted(value)
-    return dict(value) if isinstance(value, Mapping) else value
+    if isinstance(value, Mapping):
+        return {key: plain(one) for key, one in value.items()}
+    return value.number if isinstance(value, ReconfigurationPlan) else value

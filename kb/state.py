@@ -1,13 +1,14 @@
 """The facts of one moment and what is inferred from them, as arrays over a network; and layers of "what if" on top.
 
 A layer answers from its own changes first and from the state below otherwise, so that it costs what it changes and
-copies nothing. What a layer holds can be put in place in the state below, at once or again.
+copies nothing. What an event changes in a state itself is kept as it was until the event is in, and can be undone.
 """
 
 import math
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
+from copy import deepcopy
 from operator import attrgetter
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -44,62 +45,75 @@ class Reason(NamedTuple):
 _UNSAID: Final = Reason()
 
 
-class _Layer(dict[int, T], Generic[T]):
+class _Layer(dict[Any, T], Generic[T]):
     """An array seen through a few replaced entries."""
 
-    __slots__ = ("below",)
+    __slots__ = ("_below",)
 
-    def __init__(self, below: Array[T]) -> None:
-        self.below = below
+    def __init__(self, below: Any) -> None:  # noqa: ANN401  # what can be indexed
+        self._below = below
 
-    def __missing__(self, index: int) -> T:
-        return self.below[index]
+    def __missing__(self, index: Any) -> T:  # noqa: ANN401  # as what is below has
+        found: T = self._below[index]
+        return found
 
 
 class Marked:
-    """A set of nodes; one on top of another answers from its own changes first."""
+    """A set of nodes; `marked[node]` tells whether one is in it, or changes that."""
 
-    __slots__ = ("_below", "_most", "_own")
+    __slots__ = ("_most", "own")
 
-    def __init__(self, below: "Marked | None" = None) -> None:
-        self._below = below
-        self._own: dict[Node, bool] = {}
+    def __init__(self) -> None:
+        self.own: dict[Node, bool] = {}
         self._most = 0
 
-    def mark(self, node: Node, yes: bool) -> None:
-        if self._below is not None:
-            self._own[node] = yes
-        elif yes:
-            self._own[node] = True
-            self._most = max(self._most, len(self._own))
-        elif self._own.pop(node, False) and len(self._own) < self._most // 8:
-            self._own = dict(self._own)  # a dict keeps the room that it once took, and is walked through in full
-            self._most = len(self._own)
+    def __setitem__(self, node: Node, yes: bool) -> None:
+        own = self.own
+        if yes:
+            own[node] = True
+            if len(own) > self._most:
+                self._most = len(own)
+        elif own.pop(node, False) and len(own) < self._most // 8:
+            self.own = dict(own)  # a dict keeps the room that it once took, and is walked through in full
+            self._most = len(own)
+
+    def __getitem__(self, node: Node) -> bool:
+        return node in self.own
+
+    def __bool__(self) -> bool:
+        return bool(self.own)
+
+    def __iter__(self) -> Iterator[Node]:
+        return iter(self.own)
 
     def nodes(self) -> list[Node]:
         return sorted(self, key=_INDEX)
 
-    def put_in_place(self) -> None:
-        assert self._below is not None
-        for node, yes in self._own.items():
-            self._below.mark(node, yes)
-
     def clear(self) -> None:
-        self._own.clear()
+        self.own.clear()
 
-    def __contains__(self, node: Node) -> bool:
-        yes = self._own.get(node)
-        return yes if yes is not None else self._below is not None and node in self._below
+
+class _Supposed(Marked):
+    """A set on top of another: what is in it or not answers first."""
+
+    __slots__ = ("_below",)
+
+    def __init__(self, below: Marked) -> None:
+        super().__init__()
+        self._below = below
+
+    def __getitem__(self, node: Node) -> bool:
+        yes = self.own.get(node)
+        return self._below[node] if yes is None else yes
 
     def __bool__(self) -> bool:
-        return bool(self._own) if self._below is None else any(True for _ in self)
+        own = self.own
+        return any(own.values()) or (any(node not in own for node in self._below) if own else bool(self._below))
 
     def __iter__(self) -> Iterator[Node]:
-        return iter(self._own) if self._below is None else self._merged(self._below)
-
-    def _merged(self, below: "Marked") -> Iterator[Node]:
-        yield from (node for node, yes in self._own.items() if yes)
-        yield from (node for node in below if node not in self._own)
+        own = self.own
+        below = [node for node in self._below if node not in own] if own else self._below
+        return iter([*(node for node, yes in own.items() if yes), *below])
 
 
 _NOBODY: Final = Marked()
@@ -116,45 +130,34 @@ class Users(dict[int, Marked]):
     def __missing__(self, index: int) -> Marked:
         return _NOBODY if self._below is None else self._below[index]
 
-    def mark(self, index: int, user: Node, uses: bool) -> None:
-        self.of(index).mark(user, uses)
-
     def of(self, index: int) -> Marked:
         if index not in self:
-            self[index] = Marked(None if self._below is None else self._below.of(index))
+            self[index] = Marked() if self._below is None else _Supposed(self._below.of(index))
         return self[index]
-
-    def put_in_place(self) -> None:
-        for users in self.values():
-            users.put_in_place()
 
 
 class History:
     """The measurements of one attribute, by time, 16 bytes each; the newest, and at most twice as many as wanted.
 
-    Attributes:
-        pairs: of time and value, in one array, so that a measurement is there as a whole or not.
-        begins: the time from which on every measurement is held [s]; `-math.inf` while none is forgotten.
-        many: how long `pairs` is when something may have to be forgotten.
+    Times and values are in one array, so that a measurement is there as a whole or not.
     """
 
     __slots__ = ("_memory", "begins", "many", "pairs")
 
     def __init__(self, memory: Memory, packed: bytes = b"", begins: float | None = None) -> None:
         self._memory, self.pairs = memory, array("d", packed)
-        self.begins = -math.inf if begins is None else begins
-        self.many = 4 * memory.measurements if memory.span == math.inf else 2
+        self.begins = -math.inf if begins is None else begins  # from when on every measurement is held [s]
+        self.many = 4 * memory.measurements if memory.span == math.inf else 2  # so long that some may be too old
 
     def __len__(self) -> int:
         return len(self.pairs) // 2
 
-    def add(self, time: float, value: float) -> None:
-        pairs = self.pairs
-        if not pairs or time >= pairs[-2]:
-            pairs.extend((time, value))
-        else:
-            place = 2 * self._place(time)
-            pairs[place:place] = array("d", (time, value))
+    def add(self, time: float, value: float, count: int) -> None:
+        """Add a measurement to so many numbers in `pairs`; nothing if there are more by now."""
+        pairs, new = self.pairs, array("d", (time, value))
+        place = 2 * self._place(time) if count and time < pairs[-2] else count
+        if not pairs[count:]:  # no signal is handled between this and what follows
+            pairs[place:place] = new
 
     def forget(self) -> None:
         """Forget what is too much or too old, if that is much; before it is counted what is there."""
@@ -211,58 +214,48 @@ def unset(node: Node) -> Status:
     return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
+class _Said(dict[tuple[str, int], Reason]):
+    def __missing__(self, key: tuple[str, int]) -> Reason:
+        return _UNSAID
+
+
 class State:
     """Base facts, and what is inferred from them; every array is indexed by `Node.index`.
 
     Attributes:
-        value: latest measurement of an attribute, or None.
-        time: when that was measured [s].
-        stale: the latest measurement of an attribute is older than it may be.
-        verdict: what a constraint that does not flap is after all that was measured; None for any other.
-        failed: a component is reported failed.
-        active: a component is running.
-        selected: a design or configuration is chosen.
-        requested: an action has an open required-action.
-        asserted: a status that stands in place of the inferred one, or None.
-        asserted_required: required by assertion, whatever is inferred.
-        reasons: what was said of a fact: by name of its array, and index.
-        parameters: which a component was last given, by its name.
-        histories: every measurement of an attribute, by its index.
-        users: inferred: what requires it: of a function its required actions, of a component its selected designs.
-        required: inferred: an open required action, a function of one, a component of a selected design.
-        served: inferred: how many designs, selected or not, of required functions a component is in.
-        status: inferred, exactly one for each element.
-        adaptable: inferred: the functions and components to choose for, or to choose better for.
-        obsolete: inferred: the active components and selected designs and configurations of no required function.
-        lacking: inferred: the required components that are not active.
-        visited: how many nodes were consulted so far to infer all this.
-        version: number of the event that last changed anything here but a measurement and its time.
+        kept: while an event changes a state: what was where before, in the order of changes, as (array, key, value).
     """
 
-    value: Array[float | None]
-    time: Array[float | None]
-    stale: Array[bool]
-    verdict: Array[Status | None]
-    failed: Array[bool]
-    active: Array[bool]
-    selected: Array[bool]
-    requested: Array[bool]
-    asserted: Array[Status | None]
-    asserted_required: Array[bool]
-    required: Array[bool]
-    served: Array[int]
-    status: Array[Status]
+    kept: list[tuple[Any, Any, Any]] | None = None
+
+    value: Array[float | None]  # the latest measurement of an attribute
+    time: Array[float | None]  # when that was measured [s]
+    stale: Array[bool]  # it is older than it may be
+    verdict: Array[Status | None]  # what a constraint that does not flap is after all that was measured
+    failed: Array[bool]  # a component is reported failed
+    active: Array[bool]  # a component is running
+    selected: Array[bool]  # a design or configuration is chosen
+    requested: Array[bool]  # an action has an open required-action
+    asserted: Array[Status | None]  # a status that stands in place of the inferred one
+    asserted_required: Array[bool]  # required by assertion, whatever is inferred
+    required: Array[bool]  # inferred: an open required action, a function of one, a component of a selected design
+    served: Array[int]  # inferred: how many designs, selected or not, of required functions a component is in
+    status: Array[Status]  # inferred: exactly one for each element
 
     def __init__(self, network: Network) -> None:
         self.network = network
         self.columns: dict[str, list[Any]] = {name: [] for name in (*FACTS, *_INFERRED)}
         for name, column in self.columns.items():
             setattr(self, name, column)
-        self.reasons: dict[tuple[str, int], Reason] = {}
-        self.parameters: dict[str, Parameters] = {}
+        self.reasons: dict[tuple[str, int], Reason] = _Said()  # of a fact: by name of its array, and index
+        self.parameters: dict[str, Parameters] = {}  # which a component was last given, by its name
         self.histories: dict[int, History] = {}
-        self.users, self.adaptable, self.obsolete, self.lacking = Users(), Marked(), Marked(), Marked()
-        self.visited = self.version = 0
+        self.users = Users()
+        self.adaptable = Marked()  # the functions and components to choose for, or to choose better for
+        self.obsolete = Marked()  # active components, selected designs and configurations of no required function
+        self.lacking = Marked()  # the required components that are not active
+        self.visited = 0  # how many nodes were consulted so far to infer all this
+        self.version = 0  # number of the event that last changed anything here but a measurement and its time
         self.grow()
 
     @property
@@ -271,10 +264,9 @@ class State:
         return self.users, self.adaptable, self.obsolete, self.lacking
 
     def grow(self) -> None:
-        count = len(self.network.nodes)
-        for name, unset in {**FACTS, **_INFERRED}.items():
-            column = self.columns[name]
-            column += [unset] * (count - len(column))
+        for name, value in {**FACTS, **_INFERRED}.items():
+            new = self.network.nodes[len(self.columns[name]) :]
+            self.columns[name] += map(unset, new) if name == "status" else [value] * len(new)
 
     def forget(self, node: Node) -> None:
         """Know nothing of a node any more."""
@@ -292,62 +284,62 @@ class State:
             marked.clear()
 
     def reason(self, column: str, node: Node) -> Reason:
-        return self.reasons.get((column, node.index), _UNSAID)
+        return self.reasons[column, node.index]
 
     def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        self.reasons[column, node.index] = Reason(text, until)
+        key, reason = (column, node.index), Reason(text, until)
+        if self.reasons[key] != reason:
+            self.put(self.reasons, key, reason)
+
+    def put(self, changed: Any, key: Any, value: object) -> None:  # noqa: ANN401  # each of ours
+        """Change an entry; `undo` takes that back while it is kept what was there."""
+        kept = self.kept
+        if kept is not None:
+            kept.append((changed, key, changed[key]))
+        changed[key] = value
+
+    def mark(self, marked: Marked, node: Node, yes: bool) -> None:
+        """Have a node in a set, or not."""
+        if (node in marked.own) != yes:
+            self.put(marked, node, yes)
+
+    def undo(self) -> None:
+        """Make everything what it was before the changes that are kept; it may be done again."""
+        for changed, key, value in reversed(self.kept or ()):
+            changed[key] = value
+        self.kept = None
+
+    def before(self) -> "State":
+        """Return a copy of it as it was before the changes that are kept; a slow way, for rare cases."""
+        shared = (self.network, self.parameters, self.histories, *self.network.nodes)
+        found = deepcopy(self, {id(one): one for one in shared})
+        found.undo()
+        return found
 
 
 class Overlay(State):
     """A state on top of another: changes made here leave the one below as it is."""
 
-    def __init__(self, below: State, *, lasting: bool = False) -> None:
+    def __init__(self, below: State) -> None:
         self.network = below.network
         self._below = below
-        self._layers: dict[str, _Layer[Any]] = {}
         for name in (*FACTS, *_INFERRED):
-            column = getattr(below, name)
-            cls: type[_Layer[Any]] = _Layer
-            if lasting:  # one that finds what is below without a call; it takes longer to make
-                cls = type("_QuickLayer", (_Layer,), {"__slots__": (), "__missing__": column.__getitem__})
-            self._layers[name] = layer = cls(column)
-            setattr(self, name, layer)
-        self.reasons = {}
+            setattr(self, name, _Layer(getattr(below, name)))
+        self.reasons = _Layer(below.reasons)
         self.parameters = below.parameters
         self.histories = below.histories
-        self.users, self.adaptable = Users(below.users), Marked(below.adaptable)
-        self.obsolete, self.lacking = Marked(below.obsolete), Marked(below.lacking)
+        self.users, self.adaptable = Users(below.users), _Supposed(below.adaptable)
+        self.obsolete, self.lacking = _Supposed(below.obsolete), _Supposed(below.lacking)
         self.visited = 0
         self.version = below.version
 
-    def reason(self, column: str, node: Node) -> Reason:
-        found = self.reasons.get((column, node.index))
-        return self._below.reason(column, node) if found is None else found
+    def mark(self, marked: Marked, node: Node, yes: bool) -> None:
+        marked.own[node] = yes
 
     def is_on(self, below: State) -> bool:
         return self._below is below
 
     def changed(self) -> Iterable[int]:
         """Return the indices of the nodes whose statuses were inferred anew here, and are not what they were."""
-        return self._layers["status"]
-
-    def put_in_place(self) -> None:
-        """Make the state below what this one is. It may be done again, as it has to be where it was interrupted."""
-        below = self._below
-        for layer in self._layers.values():
-            if layer:
-                column = layer.below
-                for index, value in layer.items():
-                    column[index] = value
-        below.reasons.update(self.reasons)
-        for marked in self.marks:
-            marked.put_in_place()
-
-    def clear(self) -> None:
-        for layer in self._layers.values():
-            if layer:
-                layer.clear()
-        self.reasons.clear()
-        for marked in self.marks:
-            marked.clear()
-        self.visited = 0
+        assert isinstance(self.status, _Layer)
+        return self.status

@@ -6,7 +6,7 @@ The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based sol
 """
 
 import operator
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
 
 OPERATORS: Mapping[str, Callable[[float, float], bool]] = {
@@ -46,81 +46,74 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
 """The statuses that an element of each kind can have, in the order of its table."""
 
 
-IMPOSSIBLE = frozenset({Status.UNFEASIBLE, Status.FAILURE, Status.VIOLATED})
+# short names, which are found quicker than what a class has
+NOT_EVALUATED, SATISFIED, VIOLATED, UNFEASIBLE, FAILURE, ERROR, IMPLICIT_ERROR, UNSOLVED, SOLVED, FEASIBLE = Status
+IMPOSSIBLE = frozenset({UNFEASIBLE, FAILURE, VIOLATED})
 """With one of these an element, and what needs it, cannot be."""
+Statuses = Sequence[Status]
 
 
 def constraint_status(measured: float | None, relation: str, threshold: float) -> Status:
     """Status of a constraint: the latest measurement, if any, against `measured (relation) threshold`."""
     if measured is None:
-        return Status.NOT_EVALUATED
-    return Status.SATISFIED if OPERATORS[relation](measured, threshold) else Status.VIOLATED
+        return NOT_EVALUATED
+    return SATISFIED if OPERATORS[relation](measured, threshold) else VIOLATED
 
 
-def configuration_status(constraints: Iterable[Status]) -> Status:
+def configuration_status(constraints: Statuses) -> Status:
     """Status of a component configuration, from its constraints."""
-    return Status.UNFEASIBLE if Status.VIOLATED in constraints else Status.FEASIBLE
+    return UNFEASIBLE if VIOLATED in constraints else FEASIBLE
 
 
 def component_status(
-    *,
-    failed: bool,
-    constraints: Iterable[Status],
-    configurations: Iterable[tuple[Status, bool]],
-    required: bool,
-    active: bool,
+    *, failed: bool, constraints: Statuses, configurations: Statuses, selected: Statuses, required: bool, active: bool
 ) -> Status:
-    """Status of a component, from its own constraints and its configurations: their status, and whether selected."""
-    choices = tuple(configurations)
+    """Status of a component, from its own constraints, and its configurations and those selected of them."""
     if failed:
-        return Status.FAILURE
-    if choices and all(status is Status.UNFEASIBLE for status, _ in choices):
-        return Status.UNFEASIBLE
-    if Status.VIOLATED in constraints:
-        return Status.UNFEASIBLE
+        return FAILURE
+    if VIOLATED in constraints or (configurations and _all(UNFEASIBLE, configurations)):
+        return UNFEASIBLE
     if not required:
-        return Status.FEASIBLE
-    if any(selected and status is Status.UNFEASIBLE for status, selected in choices):
-        return Status.CONFIGURATION_ERROR
-    if not active or (choices and not any(selected for _, selected in choices)):
-        return Status.UNSOLVED
-    return Status.SOLVED
+        return FEASIBLE
+    if UNFEASIBLE in selected:
+        return ERROR
+    return UNSOLVED if not active or (configurations and not selected) else SOLVED
 
 
-def design_status(*, constraints: Iterable[Status], components: Iterable[Status], selected: bool) -> Status:
+def design_status(*, constraints: Statuses, components: Statuses, selected: bool) -> Status:
     """Status of a function design, from its own constraints and the components it is made of."""
-    parts = tuple(components)
-    if Status.VIOLATED in constraints or Status.FAILURE in parts or Status.UNFEASIBLE in parts:
-        return Status.UNFEASIBLE
+    if VIOLATED in constraints or FAILURE in components or UNFEASIBLE in components:
+        return UNFEASIBLE
     if not selected:
-        return Status.FEASIBLE
-    if Status.CONFIGURATION_ERROR in parts:
-        return Status.IMPLICIT_CONFIGURATION_ERROR
-    return Status.SOLVED if all(part is Status.SOLVED for part in parts) else Status.UNSOLVED
+        return FEASIBLE
+    if ERROR in components:
+        return IMPLICIT_ERROR
+    return SOLVED if _all(SOLVED, components) else UNSOLVED
 
 
-def function_status(*, designs: Iterable[tuple[Status, bool]], required: bool) -> Status:
-    """Status of a function, from its designs: the status of each, and whether that one is selected."""
-    choices = tuple(designs)
-    if all(status is Status.UNFEASIBLE for status, _ in choices):
-        return Status.UNFEASIBLE
+def function_status(*, designs: Statuses, selected: Statuses, required: bool) -> Status:
+    """Status of a function, from its designs and those selected of them."""
+    if _all(UNFEASIBLE, designs):
+        return UNFEASIBLE
     if not required:
-        return Status.FEASIBLE
-    chosen = [status for status, selected in choices if selected]
-    if Status.UNFEASIBLE in chosen:
-        return Status.CONFIGURATION_ERROR
-    if Status.IMPLICIT_CONFIGURATION_ERROR in chosen:
-        return Status.IMPLICIT_CONFIGURATION_ERROR
-    return Status.SOLVED if Status.SOLVED in chosen else Status.UNSOLVED
+        return FEASIBLE
+    if UNFEASIBLE in selected:
+        return ERROR
+    if IMPLICIT_ERROR in selected:
+        return IMPLICIT_ERROR
+    return SOLVED if SOLVED in selected else UNSOLVED
 
 
-def action_status(*, constraints: Iterable[Status], functions: Iterable[Status], required: bool) -> Status:
+def action_status(*, constraints: Statuses, functions: Statuses, required: bool) -> Status:
     """Status of an action, from its own constraints and the functions that it requires."""
-    needs = tuple(functions)
-    if Status.VIOLATED in constraints or Status.UNFEASIBLE in needs:
-        return Status.UNFEASIBLE
+    if VIOLATED in constraints or UNFEASIBLE in functions:
+        return UNFEASIBLE
     if not required:
-        return Status.FEASIBLE
-    if Status.CONFIGURATION_ERROR in needs or Status.IMPLICIT_CONFIGURATION_ERROR in needs:
-        return Status.IMPLICIT_CONFIGURATION_ERROR
-    return Status.SOLVED if all(need is Status.SOLVED for need in needs) else Status.UNSOLVED
+        return FEASIBLE
+    if ERROR in functions or IMPLICIT_ERROR in functions:
+        return IMPLICIT_ERROR
+    return SOLVED if _all(SOLVED, functions) else UNSOLVED
+
+
+def _all(one: Status, statuses: Statuses) -> bool:
+    return statuses.count(one) == len(statuses)

@@ -154,7 +154,7 @@ class Store:
         with _blamed(self.path):
             amendments = [Amendment(*event.arguments) for event in self._events(since, "AND verb = 'amend'")]
             if model is not None and stored == _declared(model):
-                serials = Serials(model)
+                serials = Serials.of(model)
                 for one in amendments:
                     amend(model, serials, *one)
                 return model, serials

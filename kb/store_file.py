@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple, Self
 from kb.events import Event
 from kb.exceptions import KnowledgeBaseError
 from kb.files import draft, sync_folder
+from kb.records import plain
 
 FORMAT: Final = 3  # of files that this version writes and reads
 _MAGIC: Final = b"SQLite format 3\0"
@@ -70,8 +71,7 @@ class Row(NamedTuple):
 
     @classmethod
     def of(cls, event: Event, before: bytes) -> Self:
-        written = event.to_json()
-        data = json.dumps([written["arguments"], event.cause, event.effects], separators=(",", ":"))
+        data = json.dumps([plain(event.arguments), event.cause, event.effects], separators=(",", ":"))
         subject = str(event.subject).encode("utf-8", "replace").decode()
         values = (event.number, float(event.time), event.verb, subject, data)
         return cls(*values, before, digest(before, *values))
@@ -125,23 +125,18 @@ def beside(path: Path, of: str) -> Path:
 
 
 class Survey(NamedTuple):
-    """What is in a database as far as it is sound: the newest snapshot, and the events after it, without a gap.
+    """What is in a database as far as it is sound: the newest snapshot, and the events after it, without a gap."""
 
-    `declared`, the model, is None if it is not as it was written; `since` is the event before which it was another one.
-    `last` and `tail` are of the last event that is sound with all before it, `acknowledged` of the last one that was
-    acknowledged, as far as that is known. `problem` is what is wrong, first of all; empty if nothing is.
-    """
-
-    declared: str | None
-    since: int
+    declared: str | None  # the model; None if it is not as it was written
+    since: int  # the event before which it was another model
     id: bytes
     snapshot: Snapshot | None
     rows: list[Row]
-    last: int
+    last: int  # the last event that is sound with all before it, and its digest
     tail: bytes
-    acknowledged: int
+    acknowledged: int  # the last event that was acknowledged, as far as that is known
     is_open: bool
-    problem: str
+    problem: str  # what is wrong, first of all; empty if nothing is
 
     @property
     def missing(self) -> int:

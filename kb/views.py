@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
-from kb.network import Network, Node
+from kb.network import Node
 from kb.state import History, State
 from kb.status import Status
 
@@ -76,7 +76,7 @@ class Known(Generic[T]):
 
 
 class Declared(Generic[T]):
-    """What the model says of an element, by the name of the field."""
+    """What the model says of an element, by the name of the field; see the class of that kind in `kb.elements`."""
 
     def __set_name__(self, _: type, name: str) -> None:
         self._field = name
@@ -86,14 +86,16 @@ class Declared(Generic[T]):
         return value
 
 
-class ConstraintView(ElementView):
-    """A constraint: `attribute operator value`.
+class Parts:
+    """Names of what an element is made of, in order of declaration."""
 
-    Attributes:
-        attribute: name of the attribute that is compared.
-        operator: one of `>=`, `>`, `<=`, `<`.
-        value: the threshold, in the attribute's unit.
-    """
+    def __get__(self, view: ElementView, _: type) -> tuple[str, ...]:
+        with view.base.reading():
+            return tuple(part.name for part in view.node.parts)
+
+
+class ConstraintView(ElementView):
+    """A constraint: `attribute operator value`; the value is the threshold, in the attribute's unit."""
 
     __slots__ = ()
 
@@ -103,69 +105,42 @@ class ConstraintView(ElementView):
     value = Declared[float]()
 
 
-class _ConstrainedView(ElementView):
+class _StatusView(ElementView):
     __slots__ = ()
+
+    status = Known[Status]("status")
 
     @property
     def constraints(self) -> tuple[ConstraintView, ...]:
         """The constraints on this element itself."""
-        return tuple(ConstraintView(self.base, node) for node in self.node.constraints)
+        with self.base.reading():
+            return tuple(ConstraintView(self.base, node) for node in self.node.constraints)
 
 
-class ActionView(_ConstrainedView):
-    """An action, and whether it can be done now.
-
-    Attributes:
-        is_required: the mission is doing it.
-    """
+class ActionView(_StatusView):
+    """An action, and whether it can be done now; it is required while the mission is doing it."""
 
     __slots__ = ()
 
-    status = Known[Status]("status")
     is_required = Known[bool]("required")
-
-    @property
-    def functions(self) -> tuple[str, ...]:
-        """Names of the functions that it requires."""
-        return tuple(part.name for part in self.node.parts)
+    functions = Parts()
 
 
-class FunctionView(ElementView):
-    """A function, and whether it is realised now.
-
-    Attributes:
-        is_required: what the mission is doing needs it.
-        always_improve: a better design is taken even while it is solved.
-    """
+class FunctionView(_StatusView):
+    """A function, and whether it is realised now; it is required while what the mission is doing needs it."""
 
     __slots__ = ()
 
-    status = Known[Status]("status")
     is_required = Known[bool]("required")
     always_improve = Declared[bool]()
-
-    @property
-    def designs(self) -> tuple[str, ...]:
-        """Names of its designs, in order of declaration."""
-        return tuple(part.name for part in self.node.parts)
+    designs = Parts()
 
 
-class ComponentView(_ConstrainedView):
-    """A component: whether it runs, and with which parameters.
-
-    Attributes:
-        is_required: what the mission is doing needs it.
-        is_active: it is running.
-        always_improve: a better configuration is taken even while it is solved.
-        kind: how it is switched: plain, process or lifecycle.
-        stops_to_configure: new parameters are given while it is stopped.
-        package: where its program is found.
-        executable: its program's name.
-    """
+class ComponentView(_StatusView):
+    """A component: whether it is required, as a function is, whether it is running, and with which parameters."""
 
     __slots__ = ()
 
-    status = Known[Status]("status")
     is_required = Known[bool]("required")
     is_active = Known[bool]("active")
     always_improve = Declared[bool]()
@@ -173,11 +148,7 @@ class ComponentView(_ConstrainedView):
     stops_to_configure = Declared[bool]()
     package = Declared[str]()
     executable = Declared[str]()
-
-    @property
-    def configurations(self) -> tuple[str, ...]:
-        """Names of its configurations, in order of declaration."""
-        return tuple(part.name for part in self.node.parts)
+    configurations = Parts()
 
     @property
     def selected_configuration(self) -> str | None:
@@ -192,10 +163,9 @@ class ComponentView(_ConstrainedView):
             return MappingProxyType(dict(state.parameters.get(self.name, {})))
 
 
-class _SelectableView(_ConstrainedView):
+class _SelectableView(_StatusView):
     __slots__ = ()
 
-    status = Known[Status]("status")
     is_selected = Known[bool]("selected")
     priority = Declared[float | None]()
 
@@ -207,14 +177,7 @@ class _SelectableView(_ConstrainedView):
 
 
 class DesignView(_SelectableView):
-    """A function design: one set of components that realises a function.
-
-    Attributes:
-        is_selected: it is the one chosen.
-        priority: the lowest number is preferred; None comes last.
-        function: name of the function that it realises.
-        components: names of its components.
-    """
+    """A function design, one set of components that realises a function, and whether it is the one chosen."""
 
     __slots__ = ()
 
@@ -223,14 +186,7 @@ class DesignView(_SelectableView):
 
 
 class ConfigurationView(_SelectableView):
-    """A component configuration: one set of parameter values.
-
-    Attributes:
-        is_selected: it is the one chosen.
-        priority: the lowest number is preferred; None comes last.
-        component: name of the component that it configures.
-        parameters: its values by parameter name.
-    """
+    """A component configuration, one set of parameter values, and whether it is the one chosen."""
 
     __slots__ = ()
 
@@ -239,16 +195,9 @@ class ConfigurationView(_SelectableView):
 
 
 class AttributeView(ElementView):
-    """A measured attribute.
+    """A measured attribute: the latest value, when that was measured [s], both None before the first, and its history.
 
-    Attributes:
-        kind: what it describes: "quality" (the robot) or "environmental".
-        max_age: how long a measurement holds [s].
-        value: the latest measurement, or None before the first.
-        time: when that was measured [s], or None.
-        is_stale: that is longer ago than `max_age`.
-        unit: of its values; may be empty.
-        low, high: what a measurement must lie between.
+    It is stale once that is longer ago than `max_age` [s].
     """
 
     __slots__ = ()
@@ -323,24 +272,3 @@ class Views(Mapping[str, ViewT]):
     def _now(self) -> dict[str, ViewT]:
         with self._base.reading():
             return {name: self._view(self._base, node) for name, node in self._table.items()}
-
-
-def views_of(
-    base: Readable, network: Network
-) -> tuple[
-    Views[ActionView],
-    Views[FunctionView],
-    Views[ComponentView],
-    Views[DesignView],
-    Views[ConfigurationView],
-    Views[AttributeView],
-]:
-    """Return views of the actions, functions, components, designs, configurations and attributes, by name."""
-    return (
-        Views(base, network.actions, ActionView),
-        Views(base, network.functions, FunctionView),
-        Views(base, network.components, ComponentView),
-        Views(base, network.designs, DesignView),
-        Views(base, network.configurations, ConfigurationView),
-        Views(base, network.attributes, AttributeView),
-    )

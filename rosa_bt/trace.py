@@ -190,7 +190,8 @@ class TraceVisitor(VisitorBase):
             events = [one for one in events if one.number <= last]
         self._done = events[-1].number if events else self._done
         told = tuple(Told(one, -1 if is_interrupted else self._place(one.number)) for one in events)
-        reasons = tuple(reason for one in events for reason in self._why(one))
+        whys = (self._reasons.pop(one.number, [""] * len(_unfeasible(one))) for one in events)
+        reasons = tuple(reason for why in whys for reason in why)
         tick = Tick(self._count, time, self._tree, self._visited, told, reasons, is_interrupted)
         if self._file is not None:
             self._file.write("".join(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None)))
@@ -204,11 +205,8 @@ class TraceVisitor(VisitorBase):
             return -1 if number <= self._begun else None
         return next((place for place, known in enumerate(self._known) if known >= number), len(self._known))
 
-    def _why(self, event: Event) -> list[str]:
-        """Return why actions became unfeasible by an event, in the words of when it was heard of."""
-        return self._reasons.pop(event.number, [""] * len(_unfeasible(event)))
-
     def _witness(self, event: Event) -> None:
+        """Note whether the tree told it, and why actions became unfeasible by it, in the words of now."""
         if self._thread == get_ident():
             self._own.add(event.number)
         names = _unfeasible(event)
@@ -314,7 +312,14 @@ def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
     visited = tuple(Visit(*visit) for visit in line["visited"]) if "visited" in line else before.visited
     told = tuple(Told(Event.from_json(event), place) for event, place in line.get("events", ()))
     reasons = tuple(map(str, line.get("reasons", ())))
-    return Tick(int(line["tick"]), float(line["time"]), tree, visited, told, reasons, line.get("interrupted") is True)
+    for visit in visited if "tree" in line or "visited" in line else ():
+        if visit.node not in range(len(tree)) or visit.status not in Status.__members__:
+            raise ValueError(f"{visit} is of no behaviour of the tree, or has no status of py_trees")
+    if not all(isinstance(place, int | None) for _, place in told):
+        raise ValueError("the place of an event is a number or null")
+    tick = Tick(int(line["tick"]), float(line["time"]), tree, visited, told, reasons, line.get("interrupted") is True)
+    tuple(tick.decisions)  # an event that lacks its arguments is found here
+    return tick
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:

@@ -18,7 +18,7 @@ from kb import KnowledgeBase, Status
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
 from kb.manager import PriorityPlanner
-from kb.planners.choice import Choice
+from kb.planners import Choice
 from kb.status import OPERATORS
 from kb.views import ConstraintView
 from rosa_bt.idioms import feasible_then_act

@@ -14,7 +14,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from kb import KnowledgeBase
 from kb.events import Log
-from kb.explanation.reasons import Explanation
+from kb.explanation import Explanation
 from kb.forecasts import FeasibleUntil
 from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from itertools import product
 from math import inf
 from typing import Any, NamedTuple, Protocol, TypeAlias
 
@@ -189,7 +190,7 @@ class Domain:
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = f"{schema.name.lower()}_action"
-        if ("predicate", kind) not in self.inside:
+        if ("predicate", kind) not in self.inside or self.up_problem.fluent(self.inside["predicate", kind]).arity != 1:
             return True
         value = self.up_problem.explicit_initial_values.get(self.expression(f"({kind} {action})"))
         return value is not None and value.is_true()
@@ -251,6 +252,12 @@ class Domain:
         """Return the objects of a type or of its subtypes, in the order of the files."""
         return tuple(name for name, types in self.types.items() if type_name.lower() in types)
 
+    def bindings(self, variables: Iterable[UpThing], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+        """Yield what names stand for outside, with every choice of objects for the variables of a quantifier."""
+        choices = {one.name: self.objects_of(self.outside[one.type.name]) for one in variables}
+        for chosen in product(*choices.values()):
+            yield {**outer, **dict(zip(choices, chosen, strict=True))}
+
     def step(self, schema: str, arguments: Iterable[str]) -> Step:
         """Return a step, with the ROSA action that it does."""
         given = tuple(arguments)
@@ -297,6 +304,11 @@ class Domain:
             error = UnknownObjectError if kind == "object" else UnknownNameError
             raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
         return self.outside[self.inside[kind, word.lower()]]
+
+
+def lineage_of(kind: UpThing, outside: Mapping[str, str]) -> tuple[str, ...]:
+    """Return a type and those above it, in the spelling of the files, but in lower case."""
+    return tuple(outside[one.name].lower() for one in kind.ancestors)
 
 
 def exact(value: float | Fraction) -> Exact:

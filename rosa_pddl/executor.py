@@ -10,7 +10,7 @@ from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, Lasting
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.formulas import conditions
-from rosa_pddl.goals import Goals, PlanningTask
+from rosa_pddl.goals import Goals
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, lock_of, unlock, with_object, without_object
@@ -179,11 +179,10 @@ class PlanExecutor(Behaviour):
         self._feasibility = FeasibilityEvents(domain, kb)
         forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
         self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers, forecasts)
-        task = PlanningTask(self._effects, lambda: self._belief.numbers)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
         self._replanning = Replanning(
-            self.goals, self._effects, task, self._monitor, self._client, clock, self._policy, clash
+            self.goals, self._effects, self._monitor, self._client, clock, self._policy, clash
         )
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}

@@ -1,13 +1,15 @@
 """Formulas and numbers written as PDDL, such as `(and (lit hall) (not (broken hall)))`, in the names of a domain."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
 
 from rosa_pddl.domain import Derived, Domain, UpThing, conjuncts
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
-from rosa_pddl.syntax import ANY, Node, Source, parse, start_of, typed
+from rosa_pddl.syntax import ANY, Node, Source, nodes_of, parse, start_of, typed
 from rosa_pddl.validate import text_of
 
 COMPARISONS: Final = ("<", ">", "<=", ">=")
@@ -77,6 +79,8 @@ class Formulas:
             raise self.source.unsupported(node, message)
         if head in ("forall", "exists"):
             inner, within, body = self.quantified(node)
+            if not inner:
+                raise self.source.error(node, f"found {start_of(node)!r}, expected a variable such as '?x' in it")
             variables = [variable.variable() for variable in inner.values()]
             held = self.condition(body, {**scope, **inner}, place)
             if not within.is_true():
@@ -120,7 +124,7 @@ class Formulas:
         variables, condition, _ = self._domain.derived[node.head]
         arguments = [self._term(part, scope) for part in node.children[1:]]
         kinds = [one.type for one in variables]
-        if len(arguments) != len(kinds) or not all(map(_is_compatible, kinds, arguments)):
+        if not _are_compatible(kinds, arguments):
             names = " ".join(self._domain.outside[kind.name] for kind in kinds)
             raise self._unknown(node, f"found {start_of(node)!r}, expected objects of the types ({names})")
         return condition.substitute(dict(zip(variables, arguments, strict=True)))
@@ -184,7 +188,7 @@ class Formulas:
             message = f"found {len(arguments)} arguments of {str(node.children[0])!r}, expected {len(signature)}"
             place = f" as declared in line {line} of {file}" if line else ""
             raise self._unknown(node.children[0], message + place)
-        if not all(_is_compatible(one.type, given) for given, one in zip(arguments, signature, strict=True)):
+        if not _are_compatible([one.type for one in signature], arguments):
             typed_as = (f"?{one.name} - {self._domain.outside[one.type.name]}" for one in signature)
             message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
             raise self._unknown(node, message)
@@ -193,12 +197,12 @@ class Formulas:
     def _comparison(self, node: Node, scope: Scope, place: str) -> UpThing:
         self._expect(node, 2)
         known = self._domain.computed
-        if numbers_of(node, ["total-cost"]):
+        heads = {one.head for one in nodes_of(node)}
+        if "total-cost" in heads:
             raise self.numeric(node, place, "compares (total-cost), which is for the metric; add a number of its own")
-        for name in numbers_of(node, (one.lower() for one in self._domain.numeric)):
-            if name not in {one.lower() for one in known}:
-                others = f"; compared are {', '.join(sorted(known))}" if known else ""
-                raise self.numeric(node, place, f"compares {name}, which no condition of the files does{others}")
+        for name in sorted(heads.intersection(one.lower() for one in self._domain.numeric - known)):
+            others = f"; compared are {', '.join(sorted(known))}" if known else ""
+            raise self.numeric(node, place, f"compares {name}, which no condition of the files does{others}")
         manager, (one, other) = self.manager, (self.number(part, scope) for part in node.children[1:])
         kinds = {"<": manager.LT, "<=": manager.LE, ">": manager.GT, ">=": manager.GE, "=": manager.Equals}
         return kinds[node.head](one, other)
@@ -208,15 +212,35 @@ class Formulas:
         operators = {"+": manager.Plus, "-": manager.Minus, "*": manager.Times, "/": manager.Div}
         if node.head in operators:
             parts = [self.number(part, scope) for part in node.children[1:]]
-            return manager.Times(-1, *parts) if node.head == "-" and len(parts) == 1 else operators[node.head](*parts)
+            if node.head == "-" and len(parts) == 1:
+                return manager.Times(-1, *parts)
+            if node.head in ("-", "/"):
+                self._expect(node, 2)
+            try:
+                return operators[node.head](*parts)
+            except ZeroDivisionError:
+                raise self.source.error(node, f"found {start_of(node)!r}, which divides by 0") from None
+            except OverflowError:
+                raise self._no_number(node) from None
         if node.is_list:
             return self.atom(node, scope, is_number=True)
         try:
             value = Fraction(node.lower)
             float(value)
         except (ValueError, OverflowError, ZeroDivisionError):
-            raise self.source.error(node, f"found {node.word!r}, expected a number of at most 1e308") from None
+            raise self._no_number(node) from None
         return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
+
+    def stated(self, node: Node) -> UpThing:
+        """Return a number that is stated to be so; it may be computed."""
+        with suppress(ZeroDivisionError, OverflowError):
+            number = self.number(node, {}).simplify()
+            if number.is_constant() and math.isfinite(number.constant_value()):
+                return number
+        raise self._no_number(node)
+
+    def _no_number(self, node: Node) -> PddlError:
+        return self.source.error(node, f"found {start_of(node)!r}, expected a number of at most 1e308")
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:
         return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}")
@@ -244,16 +268,6 @@ class Formulas:
         return self._unknown(node, message + nearest(node.lower, [*known, *others]))
 
 
-def _is_compatible(kind: UpThing, given: UpThing) -> bool:
-    return bool(kind.is_compatible(given.type))
-
-
-def numbers_of(node: Node, names: Iterable[str]) -> set[str]:
-    """Return which of some numbers, given in lower case, stand in a formula."""
-    return {one.head for one in nodes_of(node)}.intersection(names)
-
-
-def nodes_of(node: Node) -> Iterator[Node]:
-    yield node
-    for child in node.children:
-        yield from nodes_of(child)
+def _are_compatible(kinds: Sequence[UpThing], arguments: Sequence[UpThing]) -> bool:
+    pairs = zip(kinds, arguments, strict=True)
+    return len(kinds) == len(arguments) and all(kind.is_compatible(given.type) for kind, given in pairs)

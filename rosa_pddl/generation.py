@@ -12,9 +12,9 @@ from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.formulas import CHANGES, COMPARISONS, nodes_of
+from rosa_pddl.formulas import CHANGES, COMPARISONS
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import ANY, Node, Source, formula, listed, typed
+from rosa_pddl.syntax import ANY, Node, Source, formula, listed, nodes_of, typed
 
 _CONNECTIVES: Final = ("and", "or", "not", "imply", "when")
 _COMPUTING: Final = (*COMPARISONS, *CHANGES, "=", "+", "-", "*", "/")

@@ -5,16 +5,15 @@ plan either collects each one that holds, for nothing, or forgoes it at the cost
 the one with the best net benefit, so that any planner that heeds costs will do.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Real
 
-from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, State, Step, UpThing, exact, fluents_in, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, UpThing, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.formulas import Goal, conditions
 from rosa_pddl.outcomes import PlanningResult
-from rosa_pddl.problem import Problem, lock_of
+from rosa_pddl.problem import lock_of
 
 
 class Goals:
@@ -173,6 +172,7 @@ class SoftGoals:
     """
 
     def __init__(self, base: Domain, goals: tuple[Goal, ...]) -> None:
+        self.made_of = base, goals
         self._base, self._problem = base, base.up_problem.clone()
         manager = self._problem.environment.expression_manager
         self._inside, self._outside = dict(base.inside), dict(base.outside)
@@ -225,34 +225,3 @@ class SoftGoals:
             name += "_"
         self._outside[name] = self._inside[kind, name] = name
         return name
-
-
-class PlanningTask:
-    """What the planner is asked for the goals in a domain, and how its answer is read."""
-
-    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], Mapping[str, float]]) -> None:
-        self._effects, self._numbers = effects, numbers
-        self._soft: tuple[Domain, tuple[Goal, ...], SoftGoals] | None = None
-
-    def problem(self, state: State, goals: Goals, weights: Mapping[Step, int] | None = None) -> Problem:
-        """Return what to ask the planner; refuse soft goals if the metric is no action cost."""
-        times = weights or {}
-        hard = tuple(goal.expression for goal in goals.hard)
-        if not goals.soft:
-            return Problem(self._effects.domain, state, hard, self._numbers(), times)
-        soft = self._softened(goals.soft)
-        return Problem(soft.domain, state, (*hard, soft.goal), self._numbers(), times)
-
-    def read(self, result: PlanningResult, goals: Goals) -> tuple[PlanningResult, tuple[Goal, ...]]:
-        """Return an answer in the names of the domain, and the goals that its plan reaches."""
-        if not goals.soft:
-            return result, goals.hard
-        kept, reached = self._softened(goals.soft).kept(result)
-        return kept, goals.hard + reached
-
-    def _softened(self, goals: tuple[Goal, ...]) -> SoftGoals:
-        domain = self._effects.domain
-        if self._soft is None or self._soft[:2] != (domain, goals):
-            with lock_of(domain):
-                self._soft = domain, goals, SoftGoals(domain, goals)
-        return self._soft[2]

@@ -16,11 +16,14 @@ from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.instances import (
     ActionPattern,
     Node,
+    Row,
+    Swap,
     axioms_of,
     bound,
     bound_number,
     compiled,
     conjuncts_of,
+    groups,
     joined,
     numeric_facts,
     patterns_of,
@@ -28,8 +31,6 @@ from rosa_pddl.instances import (
     row_of,
     text_of_row,
 )
-from rosa_pddl.invariants import Change as Swap
-from rosa_pddl.invariants import groups
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
@@ -179,10 +180,12 @@ class Grounded:
     def __init__(self, domain: Domain, base: State, states: Sequence[State], go_on: Callable[[int], None]) -> None:
         self.domain, self.base, self.states = domain, base, tuple(states)
         self._usage, patterns = usage_of(domain), _instantaneous(domain)
-        self._reach = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
+        rows, found = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
         self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
-        self._possible = frozenset(text_of_row(name, row) for name, rows in self._reach.rows.items() for row in rows)
-        instances = list(self._instances(patterns))
+        self._possible = frozenset(text_of_row(name, row) for name, known in rows.items() for row in known)
+        instances = [
+            one for pattern, each in zip(patterns, found, strict=True) for one in self._instances(pattern, each)
+        ]
         self._numbers = {
             text: -1 - k
             for k, text in enumerate(
@@ -303,14 +306,13 @@ class Grounded:
 
     # ------------------------------------------------------------ making
 
-    def _instances(self, patterns: Sequence[ActionPattern]) -> Iterator["_Instance"]:
+    def _instances(self, pattern: ActionPattern, rows: Iterable[Row]) -> Iterator["_Instance"]:
         order = {name: number for number, name in enumerate(self.domain.types)}
-        for pattern, rows in zip(patterns, self._reach.instances, strict=True):
-            for row in sorted(rows, key=lambda one: [order[word] for word in one]):
-                needs = self._bound(pattern.needs, row)
-                made = None if needs is False else self._instance(pattern, row, needs)
-                if made is not None and (made.effects or not made.layer):
-                    yield made
+        for row in sorted(rows, key=lambda one: [order[word] for word in one]):
+            needs = self._bound(pattern.needs, row)
+            made = None if needs is False else self._instance(pattern, row, needs)
+            if made is not None and (made.effects or not made.layer):
+                yield made
 
     def _instance(self, pattern: ActionPattern, row: Sequence[str], node: Node) -> "_Instance":
         parts = conjuncts_of(node)
@@ -343,9 +345,8 @@ class Grounded:
         head, *parts = node
         if head == "atom":
             truth, name, words = parts
-            known = bound(words, row)
-            text = text_of_row(name, known)
-            is_kept = known in self._reach.rows.get(name, {}) if state is None else text in self._variables.places
+            text = text_of_row(name, bound(words, row))
+            is_kept = text in (self._possible if state is None else self._variables.places)
             return ("atom", truth, text) if is_kept else (text in (state or ())) is truth
         if head == "same":
             one, other = bound(tuple(parts[1:]), row)

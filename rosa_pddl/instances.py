@@ -1,12 +1,16 @@
-"""What can be done and can become true at all from some facts, with deletions and numbers left aside.
+"""What can be done and can become true at all from some facts, numbers left aside, and what of it excludes one another.
 
-Actions are instantiated by joining what they need with what is within reach, each new fact once (semi-naive evaluation
-of a logic program: Helmert, "Concise finite-domain representations for PDDL planning tasks", AIJ 173, 2009).
+Actions are instantiated by joining what they need with what is within reach, as if nothing were deleted, each new fact
+once (semi-naive evaluation of a logic program). Of a group of atoms at most one holds, as operators show (Helmert,
+"Concise finite-domain representations for PDDL planning tasks", AIJ 173, 2009; here the groups are found on what is
+grounded).
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
+from heapq import heapify, heappop, heappush
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -70,8 +74,7 @@ def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth:
         (first, not_first), (second, not_second) = both if truth else (both[0], both[1][::-1])
         return joined(False, [joined(True, [first, second]), joined(True, [not_first, not_second])])
     if formula.is_exists() or formula.is_forall():
-        variables = {one.name: domain.objects_of(domain.outside[one.type.name]) for one in formula.variables()}
-        scopes = [{**scope, **dict(zip(variables, words, strict=True))} for words in product(*variables.values())]
+        scopes = domain.bindings(formula.variables(), scope)
         return joined(formula.is_forall() is truth, [compiled(domain, formula.arg(0), one, truth) for one in scopes])
     if formula.is_equals() and formula.arg(0).type.is_user_type():
         one, other = _words(domain, formula, scope)
@@ -184,11 +187,8 @@ def is_out_of_reach(domain: Domain, state: Iterable[str], goals: Iterable[UpThin
         lasting = (*schema.start, *schema.over_all, *schema.end)
         patterns.append(_pattern(domain, schema.name, schema.start, schema.start_effects))
         patterns.append(_pattern(domain, schema.name, lasting, schema.end_effects))
-    rows = reach(
-        [*patterns, *axioms_of(domain)],
-        map(row_of, (one for one in state if not one.startswith("(= "))),
-        lambda _: None,
-    ).rows
+    facts = (row_of(one) for one in state if not one.startswith("(= "))
+    rows, _ = reach([*patterns, *axioms_of(domain)], facts, lambda _: None)
     return not all(_may_hold(compiled(domain, goal, {}), rows) for goal in goals)
 
 
@@ -212,9 +212,7 @@ def _pattern(domain: Domain, schema: str, conditions: Iterable[UpThing], changes
 def _effects(domain: Domain, effect: UpThing, scope: Mapping[str, Word]) -> Iterator[Effect]:
     """Yield an effect for each choice of the objects that it is about; what is only used up has none."""
     name = domain.outside[effect.fluent.fluent().name]
-    things = {one.name: domain.objects_of(domain.outside[one.type.name]) for one in effect.forall}
-    for chosen in product(*things.values()):
-        inner = {**scope, **dict(zip(things, chosen, strict=True))}
+    for inner in domain.bindings(effect.forall, scope):
         condition, words = compiled(domain, effect.condition, inner), _words(domain, effect.fluent, inner)
         if effect.fluent.type.is_bool_type():
             yield Effect(condition, "add" if effect.value.is_true() else "delete", name, words)
@@ -246,32 +244,28 @@ class _Look(NamedTuple):
 
 
 _Binding: TypeAlias = list[str | None]
+_Rows: TypeAlias = dict[str, dict[Row, None]]
 
 
-@dataclass
-class Reach:
-    """What is within reach: the rows of each predicate, and the arguments with which each action can be done."""
+def reach(
+    patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], go_on: Callable[[int], None]
+) -> tuple[_Rows, list[dict[Row, None]]]:
+    """Return the rows of each predicate within reach of facts, and the arguments with which each action can be done.
 
-    rows: dict[str, dict[Row, None]] = field(default_factory=dict)
-    instances: list[dict[Row, None]] = field(default_factory=list)
-
-
-def reach(patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], go_on: Callable[[int], None]) -> Reach:
-    """Find what is within reach of facts; `go_on` is called every now and then, and may raise."""
-    found = Reach(instances=[{} for _ in patterns])
-    rules = [rule for one, known in zip(patterns, found.instances, strict=True) for rule in _rules(one, known)]
-    return _Join(rules, found, go_on).closed(facts)
+    `go_on` is called every now and then, and may raise.
+    """
+    instances = [dict[Row, None]() for _ in patterns]
+    rules = [rule for one, known in zip(patterns, instances, strict=True) for rule in _rules(one, known)]
+    return _Join(rules, go_on).closed(facts), instances
 
 
 def _rules(pattern: ActionPattern, instances: dict[Row, None]) -> Iterator[_Rule]:
     added = [one for one in pattern.effects if one.kind == "add"]
     sure = [(one.name, one.words) for one in added if one.condition is True]
-    follows: list[tuple[Node, list[tuple[str, tuple[Word, ...]]], dict[Row, None] | None]]
-    follows = [(pattern.needs, sure, instances)]
-    for one in (one for one in added if one.condition is not True):
-        follows.append((joined(True, [pattern.needs, one.condition]), [(one.name, one.words)], None))
+    others = [one for one in added if one.condition is not True]
+    follows = [(joined(True, [pattern.needs, one.condition]), [(one.name, one.words)], None) for one in others]
     choices = [dict.fromkeys(one) for one in pattern.choices]
-    for needs, heads, known in follows:
+    for needs, heads, known in ((pattern.needs, sure, instances), *follows):
         parts = conjuncts_of(needs)
         body = [(one[2], one[3]) for one in parts if one[0] == "atom" and one[1]]
         apart = [one[1:] for one in parts if one[0] == "same"]
@@ -280,8 +274,9 @@ def _rules(pattern: ActionPattern, instances: dict[Row, None]) -> Iterator[_Rule
 
 
 class _Join:
-    def __init__(self, rules: Sequence[_Rule], found: Reach, go_on: Callable[[int], None]) -> None:
-        self._found, self._go_on, self._work = found, go_on, 0
+    def __init__(self, rules: Sequence[_Rule], go_on: Callable[[int], None]) -> None:
+        self._go_on, self._work = go_on, 0
+        self._rows: _Rows = {}
         self._index: dict[str, dict[tuple[int, ...], dict[Row, list[Row]]]] = {}
         self._waiting: list[tuple[str, Row]] = []
         self._grown = {name for rule in rules for name, _ in rule.heads}
@@ -295,11 +290,11 @@ class _Join:
             if not growing:
                 self._at_once.append((rule, self._looks(rule, None)))
 
-    def closed(self, facts: Iterable[tuple[str, Row]]) -> Reach:
+    def closed(self, facts: Iterable[tuple[str, Row]]) -> _Rows:
         for name, row in facts:
             if name in self._grown:
                 self._push(name, row)
-            elif row not in self._found.rows.setdefault(name, {}):
+            elif row not in self._rows.setdefault(name, {}):
                 self._take_in(name, row)
         for rule, looks in self._at_once:
             self._join(rule, looks, [None] * len(rule.choices))
@@ -309,16 +304,16 @@ class _Join:
                 binding = _matched(rule, first, row, [None] * len(rule.choices))
                 if binding is not None:
                     self._join(rule, rest, binding)
-        return self._found
+        return self._rows
 
     def _push(self, name: str, row: Row) -> None:
-        rows = self._found.rows.setdefault(name, {})
+        rows = self._rows.setdefault(name, {})
         if row not in rows:
             rows[row] = None
             self._waiting.append((name, row))
 
     def _take_in(self, name: str, row: Row) -> None:
-        self._found.rows[name][row] = None
+        self._rows[name][row] = None
         for known, rows in self._index.get(name, {}).items():
             rows.setdefault(tuple([row[place] for place in known]), []).append(row)
 
@@ -380,3 +375,70 @@ def _matched(rule: _Rule, look: _Look, row: Row, binding: _Binding) -> _Binding 
         elif known != thing:
             return None
     return inner
+
+
+# ---------------------------------------------------------------- what excludes one another
+
+
+Atom: TypeAlias = tuple[str, ...]
+"""A predicate and its arguments."""
+
+
+class Swap(NamedTuple):
+    """What an operator needs, what it may add, and what it deletes for certain."""
+
+    needs: frozenset[Atom]
+    adds: tuple[Atom, ...]
+    deletes: frozenset[Atom]
+
+
+def groups(changes: Sequence[Swap], states: Sequence[Iterable[Atom]], atoms: Iterable[Atom]) -> list[list[Atom]]:
+    """Return groups of atoms of which at most one holds in each of some states and all that follow; largest first.
+
+    A group is made of one predicate: all of its arguments but one, which is counted, or all of them, name the group. It
+    is kept if no operator adds an atom to a group without taking one away.
+    """
+    by_name: dict[str, list[Atom]] = {}
+    for atom in atoms:
+        by_name.setdefault(atom[0], []).append(atom)
+    possible: list[list[Atom]] = []
+    for name, members in by_name.items():
+        for counted in range(1, len(members[0])):
+            if all(_is_balanced(name, counted, change) for change in changes):
+                of_key: dict[Atom, list[Atom]] = {}
+                for atom in members:
+                    of_key.setdefault(_key(counted, atom), []).append(atom)
+                held = [Counter(_key(counted, atom) for atom in state if atom[0] == name) for state in states]
+                several = {key for keys in held for key, count in keys.items() if count > 1}
+                possible += [group for key, group in of_key.items() if key not in several]
+    return _chosen(possible)
+
+
+def _is_balanced(name: str, counted: int, change: Swap) -> bool:
+    """Whether an operator adds at most one atom to each group, and only in place of one that it needs and deletes."""
+    kept = change.needs - change.deletes
+    added = [_key(counted, atom) for atom in change.adds if atom[0] == name and atom not in kept]
+    if not added:
+        return True
+    freed = {_key(counted, atom) for atom in change.needs & change.deletes if atom[0] == name}
+    return len(set(added)) == len(added) and freed.issuperset(added)
+
+
+def _key(counted: int, atom: Atom) -> Atom:
+    return atom[:counted] + atom[counted + 1 :]
+
+
+def _chosen(possible: Sequence[list[Atom]]) -> list[list[Atom]]:
+    """Choose groups, the largest first, until no two atoms are left that one of them holds."""
+    chosen, taken = list[list[Atom]](), set[Atom]()
+    queue = [(-len(group), number) for number, group in enumerate(possible)]
+    heapify(queue)
+    while queue:
+        size, number = heappop(queue)
+        group = [atom for atom in possible[number] if atom not in taken]
+        if len(group) > 1 and len(group) < -size:  # others took some of it
+            heappush(queue, (-len(group), number))
+        elif len(group) > 1:
+            chosen.append(group)
+            taken.update(group)
+    return chosen

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from rosa_pddl.domain import Step, TimedStep
-from rosa_pddl.exceptions import UnsupportedPddlError
 
 
 class Outcome(Enum):
@@ -46,15 +45,6 @@ class Trouble(Exception):
     def __init__(self, outcome: Outcome, message: str) -> None:
         super().__init__(message)
         self.outcome = outcome
-
-
-def trouble_of(error: Exception) -> Trouble:
-    """Return any error as the outcome that is reported."""
-    if isinstance(error, Trouble):
-        return Trouble(error.outcome, str(error))  # anew, as one that many raise would keep their frames
-    if isinstance(error, UnsupportedPddlError):
-        return Trouble(Outcome.UNSUPPORTED, str(error))
-    return Trouble(Outcome.ENGINE_CRASHED, f"{type(error).__name__}: {error}")
 
 
 @dataclass(frozen=True)

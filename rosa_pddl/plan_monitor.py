@@ -72,7 +72,7 @@ class PlanExecution:
     """
 
     steps: tuple[Step, ...]
-    events: tuple[StepEvent, ...]
+    moments: tuple[tuple[StepEvent, ...], ...]
     after: tuple[frozenset[StepEvent], ...]
     goals: tuple[Goal, ...]
     happened: frozenset[StepEvent] = frozenset()
@@ -102,12 +102,17 @@ class PlanExecution:
             after.append(frozenset(StepEvent(one, True) for one in waits))
         return cls(steps, one_after_the_other(len(steps)), tuple(after), goals)
 
+    @property
+    def events(self) -> tuple[StepEvent, ...]:
+        """The starts and ends of the steps, in the order of the plan."""
+        return tuple(chain.from_iterable(self.moments))
+
     def with_event(self, *events: StepEvent) -> "PlanExecution":
         return replace(self, happened=self.happened.union(events))
 
     @property
     def is_finished(self) -> bool:
-        return len(self.happened) == len(self.events)
+        return len(self.happened) == 2 * len(self.steps)
 
     @property
     def startable(self) -> tuple[int, ...]:
@@ -119,8 +124,8 @@ class PlanExecution:
 
     @property
     def running(self) -> tuple[int, ...]:
-        started = (one.number for one in self.events if not one.is_end and one in self.happened)
-        return tuple(number for number in started if StepEvent(number, True) not in self.happened)
+        started = {one.number for one in self.happened}
+        return tuple(number for number in sorted(started) if StepEvent(number, True) not in self.happened)
 
     @property
     def unfinished_steps(self) -> tuple[Step, ...]:
@@ -148,8 +153,8 @@ class PlanExecution:
         self, domain: Domain, state: State, until: Mapping[str, float] | None = None, ends_s: Sequence[float] = ()
     ) -> Prediction:
         """Suppose that the rest happens as planned, from the atoms that are true now; the times are as in `replay`."""
-        left = [event for event in self.events if event not in self.happened]
-        flaw, facts = replay(domain, self.steps, ([event] for event in left), state, self.running, until, ends_s)
+        left = ([event for event in moment if event not in self.happened] for moment in self.moments)
+        flaw, facts = replay(domain, self.steps, filter(None, left), state, self.running, until, ends_s)
         missed = (goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression]))
         unreached = None if flaw else next(missed, None)
         return Prediction(flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts)
@@ -157,7 +162,13 @@ class PlanExecution:
 
 def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]) -> PlanExecution:
     timed = sorted(schedule, key=lambda one: one.start_s)
-    events = _in_time(domain, timed)
+
+    def rank(event: StepEvent) -> tuple[int, StepEvent]:
+        """Order what happens at one moment: first what ends, then what starts, then what is over at once."""
+        return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
+
+    in_time = tuple(tuple(_in_turn(domain, timed, sorted(moment, key=rank))) for moment in moments(timed))
+    events = tuple(chain.from_iterable(in_time))
     touched = [_touched(domain, one.step) for one in timed]
     at_events = {event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events}
     after = tuple(
@@ -168,7 +179,9 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
         )
         for number in range(len(timed))
     )
-    return PlanExecution(tuple(one.step for one in timed), events, _not_too_early(domain, timed, touched, after), goals)
+    return PlanExecution(
+        tuple(one.step for one in timed), in_time, _not_too_early(domain, timed, touched, after), goals
+    )
 
 
 def _not_too_early(
@@ -206,41 +219,25 @@ def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]
     return found
 
 
-def _in_time(domain: Domain, timed: Sequence[TimedStep]) -> tuple[StepEvent, ...]:
-    """Order starts and ends; at one moment first what ends, then what starts, then what is over at once."""
-
-    def rank(event: StepEvent) -> tuple[int, StepEvent]:
-        return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
-
-    in_turn = (_in_turn(domain, timed, sorted(moment, key=rank)) for moment in moments(timed))
-    return tuple(chain.from_iterable(in_turn))
-
-
-def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: list[StepEvent]) -> Iterator[StepEvent]:
-    """Yield what happens at one moment in an order that keeps what holds over all."""
+def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]) -> Iterator[StepEvent]:
+    """Yield what happens at one moment; a start comes after what provides what has to hold over all of it."""
     left = list(together)
+
+    def provides(event: StepEvent) -> bool:
+        return not event.is_end or timed[event.number].duration_s == 0.0
+
+    def is_early(event: StepEvent) -> bool:
+        if event.is_end:
+            return StepEvent(event.number, False) in left
+        step = timed[event.number].step
+        held = set(mentioned_atoms(domain, domain.schema_of[step.schema].over_all, (), binding_of(domain, step)))
+        others = [one for one in left if one.number != event.number and provides(one)]
+        return any(held & _touched(domain, timed[one.number].step, [one.is_end])[1] for one in others)
+
     while left:
-        free = (one for one in left if not any(_precedes(domain, timed, other, one) for other in left))
-        event = next(free, left[0])
+        event = next((one for one in left if not is_early(one)), left[0])
         left.remove(event)
         yield event
-
-
-def _precedes(domain: Domain, timed: Sequence[TimedStep], one: StepEvent, other: StepEvent) -> bool:
-    if one.number == other.number:
-        return other.is_end and not one.is_end
-    if one.is_end and timed[one.number].duration_s > 0.0:
-        return bool(_held(domain, timed[one.number].step) & _changed(domain, timed, other))
-    return not other.is_end and bool(_held(domain, timed[other.number].step) & _changed(domain, timed, one))
-
-
-def _held(domain: Domain, step: Step) -> frozenset[str]:
-    over_all = domain.schema_of[step.schema].over_all
-    return frozenset(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
-
-
-def _changed(domain: Domain, timed: Sequence[TimedStep], event: StepEvent) -> frozenset[str]:
-    return _touched(domain, timed[event.number].step, [event.is_end])[1]
 
 
 def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
@@ -263,7 +260,7 @@ class PlanMonitor:
     """Whether the plan that is executed will still do."""
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers], forecasts: _Forecasts) -> None:
-        self._effects, self._numbers, self._forecasts = effects, numbers, forecasts
+        self._effects, self.numbers, self._forecasts = effects, numbers, forecasts
 
     def until(self) -> dict[str, float]:
         """Return how much longer facts hold to plan with [s]: to the worse end of what is forecast, less some."""
@@ -274,7 +271,7 @@ class PlanMonitor:
         """Whether what could not be reached cannot be reached now, by its limits and by what is forecast."""
         now = self.until() if then.until else {}
         lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
-        return not lasts_longer and usage_of(self._effects.domain).leave_no_more(self._numbers(), then.costs)
+        return not lasts_longer and usage_of(self._effects.domain).leave_no_more(self.numbers(), then.costs)
 
     def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
         """Return which step of a plan that works would end too late by what is expected, in words; None if none."""
@@ -283,7 +280,7 @@ class PlanMonitor:
         if not found or not plan.goals:  # what is safe is done also where nothing can be planned
             return None
         domain, usage = self._effects.domain, usage_of(self._effects.domain)
-        numbers = usage.numbers(self._numbers(), state)
+        numbers = usage.numbers(self.numbers(), state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
         flaw = plan.prediction(domain, state, found, ends_s).flaw if max((0.0, *ends_s)) > min(found.values()) else None
         if flaw is None:
@@ -298,7 +295,7 @@ class PlanMonitor:
         """
         with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
             steps = (plan.steps[number] for number in plan.remaining)
-            over = usage_of(self._effects.domain).overspent(self._numbers(), steps)
+            over = usage_of(self._effects.domain).overspent(self.numbers(), steps)
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
@@ -342,7 +339,7 @@ class PlanMonitor:
         held = self._holding(goals.soft, plan.prediction(domain, state).facts)
         price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         steps, begun = plan.unfinished_steps, len(plan.running)
-        for step, numbers in usage.in_turn(self._numbers(), state, steps, begun):
+        for step, numbers in usage.in_turn(self.numbers(), state, steps, begun):
             cost = float(usage.value(usage.cost_of(step), numbers))
             price += cost * shares.get(step, 1.0) * weights.get(step, 1)
         return price

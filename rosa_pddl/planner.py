@@ -31,7 +31,7 @@ from rosa_pddl.grounding import (
     UnreachableGoalError,
 )
 from rosa_pddl.instances import is_out_of_reach
-from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble, trouble_of
+from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
@@ -329,9 +329,12 @@ class _Portfolio:
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
         except Cancelled:
             raise
-        except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
-            trouble = trouble_of(error)
+        except Trouble as trouble:
             return PlanningResult(trouble.outcome, message=str(trouble))
+        except UnsupportedPddlError as error:
+            return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
+        except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
+            return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
 
     def _engine_of(self, way: str) -> str:
         return self._planner.engine if way in ("warm", "cold") else way

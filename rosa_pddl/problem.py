@@ -19,6 +19,7 @@ from rosa_pddl.domain import (
     UpThing,
     exact,
     head_of,
+    lineage_of,
     number_fact,
 )
 from rosa_pddl.exceptions import SensingError, UnknownNameError, UnsupportedPddlError, nearest
@@ -151,7 +152,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     if kind not in up_types:
         known = [domain.outside[one] for one in up_types]
         raise UnknownNameError(f"{domain.file} has no type {type_name!r} (of {name!r}); {nearest(type_name, known)}")
-    lineage = tuple(domain.outside[one.name].lower() for one in (up_types[kind], *up_types[kind].ancestors))
+    lineage = lineage_of(up_types[kind], domain.outside)
     if ACTION_TYPE in lineage:
         raise UnknownNameError(f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}")
     if not NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
@@ -168,7 +169,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
         up_problem=problem,
         inside={**domain.inside, ("object", name.lower()): inside},
         outside={**domain.outside, inside: name},
-        types={**domain.types, name: tuple(dict.fromkeys(lineage))},
+        types={**domain.types, name: lineage},
     )
 
 

@@ -8,11 +8,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts, lineage_of
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
-from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope, nodes_of
-from rosa_pddl.number_uses import NumberUses
+from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
+from rosa_pddl.resource_usage import NumberUses
 from rosa_pddl.syntax import (
     ANY,
     BODY,
@@ -23,6 +23,7 @@ from rosa_pddl.syntax import (
     check_frames,
     glued_types,
     listed,
+    nodes_of,
     parse,
     read_source,
     section,
@@ -236,7 +237,7 @@ class _Reader:
                 self._again.append(f"{formulas.source.file}:{node.line}: {note}")
                 return
         self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
-        self._lineages[str(node)] = tuple(_lineage_of(type_, self._outside))
+        self._lineages[str(node)] = lineage_of(type_, self._outside)
 
     def _read_rosa_actions(self) -> None:
         """Take in the ROSA actions that PDDL actions are said to do."""
@@ -291,7 +292,7 @@ class _Reader:
             _, target, value = node.children
             if target.head != _COST or not self._has_cost:
                 fluent = formulas.atom(target, {}, is_number=True)
-                self._up_problem.set_initial_value(fluent, formulas.number(value, {}))
+                self._up_problem.set_initial_value(fluent, formulas.stated(value))
         elif node.head == "not" and len(node.children) == 2:
             formulas.atom(node.children[1], {})
         else:
@@ -582,9 +583,3 @@ def _refuse_times(source: Source, schema: Node, node: Node) -> None:
         raise source.error(node, message)
     for child in node.children:
         _refuse_times(source, schema, child)
-
-
-def _lineage_of(type_: UpThing, outside: Mapping[str, str]) -> Iterator[str]:
-    while type_ is not None:
-        yield outside[type_.name].lower()
-        type_ = type_.father

@@ -12,11 +12,11 @@ from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.formulas import Goal
-from rosa_pddl.goals import Goals, PlanningTask, Relevance
+from rosa_pddl.goals import Goals, Relevance, SoftGoals
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import CERTIFIED, Planner, awaited
-from rosa_pddl.problem import Problem
+from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.validate import missing_at_start
 
 _LOG = logging.getLogger(__name__)
@@ -352,13 +352,12 @@ class _DeadEnd:
 class Replanning:
     """Asks for plans as a policy allows, and finds out why there is none."""
 
-    BOOKKEEPING = "records _last_asked_s"
+    BOOKKEEPING = "records _last_asked_s _soft"
 
     def __init__(
         self,
         goals: Goals,
         effects: ExpectedEffects,
-        task: PlanningTask,
         monitor: PlanMonitor,
         client: PlannerClient,
         clock: Callable[[], float],
@@ -366,10 +365,11 @@ class Replanning:
         clash: Clash | None,
     ) -> None:
         self._clash = clash
-        self._goals, self._effects, self._task, self._monitor = goals, effects, task, monitor
+        self._goals, self._effects, self._monitor = goals, effects, monitor
         self._client, self._clock, self._policy = client, clock, policy
         self._relevance = Relevance(effects.domain, goals)
         self._last_asked_s = -inf
+        self._soft: SoftGoals | None = None
         self._wanted: Decision | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
         self._asked_in = effects.domain
@@ -436,18 +436,28 @@ class Replanning:
             return None
         now_s = self._clock()
         left_s = max(self._last_asked_s + self._policy.at_most_every_s - now_s, self.setbacks.wait_s(None))
-
-        def problem() -> Problem:
-            made, until = self._task.problem(state, self._goals, self.setbacks.weights), self._monitor.until()
-            return replace(made, until=until, shares=shares) if until else made
-
-        if left_s > 0.0 and not self._client.is_prepared(problem):
+        if left_s > 0.0 and not self._client.is_prepared(lambda: self._problem(state, shares)):
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
         self._asked_in = self._effects.domain
-        self._client.ask(problem(), decision)
+        self._client.ask(self._problem(state, shares), decision)
         self._last_asked_s, self._dead_end = now_s, None
         return f"planning: {decision.reason}"
+
+    def _problem(self, state: State, shares: Mapping[Step, float]) -> Problem:
+        """Return what to ask the planner; soft goals are planned for in a domain of their own."""
+        soft, until = self._softened(), self._monitor.until()
+        domain, wanted = (soft.domain, [soft.goal]) if soft else (self._effects.domain, [])
+        goals = (*(goal.expression for goal in self._goals.hard), *wanted)
+        numbers, weights = self._monitor.numbers(), self.setbacks.weights
+        return Problem(domain, state, goals, numbers, weights, until, shares if until else {})
+
+    def _softened(self) -> SoftGoals | None:
+        domain, goals = made_of = self._effects.domain, self._goals.soft
+        if goals and (self._soft is None or self._soft.made_of != made_of):
+            with lock_of(domain):
+                self._soft = SoftGoals(domain, goals)
+        return self._soft if goals else None
 
     def forget(self) -> None:
         """Give up what is wanted or being planned; that there is none stays known."""
@@ -464,7 +474,10 @@ class Replanning:
             self._diagnose(result, state)
             return None
         decision = question.decision
-        result, promised = self._task.read(result, self._goals)
+        soft, promised = self._softened(), self._goals.hard
+        if soft is not None:
+            result, reached = soft.kept(result)
+            promised += reached
         outcome, domain = result.outcome, self._effects.domain
         is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
         record = (question.at_s, decision.reason, outcome, result.steps, result.engine, result.message, decision.cause)

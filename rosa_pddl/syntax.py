@@ -3,13 +3,15 @@
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from rosa_pddl.exceptions import PddlError, UnsupportedPddlError, nearest
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-_TOKEN = re.compile(r";[^\n]*|\s+|[()]|[^\s();]+")
+# a type may follow its mark without a space
+_TOKEN = re.compile(r";[^\n]*|\s+|[()]|-(?=[A-Za-z])|[^\s();]+")
 
 BODY: Final[Mapping[str, tuple[str, ...]]] = {
     ":action": (":parameters", ":precondition", ":effect"),
@@ -107,9 +109,6 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
         if expects_type:
             found += [(name, node) for name in waiting]
             waiting = []
-        elif waiting and _is_glued(node):
-            found += [(name, replace(node, word=str(node)[1:])) for name in waiting]
-            waiting = []
         elif node.word != "-":
             if are_variables and not node.lower.startswith("?"):
                 raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
@@ -119,19 +118,20 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
 
 def glued_types(source: Source) -> Iterator[str]:
     """Yield in sentences where a type follows its mark without a space, as in `?r -robot`."""
-    waiting = [source.root]
-    for node in waiting:
-        waiting += node.children
-        if _is_glued(node):
-            yield f"{source.file}:{node.line}: {str(node)!r} is read as '- {str(node)[1:]}'; write it with the space"
+    for node in nodes_of(source.root):
+        for mark, kind in pairwise(node.children):
+            is_glued = (mark.line, mark.column + 1) == (kind.line, kind.column)
+            if mark.word == "-" and is_glued and kind.word is not None:
+                yield f"{source.file}:{mark.line}: '-{kind}' is read as '- {kind}'; write it with the space"
 
 
-def _is_glued(node: Node) -> bool:
-    return node.word is not None and node.word[:1] == "-" and node.word[1:2].isalpha()
+def nodes_of(node: Node) -> Iterator[Node]:
+    yield node
+    for child in node.children:
+        yield from nodes_of(child)
 
 
-@dataclass
-class _Open:
+class _Open(NamedTuple):
     line: int
     column: int
     children: list[Node]

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from fractions import Fraction
 from functools import lru_cache, reduce
-from itertools import accumulate, groupby, permutations, product
+from itertools import accumulate, groupby, permutations
 from math import inf
 from operator import add, mul, sub
 from typing import NamedTuple
@@ -30,11 +30,9 @@ def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
     As nothing else happens while a step runs, what must hold later must hold once its effects at start are so.
     """
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
-    missing = missing_of(domain, schema.start, binding, state)
-    if missing is not None:
-        return missing
     after = _after(domain, schema.start_effects, binding, state) if schema.start_effects else state
-    return missing_of(domain, schema.over_all + schema.end, binding, after)
+    missing = missing_of(domain, schema.start, binding, state)
+    return missing or missing_of(domain, schema.over_all + schema.end, binding, after)
 
 
 def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
@@ -153,8 +151,8 @@ def _happen(
     return None
 
 
-def one_after_the_other(count: int) -> tuple[StepEvent, ...]:
-    return tuple(StepEvent(number, is_end) for number in range(count) for is_end in (False, True))
+def one_after_the_other(count: int) -> tuple[tuple[StepEvent], ...]:
+    return tuple((StepEvent(number, is_end),) for number in range(count) for is_end in (False, True))
 
 
 def flaw(
@@ -177,8 +175,7 @@ def flaw(
     """
     listed = tuple(steps)
     ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
-    events = ([event] for event in one_after_the_other(len(listed)))
-    wrong, facts = replay(domain, listed, events, state, until=until, ends_s=ends_s)
+    wrong, facts = replay(domain, listed, one_after_the_other(len(listed)), state, until=until, ends_s=ends_s)
     return wrong or (None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal")
 
 
@@ -265,7 +262,7 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
             return False
         return one == other if formula.is_equals() else one <= other if formula.is_le() else one < other
     if formula.is_exists() or formula.is_forall():
-        bindings = _bindings(domain, formula.variables(), binding)
+        bindings = domain.bindings(formula.variables(), binding)
         results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
         return any(results) if formula.is_exists() else all(results)
     parts = [holds(domain, part, binding, state) for part in formula.args]
@@ -289,7 +286,7 @@ def _derived(domain: Domain, state: State) -> AbstractSet[str]:
         left = [
             (domain.inside["predicate", name], one.condition, binding)
             for name, one in layer
-            for binding in _bindings(domain, (variable.variable() for variable in one.variables), {})
+            for binding in domain.bindings((variable.variable() for variable in one.variables), {})
         ]
         while new := [one for one in left if holds(domain, *one[1:], found)]:
             found.update(f"({' '.join([domain.outside[name], *binding.values()])})" for name, _, binding in new)
@@ -312,13 +309,6 @@ def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) ->
     return reduce(_COMPUTED[number.node_type.name], known)
 
 
-def _bindings(domain: Domain, variables: Iterable[UpThing], binding: Binding) -> Iterator[Binding]:
-    """Return the binding with every choice of objects for the quantified variables."""
-    choices = {one.name: domain.objects_of(domain.outside[one.type.name]) for one in variables}
-    for chosen in product(*choices.values()):
-        yield {**binding, **dict(zip(choices, chosen, strict=True))}
-
-
 def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts) -> State:
     deleted, added = changes(domain, effects, binding, state)
     return frozenset((state - deleted) | added)
@@ -331,7 +321,7 @@ def changes(
     added, deleted = set[str](), set[str]()
     numbers = dict[str, tuple[Exact | None, Exact | None]]()
     for effect in effects:
-        for inner in _bindings(domain, effect.forall, binding) if effect.forall else (binding,):
+        for inner in domain.bindings(effect.forall, binding) if effect.forall else (binding,):
             if holds(domain, effect.condition, inner, state):
                 text = text_of(domain, effect.fluent, inner)
                 if effect.fluent.fluent().type.is_bool_type():
@@ -360,7 +350,7 @@ def mentioned_atoms(
     for formula in conditions:
         yield from _atoms(domain, formula, binding)
     for effect in effects:
-        for inner in _bindings(domain, effect.forall, binding):
+        for inner in domain.bindings(effect.forall, binding):
             yield from _atoms(domain, effect.condition, inner)
             yield from _atoms(domain, effect.value, inner)
 
@@ -368,7 +358,7 @@ def mentioned_atoms(
 def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding) -> Iterator[str]:
     """Yield the atoms that effects may change, whatever their conditions say then."""
     for effect in effects:
-        for inner in _bindings(domain, effect.forall, binding):
+        for inner in domain.bindings(effect.forall, binding):
             yield text_of(domain, effect.fluent, inner)
 
 
@@ -383,7 +373,7 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | 
             names = [one.variable().name for one in axiom.variables]
             yield from _atoms(domain, axiom.condition, dict(zip(names, text[1:-1].split()[1:], strict=True)), seen)
     elif formula.is_exists() or formula.is_forall():
-        for inner in _bindings(domain, formula.variables(), binding):
+        for inner in domain.bindings(formula.variables(), binding):
             yield from _atoms(domain, formula.arg(0), inner, seen)
     else:
         for part in formula.args:

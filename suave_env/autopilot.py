@@ -45,9 +45,7 @@ class SCurve:
 
     def at(self, time: float) -> tuple[float, float]:
         """Return how far along the move is [m] and how fast [m/s], at a time since its start [s]."""
-        left, rise, ramp, jerk = self.duration - time, self._rise, self._ramp, self._jerk
-        if left >= rise and time <= ramp:  # mostly, as new setpoints come every second or two
-            return jerk * time**3 / 6, jerk * time * time / 2
+        left, rise = self.duration - time, self._rise
         if left <= 0:
             return self._length, 0.0
         if left < rise:

@@ -57,10 +57,9 @@ class Agenda:
 
 
 class Component:
-    """A node that can be active or inactive; it `moves` if it sends setpoints."""
+    """A node that can be active or inactive, and has parameters."""
 
     name: ClassVar[str]
-    moves: ClassVar[bool] = True
 
     def __init__(self) -> None:
         self.active = False
@@ -72,11 +71,28 @@ class Component:
     def deactivated(self, time: float) -> None:
         """End; called when it has become inactive, with the time [s]."""
 
+
+class Mover(Component):
+    """A node that sends setpoints: at each of its periods, while it is active and setpoints are obeyed."""
+
+    def __init__(self, settings: Settings, autopilot: Autopilot) -> None:
+        super().__init__()
+        self._settings, self._autopilot = settings, autopilot
+
     def tick(self, time: float) -> None:
-        """Act; called at each of its periods, with the time [s]."""
+        """Act if it may; called at each of its periods, with the time [s]."""
+        if self.active and time >= self._settings.start_delay_s:
+            self._act(time)
+
+    def _act(self, time: float) -> None: ...
+
+    def _is_near(self, point: tuple[float, ...], tolerance: float) -> bool:
+        """Tell whether the vehicle is that close [m] to a point, (x, y) or (x, y, z), along each of its axes."""
+        position = self._autopilot.position
+        return all(abs(here - there) <= tolerance for here, there in zip(position, point, strict=False))
 
 
-class SpiralSearch(Component):
+class SpiralSearch(Mover):
     """Searches along a spiral: one point every 0.1 rad, whose turns lie as far apart as the camera sees.
 
     Per point the radius grows by `2 a tan(30 deg) 0.1 / (2 pi)` for an altitude `a`, the parameter `spiral_altitude`
@@ -88,9 +104,8 @@ class SpiralSearch(Component):
     name = "spiral_search"
 
     def __init__(self, settings: Settings, autopilot: Autopilot, centre: tuple[float, float]) -> None:
-        super().__init__()
+        super().__init__(settings, autopilot)
         self.parameters["spiral_altitude"] = settings.spiral_altitude_m
-        self._settings, self._autopilot = settings, autopilot
         self._begin(centre)
 
     def _begin(self, centre: tuple[float, float]) -> None:
@@ -105,50 +120,36 @@ class SpiralSearch(Component):
             x, y, _ = self._autopilot.position
             self._begin((x, y))
 
-    def tick(self, time: float) -> None:
-        if not self.active or time < self._settings.start_delay_s:
-            return
-        altitude = self.parameters["spiral_altitude"]
+    def _act(self, time: float) -> None:
+        settings, altitude, goal = self._settings, self.parameters["spiral_altitude"], self._goal
         if altitude != self._altitude:
             self._altitude = altitude
             self._count += 1
-        if self._waits > self._settings.spiral_patience:
-            self._resend(altitude, time)
-        if self._goal is None or self._is_reached(self._goal, 3):
-            self._advance(altitude, time)
+        is_reached = goal is None or self._is_near(goal, settings.spiral_tolerance_m)
+        if self._waits > settings.spiral_patience:
+            if goal is not None and not is_reached and self._is_near(goal[:2], settings.spiral_tolerance_m):
+                self._correction -= settings.spiral_correction_m
+            self._send(altitude, time)
+        if is_reached:
+            step = settings.spiral_angle_step_rad
+            width = 2 * altitude * math.tan(settings.half_view_angle_rad)
+            radius, angle = math.hypot(*self._offset) + width * step / (2 * math.pi), step * self._count
+            self._offset = (radius * math.cos(angle), radius * math.sin(angle))
+            self._goal = self._send(altitude, time)
+            self._count += 1
         else:
             self._waits += 1
-
-    def _is_reached(self, goal: Vector, axes: int) -> bool:
-        tolerance = self._settings.spiral_tolerance_m
-        offsets = [abs(here - there) for here, there in zip(self._autopilot.position, goal, strict=True)]
-        return all(offset <= tolerance for offset in offsets[:axes])
-
-    def _resend(self, altitude: float, time: float) -> None:
-        if self._goal is not None and self._is_reached(self._goal, 2) and not self._is_reached(self._goal, 3):
-            self._correction -= self._settings.spiral_correction_m
-        self._send(altitude, time)
-        self._waits = 0
-
-    def _advance(self, altitude: float, time: float) -> None:
-        step = self._settings.spiral_angle_step_rad
-        width = 2 * altitude * math.tan(self._settings.half_view_angle_rad)
-        radius = math.hypot(*self._offset) + width * step / (2 * math.pi)
-        angle = step * self._count
-        self._offset = (radius * math.cos(angle), radius * math.sin(angle))
-        self._goal = self._send(altitude, time)
-        self._count += 1
-        self._waits = 0
 
     def _send(self, altitude: float, time: float) -> Vector:
         """Send the current point, corrected in height; return it uncorrected."""
         x, y = self._centre[0] + self._offset[0], self._centre[1] + self._offset[1]
         z = SEABED_Z_M + altitude
         self._autopilot.go_to((x, y, z + self._correction), time)
+        self._waits = 0
         return x, y, z
 
 
-class FollowPipeline(Component):
+class FollowPipeline(Mover):
     """Follows the path along the pipeline, point by point, 1.25 m above the seabed.
 
     Every 2 s it checks the point under way, and takes on as many further points as are within 0.5 m in x and in y.
@@ -162,11 +163,11 @@ class FollowPipeline(Component):
     name = "follow_pipeline"
 
     def __init__(self, settings: Settings, autopilot: Autopilot, outbox: Outbox) -> None:
-        super().__init__()
+        super().__init__(settings, autopilot)
         self.distance_m, self.total_m = 0.0, 0.0
-        self._settings, self._autopilot, self._outbox = settings, autopilot, outbox
+        self._outbox = outbox
         self._path: deque[tuple[float, float]] | None = None
-        self._target: tuple[float, float] | None = None
+        self._is_under_way = False  # to the first point of the path
         self._last: tuple[float, float] | None = None
         self._waits = 0
         self._published = (-math.inf, math.nan)
@@ -180,51 +181,41 @@ class FollowPipeline(Component):
         self._last = None
 
     def deactivated(self, time: float) -> None:
-        if self._target is not None and self._path is not None and not self._settings.follow_loses_point:
-            self._path.appendleft(self._target)
-        self._target = None
+        if self._is_under_way and self._path and self._settings.follow_loses_point:
+            self._path.popleft()
+        self._is_under_way = False
 
-    def tick(self, time: float) -> None:
-        if not self.active or self._path is None or time < self._settings.start_delay_s:
+    def _act(self, time: float) -> None:
+        settings, path, before = self._settings, self._path, self._last
+        if path is None:
             return
-        before = self._last
-        while self._target is not None or self._path:
-            if self._target is None:
-                self._target, self._waits = self._path.popleft(), 0
-                self._send(self._target, time)
-            if not self._is_reached(self._target):
+        while path:
+            if not self._is_under_way:
+                self._is_under_way, self._waits = True, 0
+                self._send(path[0], time)
+            if not self._is_near(path[0], settings.follow_tolerance_m):
                 self._waits += 1
-                if self._waits > self._settings.follow_patience:
-                    self._send(self._target, time)
+                if self._waits > settings.follow_patience:
+                    self._send(path[0], time)
                 break
-            self._count(self._target)
-            self._target = None
+            self._count(path.popleft())
+            self._is_under_way = False
         else:
             self._path = None
             self._outbox.publish(time, self.name, MISSION_STATUS, "pipeline_inspected", "true")
-        if self._last != before:
-            self._publish_distance(time)
+        since, distance_m = self._published
+        if self._last != before and distance_m != self.distance_m and time - since >= 1:
+            self._published = (time, self.distance_m)
+            self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
 
     def _send(self, point: tuple[float, float], time: float) -> None:
         self._autopilot.go_to((*point, SEABED_Z_M + self._settings.follow_altitude_m), time)
 
-    def _is_reached(self, point: tuple[float, float]) -> bool:
-        x, y, _ = self._autopilot.position
-        tolerance = self._settings.follow_tolerance_m
-        return abs(x - point[0]) <= tolerance and abs(y - point[1]) <= tolerance
-
     def _count(self, point: tuple[float, float]) -> None:
-        if self._last is not None:
-            leg = math.dist(self._last, point)
-            self.distance_m += leg
-            self.total_m += leg
+        leg_m = math.dist(self._last, point) if self._last is not None else 0.0
+        self.distance_m += leg_m
+        self.total_m += leg_m
         self._last = point
-
-    def _publish_distance(self, time: float) -> None:
-        since, distance = self._published
-        if distance != self.distance_m and time - since >= 1:
-            self._published = (time, self.distance_m)
-            self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
 
 
 class RecoverThrusters(Component):
@@ -234,7 +225,6 @@ class RecoverThrusters(Component):
     """
 
     name = "recover_thrusters"
-    moves = False
 
     def __init__(
         self, settings: Settings, restored: Callable[[int, float], None], agenda: Agenda, outbox: Outbox
@@ -257,7 +247,7 @@ class RecoverThrusters(Component):
             self._outbox.publish(time, self.name, COMPONENT_STATUS, f"c_thruster_{number}", word)
 
 
-class Recharge(Component):
+class Recharge(Mover):
     """Drives to the recharge station and recharges the battery there.
 
     Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it
@@ -267,23 +257,20 @@ class Recharge(Component):
     name = "recharge"
 
     def __init__(self, settings: Settings, autopilot: Autopilot, recharge: Callable[[float], None]) -> None:
-        super().__init__()
-        self._settings, self._autopilot, self._recharge = settings, autopilot, recharge
+        super().__init__(settings, autopilot)
+        self._recharge = recharge
         self._is_sent = False
 
     def activated(self, time: float) -> None:
         self._is_sent = False
 
-    def tick(self, time: float) -> None:
+    def _act(self, time: float) -> None:
         settings = self._settings
-        if not self.active or time < settings.start_delay_s:
-            return
-        station = (settings.station_x_m, settings.station_y_m, SEABED_Z_M + settings.transit_altitude_m)
+        station = (settings.station_x_m, settings.station_y_m)
         if not self._is_sent or settings.recharge_resends:
-            self._autopilot.go_to(station, time)
+            self._autopilot.go_to((*station, SEABED_Z_M + settings.transit_altitude_m), time)
             self._is_sent = True
-        x, y, _ = self._autopilot.position
-        if max(abs(x - station[0]), abs(y - station[1])) <= settings.recharge_tolerance_m:
+        if self._is_near(station, settings.recharge_tolerance_m):
             self._recharge(time)
 
 
@@ -352,7 +339,8 @@ class Components:
         if component.active:
             component.active = False
             component.deactivated(time)
-            if component.moves and not any(other.active and other.moves for other in self._components.values()):
+            movers = [other for other in self._components.values() if isinstance(other, Mover)]
+            if component in movers and not any(other.active for other in movers):
                 self._hold(time)
             self._note(time, component)
 

@@ -7,9 +7,8 @@ from functools import partial
 import numpy as np
 
 from suave_env.autopilot import Autopilot, Vector
-from suave_env.battery import LOW_LEVEL, Battery
 from suave_env.components import Agenda, Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
-from suave_env.metrics import Metrics, Reaction, Reactions, Violations
+from suave_env.metrics import LOW_LEVEL, Metrics, Reaction, Reactions, Violations
 from suave_env.monitors import (
     COMPONENT_STATUS,
     EA_MEASUREMENT,
@@ -82,7 +81,8 @@ class SuaveEnv:
         self._disturbances: list[tuple[float, str]] = []
         self._violations, self._reactions = Violations(), Reactions(settings.spiral_altitude_m)
         self._agenda, self._outbox = Agenda(), Outbox(self._reactions.hear)
-        self._water, self._battery, self._thrusters = Water(settings), Battery(settings), Thrusters(settings)
+        self._battery_level, self._recharges = 1.0, 0
+        self._water, self._thrusters = Water(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
         self.station: Vector = (settings.station_x_m, settings.station_y_m, settings.station_z_m)
         self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings))
@@ -187,11 +187,11 @@ class SuaveEnv:
             altitude=z - SEABED_Z_M,
             speed=math.hypot(*self._vehicle.velocity),
             water_visibility=self._water.visibility(self.now),
-            battery_level=self._battery.level,
+            battery_level=self._battery_level,
             thrusters_failed=self._thrusters.failed,
             active=self.components.active,
             spiral_altitude=self._spiral.parameters["spiral_altitude"],
-            recharged=self._battery.recharges,
+            recharged=self._recharges,
         )
 
     def _look(self, time: float) -> None:
@@ -207,9 +207,13 @@ class SuaveEnv:
         self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
 
     def _drain(self, time: float) -> None:
-        before = self._battery.level
-        self._battery.drain(self.settings.battery_period_s)
-        if before >= LOW_LEVEL > self._battery.level:
+        """Take out what a period costs; the level carries the rounding of the steps, as in kas-lab/suave v1.3.0.
+
+        After 150 steps of 1 s out of 200 s it is 0.24999999999999933.
+        """
+        settings, before = self.settings, self._battery_level
+        self._battery_level = max(0.0, before - settings.battery_period_s / settings.discharge_time_s)
+        if before >= LOW_LEVEL > self._battery_level:
             self._disturbances.append((time, f"battery level fell below {LOW_LEVEL}"))
             self._judge(time, corrected=False)
         self._publish_battery(time)
@@ -227,10 +231,11 @@ class SuaveEnv:
         self._thruster_news.clear()
 
     def _publish_battery(self, time: float) -> None:
-        self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery.level)
+        self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery_level)
 
     def _recharge(self, time: float) -> None:
-        self._battery.recharge()
+        self._battery_level = 1.0
+        self._recharges += 1
         if self.settings.battery:
             self._publish_battery(time)
         self._outbox.publish(time, "recharge", MISSION_STATUS, "battery_recharged", "true")
@@ -271,5 +276,5 @@ class SuaveEnv:
         wrong = spiral.active and spiral.parameters["spiral_altitude"] != expected
         note(time, "visibility", wrong, corrected)
         note(time, "thruster", bool(self._thrusters.failed), corrected)
-        low = self._battery.level < LOW_LEVEL and not self.components.is_active(Recharge.name)
+        low = self._battery_level < LOW_LEVEL and not self.components.is_active(Recharge.name)
         note(time, "battery", low, corrected=True)

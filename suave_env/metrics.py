@@ -4,9 +4,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from statistics import fmean
 
-from suave_env.battery import LOW_LEVEL
 from suave_env.components import Change
 from suave_env.water import expected_altitude
+
+LOW_LEVEL = 0.25
+"""Battery level [1] below which the extended SUAVE mission recharges; kas-lab/suave v1.3.0."""
 
 
 @dataclass(frozen=True)

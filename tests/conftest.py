@@ -1,7 +1,9 @@
 """Settings of every test: the same examples of hypothesis each time, and no clock that decides."""
 
+import gc
 import os
 
+import pytest
 from hypothesis import settings
 
 from kb import KnowledgeBase
@@ -19,3 +21,15 @@ Planner.__init__.__defaults__ = ("fast-downward-opt", PATIENCE_S)
 KnowledgeBase.query.__defaults__ = (PATIENCE_S,)
 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what hundreds of programs of the tests import is compiled once
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items):
+    """Begin with what takes longest, so that no worker is left alone with it at the end."""
+    items.sort(key=lambda item: item.path.name not in ("test_site.py", "test_house.py"))
+
+
+def pytest_collection_finish():
+    """Have the thousands of tests not gone through whenever Python looks for garbage."""
+    gc.collect()
+    gc.freeze()

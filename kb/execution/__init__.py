@@ -1,4 +1,408 @@
-"""Carrying out plans on a system that may be slow, fail or lie.
+"""Carrying out a reconfiguration plan on the managed system, a bounded slice at each turn."""
 
-`executor` carries out a plan in stages and retries its commands; `safeguards` keep from it what must not be done.
-"""
+import logging
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from kb.elements import ComponentKind, Configuration, is_number
+from kb.exceptions import InvalidValue, ProtocolError
+from kb.execution.safeguards import Budgets, Quarantine
+from kb.knowledge_base import KnowledgeBase
+from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
+from kb.network import Node
+from kb.records import Attempt, ReconfigurationPlan
+from kb.state import State
+from kb.status import Status
+
+_log = logging.getLogger(__name__)
+
+
+class RetryPolicy(NamedTuple):
+    """How often a command is given, how long an attempt may take [s] and how long it is put off after a failure [s]."""
+
+    attempts: int
+    timeout: float
+    back_off: float
+
+
+class StagedExecutor:
+    """Carries out plans in three stages: deactivate, set parameters, activate.
+
+    The commands of a stage are given together, and the next stage begins when all have ended, so a component gets its
+    parameters before it starts. A command that fails, or takes too long, is given again later; so is one that was
+    said to be done when the managed system can tell that it is not. When it fails for good, the plan ends as failed
+    after the other components got what was meant for them, and the next best is chosen: a configuration whose
+    parameters cannot be set is put in quarantine, a component that cannot be switched is reported failed. What the plan
+    started for a function that cannot be had any more is stopped again.
+
+    After an interrupt, such as Ctrl-C within a call, the next turn puts on record that the commands whose answer
+    nobody knows were abandoned, and begins the plan's stages again: a command may be given once more.
+
+    Args:
+        managed: what is commanded; plain components are never switched, only booked.
+        attempts: how often a command is given before it counts as failed.
+        timeout: how long an attempt may take, in the time of the knowledge base's clock [s].
+        timeout_by_component: the same for single components.
+        back_off: how long after a failure the command is given again [s]; twice as long after each further one.
+        hold: how long a configuration that could not be set counts as unfeasible [s].
+        budgets: the most that all that is chosen and runs may be estimated to use, by name of attribute, also on the
+            way: what runs gets its parameters one after the other, and a plan that might exceed one, because something
+            failed, is not carried out further.
+    """
+
+    def __init__(
+        self,
+        managed: ManagedSystem,
+        *,
+        attempts: int = 3,
+        timeout: float = 60.0,
+        timeout_by_component: Mapping[str, float] | None = None,
+        back_off: float = 0.5,
+        hold: float = 300.0,
+        budgets: Mapping[str, float] | None = None,
+    ) -> None:
+        check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
+        self._managed = managed
+        by_name = timeout_by_component or {}
+        if type(attempts) is not int or attempts < 1:
+            raise InvalidValue(f"a command is given a whole number of times, once at least, not {attempts!r}")
+        for lasts in (timeout, *by_name.values()):
+            if not is_number(lasts) or not lasts > 0:
+                raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {lasts!r}")
+        if not is_number(back_off) or not 0 <= back_off < math.inf:
+            raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {back_off!r}")
+        self._policy = RetryPolicy(attempts, timeout, back_off)
+        self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
+        self._quarantine = Quarantine(hold)
+        self._budgets = Budgets(budgets)
+        self._known: KnowledgeBase | None = None
+        self._plan: ReconfigurationPlan | None = None
+        self._stages: Iterator[list[_Command]] = iter(())
+        self._stage: list[_Command] = []
+        self._failed: set[str] = set()
+        self._commanded: set[str] = set()
+        self._paused: list[str] = []
+        self._is_under_way = False
+
+    def execute(self, kb: KnowledgeBase) -> None:
+        """Do what can be done of the pending plan without waiting.
+
+        Raises:
+            UnknownName: a time-out was given for a component, or a budget for an attribute, that the model does not
+                have; at the first turn only.
+            ProtocolError: a method of the managed system or of an operation returned what means nothing; the command
+                is abandoned, and given again at the next turn.
+        """
+        if self._is_under_way and self._plan is not None:
+            self._begin_again(kb)
+        self._is_under_way = True
+        self._go_on(kb)
+        self._is_under_way = False
+
+    def _begin_again(self, kb: KnowledgeBase) -> None:
+        """Settle what was interrupted: what nobody knows the answer of, and the stages, which may have been cut off."""
+        known = [command.attempt for command in self._stage if command.is_answered]
+        for attempt in kb.history.attempts:
+            if attempt.end is None and attempt not in known and self._plan in (attempt.plan, None):
+                kb.finish_attempt(attempt, "abandoned", "it was interrupted before its answer was known")
+        self._stages = self._staged(kb, kb.history.open_plans) if self._plan in kb.history.open_plans else iter(())
+
+    def _go_on(self, kb: KnowledgeBase) -> None:
+        if kb is not self._known:
+            self._quarantine.adopt(kb)
+            self._known = kb
+            for name in self._of_component:
+                kb.components[name]
+            for name in self._budgets.most:
+                kb.attributes[name]
+        if self._quarantine.held:
+            self._quarantine.review(kb)
+        if self._plan is None:
+            open_plans = kb.history.open_plans
+            if not open_plans:
+                return
+            self._stages, self._stage = self._staged(kb, open_plans), []
+            self._failed, self._commanded, self._paused = set(), set(), []
+            self._plan = open_plans[-1]
+        self._drop_removed(kb)
+        now = kb.now
+        while True:
+            self._stage = [command for command in self._stage if not self._has_ended(kb, command, now)]
+            if self._stage:
+                return
+            following = None if self._plan.end is not None else next(self._stages, None)
+            if following is None:
+                break
+            self._stage = following
+            for command in self._stage:
+                command.begin(now)
+        kb.finish_plan(self._plan, "failed" if self._failed else "completed")
+        self._plan = None
+
+    def _drop_removed(self, kb: KnowledgeBase) -> None:
+        """Abandon commands to what is no longer in the model, or with what is not."""
+        for command in tuple(self._stage):
+            known = command.configuration is None or command.configuration.name in kb.configurations
+            if not known or command.component not in kb.components:
+                command.abandon("it is no longer in the model")
+                self._stage.remove(command)
+
+    def _has_ended(self, kb: KnowledgeBase, command: "_Command", now: float) -> bool:
+        """Go on with a command and tell whether it has ended, one way or the other; the knowledge base is told how."""
+        result = command.advance(now)
+        if result is None:
+            return False
+        if result == "failed":
+            self._give_up(kb, command)
+        elif command.configuration is None:
+            kb.component_active(command.component, command.operation == "activate")
+        return True
+
+    def _give_up(self, kb: KnowledgeBase, command: "_Command") -> None:
+        _log.warning("%s %s failed, %s", command.operation, command.component, command.reason)
+        self._failed.add(command.component)
+        if command.configuration is None:
+            active, _ = look(self._managed, command.component)
+            if active is not None:
+                kb.component_active(command.component, active)
+            kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
+        else:
+            reason = f"its parameters could not be set, {command.reason}"
+            self._quarantine.put(kb, command.configuration.name, reason)
+
+    def _staged(self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]) -> Iterator[list["_Command"]]:
+        """Yield the stages of the latest of the open plans, each decided when it begins."""
+        plan = open_plans[-1]
+        with kb.reading() as state:
+            activated, deactivated, parameters = _steps(state, open_plans)
+            running = _running(state, parameters).items()
+            stops = [name for name, one in running if one.element.stops_to_configure]
+            self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
+            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *self._paused])
+        yield stopping
+        started = [*activated, *self._paused]
+        if self._budgets.most:
+            yield from self._configured_within_budgets(kb, plan, parameters, started)
+            parameters = []
+        with kb.reading() as state:
+            configuring = self._commands(kb, state, plan, "configure", [*_running(state, parameters), *started])
+        yield configuring
+        if started:
+            with kb.reading() as state:
+                starting = self._commands(kb, state, plan, "activate", started)
+            self._commanded = {command.component for command in starting if command.managed is not None}
+            yield starting
+        if self._failed:
+            yield self._rolled_back(kb, plan, started)
+
+    def _configured_within_budgets(
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, parameters: Sequence[str], started: Sequence[str]
+    ) -> Iterator[list["_Command"]]:
+        """Configure what runs, one after the other; those that use less of a budget than before come first in a plan.
+
+        What might exceed a budget, because something has failed, is neither configured nor started.
+        """
+        with kb.reading() as state:
+            running = _running(state, parameters)
+        for name in running:
+            if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
+                with kb.reading() as state:
+                    configuring = self._commands(kb, state, plan, "configure", [name])
+                yield configuring
+                continue
+            self._failed.add(name)
+            chosen = kb.components[name].selected_configuration
+            if chosen is not None:
+                self._quarantine.put(kb, chosen, "with its parameters a budget might be exceeded")
+        if not self._budgets.allow(kb, started, self._failed):
+            self._failed.update(started)
+
+    def _commands(
+        self, kb: KnowledgeBase, state: State, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
+    ) -> list["_Command"]:
+        """Return the commands to components; what has failed is only stopped."""
+        commands = []
+        for name, component in _known(state, names).items():
+            selected = (one.element for one in component.parts if state.selected[one.index])
+            configuration = next(selected, None) if operation == "configure" else None
+            if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
+                continue
+            is_plain = component.element.kind is ComponentKind.PLAIN
+            policy = self._of_component.get(name, self._policy)
+            managed = None if configuration is None and is_plain else self._managed
+            commands.append(_Command(kb, plan, policy, managed, name, operation, configuration))
+        return commands
+
+    def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
+        """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
+        unsure = [
+            name
+            for name in started
+            if name in self._failed & self._commanded and look(self._managed, name)[0] is not False
+        ]
+        with kb.reading() as state:
+            users = {design for component in _known(state, started).values() for design in component.wholes}
+            selected = [design for design in users if state.selected[design.index]]
+            in_vain = [one for one in selected if state.status[one.wholes[0].index] is Status.UNFEASIBLE]
+        for design in sorted(in_vain, key=lambda design: design.index):
+            kb.assert_selected(design.element, False)
+        with kb.reading() as state:
+            known = _known(state, started).items()
+            idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
+            return self._commands(kb, state, plan, "deactivate", [*unsure, *idle])
+
+
+@dataclass(slots=True, eq=False)
+class _Command:
+    """What one component is to do for a plan: given until it is carried out or given up, each attempt on record."""
+
+    kb: KnowledgeBase
+    plan: ReconfigurationPlan
+    policy: RetryPolicy
+    managed: ManagedSystem | None  # None if it is a matter of bookkeeping only
+    component: str
+    operation: str  # activate, deactivate or configure
+    configuration: Configuration | None  # None for a switch
+    attempt: Attempt | None = None
+    is_answered: bool = False  # the managed system has taken or refused the attempt
+    _count: int = 0
+    _due: float = -math.inf
+    _under_way: Operation | None = None
+    _refusal: Exception | None = None
+
+    @property
+    def reason(self) -> str:
+        """How often it was tried, and what came of the last attempt."""
+        assert self.attempt is not None
+        tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
+        return f"tried {tried}: {self.attempt.reason}"
+
+    def begin(self, now: float) -> None:
+        """Give the command if it is time for that and it is not under way."""
+        if self.managed is None or now < self._due or (self.attempt is not None and self.attempt.end is None):
+            return
+        chosen, number = self.configuration, self._count + 1
+        name, values = (None, None) if chosen is None else (chosen.name, chosen.parameters)
+        self._under_way = self._refusal = None
+        self.is_answered = False
+        self.attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, number)
+        try:
+            self._under_way = self._given(self.managed)
+        except ProtocolError as slip:
+            self.abandon(str(slip))
+            raise
+        except Exception as error:
+            self._refusal = error
+        self._count, self.is_answered = number, True
+
+    def _given(self, managed: ManagedSystem) -> Operation | None:
+        if self.configuration is not None:
+            answer = managed.set_parameters(self.component, self.configuration.parameters)
+            return operation_of(answer, f"set_parameters({self.component!r}, ...)", managed)
+        switch = managed.activate if self.operation == "activate" else managed.deactivate
+        return operation_of(switch(self.component), f"{self.operation}({self.component!r})", managed)
+
+    def advance(self, now: float) -> str | None:
+        """Return how it has ended, "completed" or "failed", or None as long as it has not."""
+        if self.managed is None:
+            return "completed"
+        while True:
+            self.begin(now)
+            if self.attempt is None or self.attempt.end is not None:
+                return None
+            try:
+                outcome = self._outcome(self.managed, now - self.attempt.start)
+            except ProtocolError as slip:
+                self.abandon(str(slip))
+                raise
+            if outcome is None:
+                return None
+            result, reason = outcome
+            self.kb.finish_attempt(self.attempt, result, reason)
+            if result == "completed" or self._count >= self.policy.attempts:
+                return result
+            self._due = now + self.policy.back_off * 2.0 ** min(self._count - 1, 60)
+
+    def abandon(self, reason: str) -> None:
+        if self.attempt is not None and self.attempt.end is None:
+            self._cancel()
+            self.kb.finish_attempt(self.attempt, "abandoned", reason)
+
+    def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
+        """Return result and reason of the attempt under way, None while there is neither."""
+        ended, error = self._progress()
+        is_late = lasts >= self.policy.timeout
+        if error is not None:
+            return "failed", words_of(error)
+        if not ended and not is_late:
+            return None
+        is_reached, doubt = None, f"{self.component} was not found so"
+        if self.configuration is None:  # else nobody can tell
+            active, trouble = look(managed, self.component)
+            is_reached = None if active is None else active is (self.operation == "activate")
+            if trouble:
+                is_reached, doubt = False, f"nobody could tell ({trouble})"
+        if ended and is_reached is not False:
+            return "completed", ""
+        if not is_late:
+            return None
+        if is_reached:
+            return "completed", "it never said so, but it is done"
+        if ended:
+            return "failed", f"it was said to be done, but {doubt} within {self.policy.timeout:g} s"
+        self._cancel()
+        return "failed", f"it was not done within {self.policy.timeout:g} s"
+
+    def _progress(self) -> tuple[bool, BaseException | None]:
+        """Return whether what is under way has ended, and with which error; asking a cancelled future raises."""
+        operation = self._under_way
+        try:
+            if operation is None:
+                return True, self._refusal
+            ended = operation.done()
+            error = operation.exception() if ended is True else None
+        except Exception as error:
+            return True, error
+        if not isinstance(ended, bool):
+            raise wrong_answer("done()", operation, ended, "True or False")
+        if error is None or isinstance(error, BaseException):
+            return ended, error
+        raise wrong_answer("exception()", operation, error, "what went wrong, as an exception, or None")
+
+    def _cancel(self) -> None:
+        """Cancel what can be cancelled, so that it does not come true when nobody expects it any more."""
+        try:
+            getattr(self._under_way, "cancel", lambda: None)()
+        except Exception as error:
+            _log.warning("an operation could not be cancelled: %s", words_of(error))
+
+
+def _steps(
+    state: State, open_plans: Sequence[ReconfigurationPlan]
+) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
+    """Return what to activate, deactivate and configure: the latest plan's steps, and what older ones still have to do.
+
+    Those are abandoned when the latest completes, so what of them is still wanted is done with it.
+    """
+    plan, known = open_plans[-1], state.network.configurations
+    activated, deactivated, parameters = list(plan.activate), list(plan.deactivate), list(plan.parameters)
+    for older in open_plans[:-1]:
+        for name, component in _known(state, [*older.activate, *older.deactivate]).items():
+            if state.required[component.index] != state.active[component.index]:
+                (deactivated if state.active[component.index] else activated).append(name)
+        parameters += [name for name in older.parameters if name in known and state.selected[known[name].index]]
+    return activated, deactivated, parameters
+
+
+def _known(state: State, names: Iterable[str]) -> dict[str, Node]:
+    components = state.network.components
+    return {name: components[name] for name in names if name in components}
+
+
+def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
+    """Return the components of configurations that are in the model and active."""
+    known = state.network.configurations
+    components = (known[name].wholes[0] for name in configurations if name in known)
+    return {one.name: one for one in components if state.active[one.index]}

@@ -144,16 +144,11 @@ class Quarantine:
     def review(self, kb: KnowledgeBase) -> None:
         """Release those whose component has recovered from a failure, and forget those released otherwise."""
         with kb.reading() as state:
-            components = state.network.components
-            self.held = {name: one for name, one in self.held.items() if _stands(state, name)}
+            components, known, asserted = state.network.components, state.network.configurations, state.asserted
+            stand = {name for name in self.held if name in known and asserted[known[name].index] is Status.UNFEASIBLE}
+            self.held = {name: one for name, one in self.held.items() if name in stand}
             failed = {one for one in self.held.values() if state.status[components[one].index] is Status.FAILURE}
         for name in [name for name, one in self.held.items() if one in self._failed - failed]:
             kb.retract_status(kb.configurations[name])
             del self.held[name]
         self._failed = failed
-
-
-def _stands(state: State, configuration: str) -> bool:
-    """Tell whether a configuration is still asserted unfeasible."""
-    node = state.network.configurations.get(configuration)
-    return node is not None and state.asserted[node.index] is Status.UNFEASIBLE

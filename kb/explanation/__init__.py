@@ -1,5 +1,409 @@
-"""Why something is as it is, what would change it, and why one thing was chosen and not another.
+"""Why an element has the status it has: a chain from the status down to the facts, as data and as a sentence."""
 
-`reasons` is the chain from a status down to the facts, in words; `requirements` says what an element needs, and which
-facts would have to be others for that; `choice` why something was chosen.
-"""
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from itertools import chain
+from typing import Final
+
+from kb.elements import Attribute, exact
+from kb.explanation.requirements import Remedy, remedies
+from kb.measurements import turning_point
+from kb.network import Node
+from kb.state import Reason, State
+from kb.status import IMPOSSIBLE, OPERATORS, Status
+
+_MOST: Final = 4
+"""How many causes of one status a sentence names before it only counts the rest."""
+_MOST_REMEDIES: Final = 3
+_IN: Final = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
+_POSSIBLE: Final = {
+    "action": "none of its constraints is violated and none of its functions is unfeasible",
+    "function": "it has a design that is not unfeasible",
+    "function design": "none of its constraints is violated and none of its components has failed or is unfeasible",
+    "component": "it has not failed, and no constraint rules it out",
+    "configuration": "none of its constraints is violated",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What a constraint compares.
+
+    Attributes:
+        attribute: name of what is measured.
+        operator: one of `>=`, `>`, `<=`, `<`.
+        threshold: what it is compared with, in the attribute's unit.
+        value: the latest measurement, None before the first.
+        time: when that was measured [s]; None before, and where the value is only supposed.
+        is_stale: it is older than it may be, and so not compared.
+        unit: of threshold and value; may be empty.
+    """
+
+    attribute: str
+    operator: str
+    threshold: float
+    value: float | None
+    time: float | None
+    is_stale: bool
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Explanation:
+    """A status and what it follows from.
+
+    Attributes:
+        kind: the element's kind, e.g. "action".
+        name: the element's name.
+        status: the status explained; None for an attribute, which has none.
+        fact: why, in words; the sentence ends with it even where there are causes.
+        reasons: each suffices for the status by itself (or for a worse one); the causes within one count together.
+        measurement: of a constraint, what it compares.
+        possible_only: it explains that the element is not unfeasible, and not which status it has instead.
+        remedies: of an element that is unfeasible or in failure, the smallest sets of facts that would make it
+            feasible; only of the one that was asked about, not of its causes.
+        has_all_remedies: the remedies are all there are.
+        reason: why, in the words of whoever asserted the status or reported the failure; may be empty.
+        choice: of a design or configuration that is selected, why, in the words of whoever selected it; may be empty.
+    """
+
+    kind: str
+    name: str
+    status: Status | None
+    fact: str = ""
+    reasons: tuple[tuple["Explanation", ...], ...] = field(default=(), repr=False)
+    measurement: Comparison | None = None
+    possible_only: bool = False
+    remedies: tuple[Remedy, ...] = ()
+    has_all_remedies: bool = True
+    reason: str = ""
+    choice: str = ""
+
+    @property
+    def causes(self) -> tuple["Explanation", ...]:
+        """All that the status follows from, each explained in turn down to the facts."""
+        return tuple(cause for reason in self.reasons for cause in reason)
+
+    @property
+    def sentence(self) -> str:
+        """Why, in short: too many causes are only counted, and remedies are left out."""
+        return self.text(self.name)
+
+    def __str__(self) -> str:
+        selected = f"; why it was selected: {self.choice}" if self.choice else ""
+        return f"{self.sentence}{self._what_would_help()}{selected}"
+
+    def _repr_html_(self) -> str:
+        def unfolding(one: Explanation) -> str:
+            below, said = "".join(f"<li>{unfolding(cause)}</li>" for cause in one.causes), escape(one.sentence)
+            return f"<details><summary>{said}</summary><ul>{below}</ul></details>" if below else said
+
+        return f"{unfolding(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
+
+    def text(self, subject: str) -> str:
+        """Return the sentence about the element, called as one likes."""
+        if self.kind in ("constraint", "attribute"):
+            return self.fact
+        if self.status is Status.FAILURE and not self.fact:
+            return f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
+        verb = "is in" if self.status in _IN else "is"
+        statement = f"{subject} is not unfeasible" if self.possible_only else f"{subject} {verb} {self.status}"
+        why = self.fact or self._causes_in_words()
+        return f"{statement} because {why}" if why else statement
+
+    def _what_would_help(self) -> str:
+        if self.kind == "constraint" or self.status not in IMPOSSIBLE:
+            return ""
+        if not self.remedies:
+            return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
+        texts = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
+        left = len(self.remedies) - len(texts)
+        if left:
+            texts.append(f"{left} more" if self.has_all_remedies else f"at least {left} more")
+        joined = ", or " if any(len(remedy.facts) > 1 for remedy in self.remedies) else " or "
+        return f"; it would be feasible with {joined.join(texts)}"
+
+    def _causes_in_words(self) -> str:
+        count = len(self.causes)
+        left = _MOST if count <= _MOST else _MOST - 1
+        reasons = []
+        for reason in self.reasons:
+            texts = list(dict.fromkeys(cause.text(f"{cause.kind} {cause.name}") for cause in reason[:left]))
+            left -= len(texts)
+            if texts:
+                reasons.append(" and ".join(texts))
+        if count > _MOST:
+            rest = f"{count - _MOST + 1} more"
+            reasons = [f"{reasons[0]} and {rest}"] if len(self.reasons) == 1 else [*reasons, rest]
+        return "; also ".join(dict.fromkeys(reasons))
+
+
+Reasons = tuple[tuple[Explanation, ...], ...]
+
+
+def explain(state: State, node: Node, now: float) -> Explanation:
+    """Explain the status of one element in one state; now [s] is for the age of measurements."""
+    explained = _Explainer(state, now).status(node)
+    if explained.status not in IMPOSSIBLE:
+        return explained
+    found, complete = remedies(state, node)
+    return replace(explained, remedies=found, has_all_remedies=complete)
+
+
+def why(state: State, node: Node, now: float) -> str:
+    """Say in a sentence why an element has its status, without what would change it; see `explain`."""
+    return _Explainer(state, now).status(node).sentence
+
+
+class _Explainer:
+    """Explains the elements of one state; what several share is explained once."""
+
+    def __init__(self, state: State, now: float) -> None:
+        self._state = state
+        self._now = now
+        self._known: dict[tuple[int, bool], Explanation] = {}
+
+    def status(self, node: Node, *, possible_only: bool = False) -> Explanation:
+        key = node.index, possible_only
+        if key not in self._known:
+            self._known[key] = self._explain(node, possible_only)
+        return self._known[key]
+
+    def _explain(self, node: Node, possible_only: bool) -> Explanation:
+        if node.kind == "attribute":
+            return self._attribute(node)
+        state, status = self._state, self._state.status[node.index]
+        reason, measurement, reasons = "", None, Reasons()
+        if node.kind == "constraint":
+            measurement = _comparison(state, node)
+        if state.asserted[node.index] is not None:
+            said = state.reason("asserted", node)
+            reason = said.text
+            fact = f"{node.name} is asserted {status}{said}" if measurement else f"it is asserted so{said}"
+        elif measurement:
+            fact = _compared(measurement, node, self._now, state.verdict[node.index])
+            if measurement.time is None and (forecast := state.reason("forecast", node.parts[0]).text):
+                fact = f"{forecast}; that makes {node.name} {status}" if status is Status.VIOLATED else forecast
+        elif possible_only or status is Status.FEASIBLE:
+            fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
+        else:
+            fact, reasons = self._grounds(node, status)
+            reason = state.reason("failed", node).text if status is Status.FAILURE else ""
+        choice = state.reason("selected", node).text if state.selected[node.index] else ""
+        possible_only = possible_only and state.asserted[node.index] is None
+        what = node.kind, node.name, status, fact, reasons, measurement, possible_only
+        return Explanation(*what, reason=reason, choice=choice)
+
+    def _attribute(self, node: Node) -> Explanation:
+        users = [
+            f"{whole} needs {one.name}: {self._state.status[one.index]}"
+            for one in node.constraints
+            for whole in one.wholes
+        ]
+        if len(users) > _MOST:
+            users = [*users[: _MOST - 1], f"{len(users) - _MOST + 1} more constraints"]
+        fact = "; ".join([_reading(self._state, node, self._now), *(users or ["no constraint compares it"])])
+        return Explanation(node.kind, node.name, None, fact, self._each(node.constraints))
+
+    def _grounds(self, node: Node, status: Status) -> tuple[str, Reasons]:
+        """Return the fact and the reasons of a status that is inferred and not "feasible"."""
+        selected = [part for part in node.parts if self._state.selected[part.index]]
+        if status is Status.UNFEASIBLE:
+            return "" if node.parts or node.kind != "function" else "it has no design", self._faults(node)
+        if status is Status.CONFIGURATION_ERROR:
+            return "", self._each(part for part in selected if self._is(part, Status.UNFEASIBLE))
+        if status is Status.IMPLICIT_CONFIGURATION_ERROR:
+            choices = selected if node.kind == "function" else node.parts
+            return "", self._each(part for part in choices if self._is(part, *_ERRORS))
+        if status is Status.SOLVED:
+            parts = selected if node.kind in ("function", "component") else node.parts
+            return "it is required, and all that it needs is in place", self._all((*node.constraints, *parts))
+        if status is Status.UNSOLVED and node.kind == "component":
+            if self._state.active[node.index]:
+                return f"none of its configurations is selected{self._why_none(node)}", ()
+            return f"it is required and not active{self._state.reason('active', node)}", ()
+        if status is Status.UNSOLVED and node.kind == "function":
+            without = f"none of its designs is selected{self._why_none(node)}"
+            return "" if selected else without, self._all(selected)
+        if status is Status.UNSOLVED:
+            return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
+        return "", ()  # a failure says it all
+
+    def _why_none(self, node: Node) -> Reason:
+        """Return what was said of nothing being selected: by whoever took it back, or whoever was to choose."""
+        taken_back = self._state.reason("unselected", node)
+        return taken_back if taken_back.text else self._state.reason("selected", node)
+
+    def _faults(self, node: Node) -> Reasons:
+        violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
+        impossible = [part for part in node.parts if self._is(part, *IMPOSSIBLE)]
+        if node.kind in ("action", "function design"):
+            return *violated, *self._each(impossible)
+        return *violated, *(self._all(impossible) if len(impossible) == len(node.parts) else ())
+
+    def _witnesses(self, node: Node) -> list[Explanation]:
+        parts = node.parts
+        if node.kind in ("function", "component"):
+            possible = [part for part in parts if not self._is(part, *IMPOSSIBLE)]
+            selected = [part for part in possible if self._state.selected[part.index]]
+            parts = (selected or possible)[:1]
+        feasible = [self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts]
+        return [*map(self.status, node.constraints), *feasible]
+
+    def _each(self, nodes: Iterable[Node]) -> Reasons:
+        return tuple((self.status(node),) for node in nodes)
+
+    def _all(self, nodes: Iterable[Node]) -> Reasons:
+        return _together(map(self.status, nodes))
+
+    def _is(self, node: Node, *statuses: Status) -> bool:
+        return self._state.status[node.index] in statuses
+
+
+def _together(causes: Iterable[Explanation]) -> Reasons:
+    reason = tuple(causes)
+    return (reason,) if reason else ()
+
+
+def _comparison(state: State, node: Node) -> Comparison:
+    constraint, attribute = node.constraint, node.parts[0]
+    value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
+    what = constraint.attribute, constraint.operator, constraint.value
+    return Comparison(*what, value, time, is_stale, attribute.element.unit)
+
+
+def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
+    attribute: Attribute = node.parts[0].element
+    bound = f"{one.operator} {attribute.amount(exact(one.threshold))}"
+    if one.value is None:
+        return f"{one.attribute} is not measured (wanted {bound})"
+    shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
+    if one.is_stale:
+        return f"{shown} {staleness(one.time, node.parts[0], now)}"
+    if verdict is Status.NOT_EVALUATED:
+        return f"{shown} is not confirmed: {_votes(attribute)} have to agree"
+    holds = OPERATORS[one.operator](one.value, one.threshold)
+    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
+    if verdict is None or holds == (verdict is Status.SATISFIED):
+        return fact
+    return f"{fact}, but {bound} stays {verdict} {_hold(one.value, node, verdict)}"
+
+
+def _hold(value: float, node: Node, verdict: Status) -> str:
+    """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
+    constraint, attribute = node.constraint, node.attribute
+    turn = turning_point(constraint, verdict)
+    beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
+    is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
+    held = [f"for {exact(constraint.dwell)} s at least"] if constraint.dwell else []
+    if attribute.agreement != (1, 1):
+        held.append(f"until {_votes(attribute)} {'say otherwise' if is_beyond else f'are {beyond}'}")
+    elif not is_beyond:
+        held.append(f"until {attribute.name} {beyond}")
+    return ", and ".join(held)
+
+
+def _reading(state: State, attribute: Node, now: float) -> str:
+    value, time = state.value[attribute.index], state.time[attribute.index]
+    if value is None:
+        return f"{attribute.name} is not measured"
+    shown = reading(value, state.network.thresholds(attribute).around(value), attribute)
+    if state.stale[attribute.index]:
+        return f"{attribute.name} {shown} {staleness(time, attribute, now)}"
+    return f"{attribute.name} is {shown} ({_age(time, now)})"
+
+
+def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
+    """Write a value with its unit, with as few digits as `shortest` does."""
+    element: Attribute = attribute.element
+    return element.amount(shortest(value, thresholds))
+
+
+def shortest(value: float, thresholds: Iterable[float]) -> str:
+    """Write a number with as few digits as leave it on its side of every threshold; hardly beside one, in words."""
+    bounds = tuple(thresholds)
+    for digits in (3, 6, 9):
+        text = f"{value:.{digits}g}"
+        if all((float(text) < bound, float(text) > bound) == (value < bound, value > bound) for bound in bounds):
+            return text
+    nearest = min(bounds, key=lambda bound: abs(bound - value))
+    if nearest == value:
+        return exact(value)
+    return f"just {'below' if value < nearest else 'above'} {exact(nearest)}"
+
+
+def _age(time: float | None, now: float) -> str:
+    return "supposed" if time is None else f"measured {max(0.0, now - time):.1f} s ago"
+
+
+def staleness(time: float | None, attribute: Node, now: float) -> str:
+    """Say that a measurement counts no longer, and why."""
+    most = attribute.element.max_age
+    is_over = time is not None and now - time > most  # else somebody has told so
+    return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
+
+
+def _votes(attribute: Attribute) -> str:
+    return "{} of the last {} measurements".format(*attribute.agreement)
+
+
+def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
+    """Say why designs and configurations are about to be selected in a state.
+
+    That is what is said by whoever selects them, if anything is; also which requests have ended, and why, in words.
+    """
+    users: dict[Node, list[Node]] = {}
+    for design in chosen:
+        if design.kind == "function design":
+            for part in design.parts:
+                users.setdefault(part, []).append(design)
+    reasons = []
+    for node in chosen:
+        whole = node.wholes[0]
+        before = next((part for part in whole.parts if state.selected[part.index]), None)
+        if before is node:
+            continue
+        if before is None:
+            reasons.append(f"{whole} is needed by {_needed_by(state, whole, users.get(whole, ()))}")
+        elif state.status[before.index] is Status.UNFEASIBLE:
+            reasons.append(why(state, before, now))
+        elif not said:
+            reasons.append(f"{node.name} is feasible and preferred to {before.name}")
+    reasons += [said] if said else []
+    reasons += _why_lacking(state, chosen, only_explained=bool(reasons))
+    return "; ".join(dict.fromkeys(reasons or [*ended, "what was active or selected is no longer needed"]))
+
+
+def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) -> list[str]:
+    """Say why components of designs that stay selected are to be activated: all, or those that a reason is known of."""
+    anew = {node.wholes[0] for node in chosen} if state.lacking else set()
+    sentences, others = [], []
+    for component in state.lacking.nodes():
+        stay = (one for one in state.users[component.index] if one in chosen or one.wholes[0] not in anew)
+        if any(state.required[one.wholes[0].index] for one in stay):
+            needed = f"needed by {_needed_by(state, component, ())}"
+            text = state.reason("active", component).text
+            if text:
+                sentences.append(f"{text}; {component.name} is {needed}")
+            else:
+                others.append((component.name, needed))
+    if only_explained or not others:
+        return sentences
+    names = [name for name, _ in others[:_MOST]] + ([f"{len(others) - _MOST} more"] if len(others) > _MOST else [])
+    are = "is" if len(names) == 1 else "are"
+    return [*sentences, f"{' and '.join(names)} {are} not active, and {are} {others[0][1]}"]
+
+
+def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
+    """Name the required actions for which a function or component is wanted, now or by designs about to be chosen."""
+    functions: Iterable[Node] = (node,)
+    if node.kind == "component":
+        functions = (design.wholes[0] for design in chain(state.users[node.index], about))
+    named: dict[str, None] = {}
+    for action in chain.from_iterable(state.users[function.index] for function in functions):
+        named["others" if len(named) == _MOST and action.name not in named else action.name] = None
+        if len(named) > _MOST:
+            break
+    return ", ".join(named) or "something asserted"

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import Final
 
-from kb.explanation.reasons import why
+from kb.explanation import why
 from kb.inference import is_adaptable
 from kb.network import Node
 from kb.notebook import table
-from kb.planners.choice import ranked
+from kb.planners import ranked
 from kb.reconfiguration import reselect
 from kb.state import Overlay, State
 from kb.status import Status
@@ -73,11 +73,7 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
 
     What was selected with a reason is explained by that, else by priority.
     """
-    following, nothing = state, state.reason(_NOTED, node).text
-    if node.kind == "component":
-        following = Overlay(state)
-        reselect(following, () if nothing else _first_designs(state), ())
-    return _Chooser(state, following, node, now, nothing).explanation()
+    return _Choosing(state, node, now).explanation()
 
 
 def note_nothing(state: State, reason: str) -> None:
@@ -98,20 +94,18 @@ def _first_designs(state: State) -> list[Node]:
     return chosen
 
 
-@dataclass
-class _Chooser:
-    """Explains one choice; the following state is the one in which it is made anew."""
+class _Choosing:
+    """One choice; the following state is the one in which it is made anew."""
 
-    state: State
-    following: State
-    node: Node
-    now: float
-    nothing: str
-
-    def __post_init__(self) -> None:
-        self.possible = ranked(self.state, self.node)
-        self.selected = next((part for part in self.node.parts if self.state.selected[part.index]), None)
-        self.said = self.state.reason("selected", self.selected).text if self.selected else ""
+    def __init__(self, state: State, node: Node, now: float) -> None:
+        self.state, self.following, self.node, self.now = state, state, node, now
+        self.nothing = state.reason(_NOTED, node).text
+        if node.kind == "component":
+            self.following = Overlay(state)
+            reselect(self.following, () if self.nothing else _first_designs(state), ())
+        self.possible = ranked(state, node)
+        self.selected = next((part for part in node.parts if state.selected[part.index]), None)
+        self.said = state.reason("selected", self.selected).text if self.selected else ""
         preferred = self.possible[:1] if not self.said else [one for one in self.possible if one is self.selected]
         self.first = next(iter(() if self.nothing else preferred), None)  # only whoever gave a reason knows another
         self.chosen = self.selected or self.first

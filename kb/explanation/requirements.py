@@ -28,49 +28,39 @@ LOOKS: Final = 1_000_000
 """How many elements are looked at to make remedies smaller, when there are too many to look at all."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class Interval:
-    """Values between two bounds; a bound that is open does not belong to them."""
+    """Values between two bounds: each is a number and 0, or 1 for what is just above it, or -1 for just below."""
 
-    low: float = -math.inf
-    high: float = math.inf
-    low_open: bool = False
-    high_open: bool = False
+    low: tuple[float, int] = (-math.inf, 0)
+    high: tuple[float, int] = (math.inf, 0)
 
     @classmethod
     def of(cls, constraint: Constraint, turn: float | None = None) -> "Interval":
         """Return the values that satisfy a constraint; it may turn elsewhere than at its threshold."""
-        turn = constraint.value if turn is None else turn
-        is_open = constraint.operator in (">", "<")
-        if constraint.operator in (">=", ">"):
-            return cls(low=turn, low_open=is_open)
-        return cls(high=turn, high_open=is_open)
+        bound = constraint.value if turn is None else turn, {">": 1, "<": -1}.get(constraint.operator, 0)
+        return cls(low=bound) if constraint.operator in (">=", ">") else cls(high=bound)
 
     def __contains__(self, value: float) -> bool:
-        above = value > self.low or (value == self.low and not self.low_open)
-        return above and (value < self.high or (value == self.high and not self.high_open))
+        return self.low <= (value, 0) <= self.high
 
     @property
     def is_empty(self) -> bool:
         """Whether no finite number lies in it."""
-        least = math.nextafter(self.low, math.inf) if self.low_open else self.low
-        greatest = math.nextafter(self.high, -math.inf) if self.high_open else self.high
+        least, greatest = (math.nextafter(end, side * math.inf) if side else end for end, side in (self.low, self.high))
         return max(least, -sys.float_info.max) > min(greatest, sys.float_info.max)
 
     def covers(self, other: "Interval") -> bool:
-        below = other.low < self.low or (other.low == self.low and self.low_open > other.low_open)
-        return not below and (other.high < self.high or (other.high == self.high and self.high_open <= other.high_open))
+        return self.low <= other.low and other.high <= self.high
 
     def meet(self, other: "Interval") -> "Interval":
-        low, low_open = max((self.low, self.low_open), (other.low, other.low_open))
-        high, high_closed = min((self.high, not self.high_open), (other.high, not other.high_open))
-        return Interval(low, high, low_open, not high_closed)
+        return Interval(max(self.low, other.low), min(self.high, other.high))
 
     def text(self, attribute: str, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
-        ends = (self.low, ">" if self.low_open else ">="), (self.high, "<" if self.high_open else "<=")
-        shown = [f"{attribute} {sign} {exact(end)} {unit}".rstrip() for end, sign in ends if abs(end) < math.inf]
-        return " and ".join(shown)
+        signs = ">" if self.low[1] else ">=", "<" if self.high[1] else "<="
+        ends = [(sign, end) for sign, (end, _) in zip(signs, (self.low, self.high), strict=True) if abs(end) < math.inf]
+        return " and ".join(f"{attribute} {sign} {exact(end)} {unit}".rstrip() for sign, end in ends)
 
 
 def bounds(*nodes: Node) -> dict[str, Interval]:
@@ -340,31 +330,20 @@ class Remedy:
         """Tell whether the other one asks for more: other facts too, or the same in narrower intervals."""
         if self.subjects != other.subjects:
             return self.subjects < other.subjects
-        pairs = zip(self.facts, other.facts, strict=True)
-        return all(
-            mine.interval.covers(theirs.interval)
-            for mine, theirs in pairs
-            if isinstance(mine, Measured) and isinstance(theirs, Measured)
-        )
+        mine, theirs = ([one.interval for one in each.facts if isinstance(one, Measured)] for each in (self, other))
+        return all(one.covers(its) for one, its in zip(mine, theirs, strict=True))
 
 
-class Remedies(NamedTuple):
-    """What would make an element feasible, the smallest first, and whether these are all."""
-
-    found: tuple[Remedy, ...]
-    complete: bool
-
-
-def remedies(state: State, node: Node) -> Remedies:
-    """Return what would make an element feasible that is unfeasible or in failure."""
+def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
+    """Return what would make an element feasible that is not, the smallest first, and whether these are all."""
     if node.kind == "constraint" or state.status[node.index] not in IMPOSSIBLE:
-        return Remedies((), True)
+        return (), True
     requirements = Requirements(state)
     ways = requirements.of(node)
     found = _smallest(_remedy(state, box) for box in ways.boxes)
     if not ways.complete:
         found = _reduced(state, node, requirements, found)
-    return Remedies(tuple(found[:MOST_REMEDIES]), ways.complete and len(found) <= MOST_REMEDIES)
+    return tuple(found[:MOST_REMEDIES]), ways.complete and len(found) <= MOST_REMEDIES
 
 
 def _remedy(state: State, box: Box) -> Remedy:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
 from kb.exceptions import InvalidValue
-from kb.explanation.reasons import reading, why
+from kb.explanation import reading, why
 from kb.forecasts.extrapolation import LEVEL, WAYS, Curve, Expected, Outlook, Series, by_function, slope_of, straight
 from kb.inference import propagate
 from kb.knowledge import Knowledge

@@ -112,9 +112,6 @@ def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | No
     try:
         found = [_individual(subject, values) for subject, values in told.items()]
         given = [one for one in found if one is not None]
-        for one in given:
-            if one.kind not in _KINDS:
-                raise ModelError(f"{one.id}: {UnknownName('class', one.kind, sorted(_KINDS))}")
         names = [str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())]
         model = cls(name or next(iter(names), paths[0].stem))
         Declarer(model).declare(given)
@@ -149,6 +146,8 @@ def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual
     kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
     if len(kinds) > 1:
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
+    if kinds[0] not in _KINDS:
+        raise ModelError(f"{subject}: {UnknownName('class', kinds[0], sorted(_KINDS))}")
     values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != _TYPE.value}
     listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
     places = {name: players for name, *players in listed}

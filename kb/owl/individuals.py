@@ -9,11 +9,11 @@ import json
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import MISSING, fields
 from functools import cache
+from itertools import chain
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 from urllib.parse import quote
 
 from kb import elements, facts
@@ -91,24 +91,20 @@ def property_of(cls: type, field: str) -> str:
     return known or first + "".join(other.capitalize() for other in others)
 
 
-class Serials:
+class Serials(dict[elements.Changeable, int]):
     """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
 
-    def __init__(self, model: facts.Contents) -> None:
-        self._given: dict[elements.Changeable, int] = {}
-        self._next = 0
-        listed: tuple[elements.Constraint | elements.Estimation, ...] = (*model.constraints, *model.estimations)
-        for one in listed:
-            self.of(one)
+    @classmethod
+    def of(cls, model: facts.Contents) -> Self:
+        return cls((one, number) for number, one in enumerate(unnamed(model)))
 
-    def of(self, one: elements.Constraint | elements.Estimation) -> int:
-        if one not in self._given:
-            self.give(one, self._next)
-        return self._given[one]
+    def __missing__(self, one: elements.Changeable) -> int:
+        self[one] = number = max(self.values(), default=-1) + 1
+        return number
 
-    def give(self, one: elements.Changeable, number: int) -> None:
-        self._given[one] = number
-        self._next = max(self._next, number + 1)
+
+def unnamed(model: facts.Contents) -> tuple[elements.Constraint | elements.Estimation, ...]:
+    return (*model.constraints, *model.estimations)
 
 
 def metamodel() -> str:
@@ -116,21 +112,21 @@ def metamodel() -> str:
 
 
 def element_id(element: elements.Changeable, serials: Serials) -> str:
-    name = element.name if isinstance(element, elements.Element) else str(serials.of(element))
+    name = element.name if isinstance(element, elements.Element) else str(serials[element])
     return named_id(type(element), name)
 
 
 def individuals(model: facts.Contents, serials: Serials | None = None) -> Iterator[Individual]:
-    """Yield all that a model says, in an order in which it can be declared; what it states to be so comes last."""
-    serials = serials or Serials(model)
-    yield Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
-    tables = [table.values() for table in facts.tables_of(model).values()]
-    kinds: list[Iterable[elements.Changeable]] = [*tables, model.constraints, model.estimations]
-    for listed in kinds:
-        for position, element in enumerate(listed):
-            yield from _described(element, element_id(element, serials), position, serials)
-    for position, fact in enumerate(model.facts):
-        yield from _described(fact, f"{STATED}.{position}", position, serials)
+    """Describe all that is in a model now, whatever is changed before that is read.
+
+    It comes in an order in which it can be declared; what the model states to be so comes last.
+    """
+    own = Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
+    tables = [tuple(table.values()) for table in model.tables.values()]
+    stated = [(fact, f"{STATED}.{position}", position) for position, fact in enumerate(model.facts)]
+    given = Serials.of(model) if serials is None else serials
+    placed = ((one, element_id(one, given), place) for listed in tables for place, one in enumerate(listed))
+    return chain([own], chain.from_iterable(_described(*one, given) for one in chain(placed, stated)))
 
 
 def individual(element: elements.Changeable, serials: Serials) -> tuple[Individual, ...]:
@@ -162,11 +158,6 @@ def from_json(given: Iterable[Any]) -> list[Individual]:
         return tuple(Ref(value["ref"]) if isinstance(value, dict) else value for value in values)
 
     return [Individual(kind, own, {name: read(each) for name, each in values.items()}) for kind, own, values in given]
-
-
-def parameter_values(parameters: Iterable[Individual]) -> dict[str, Any]:
-    """Return what `nested` was given, of parameters."""
-    return {str(one.values["key"][0]): json.loads(str(one.values["parameterValue"][0])) for one in parameters}
 
 
 def described(
@@ -249,9 +240,12 @@ class Declarer:
         listed = list(given)
         self.nested = {one.id: one for one in listed}
         for one in sorted((one for one in listed if GENERAL.get(one.kind, one.kind) in _BY_KIND), key=_rank):
-            with _blamed(one.id):
-                if (made := self._make(one)) is not None:
-                    self.known[one.id] = made
+            try:
+                made = self._make(one)
+            except KnowledgeBaseError as error:
+                raise ModelError(f"{one.id}: {error}") from None
+            if made is not None:
+                self.known[one.id] = made
 
     def values(self, cls: type, one: Individual) -> dict[str, Any]:
         """Return the fields that an individual gives to an element or fact."""
@@ -271,16 +265,17 @@ class Declarer:
 
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
         if cls is elements.Configuration and field == "parameters":
-            with _well_written():
-                return parameter_values(self._inner(one) for one in given)
+            parameters = [self._inner(one).values for one in given]
+            try:
+                return {str(one["key"][0]): json.loads(str(one["parameterValue"][0])) for one in parameters}
+            except (ValueError, TypeError, LookupError) as error:
+                raise InvalidValue(f"it is not written as it should be: {error}") from None
         if field == "preference":
             return dict(self._weight(self._inner(one)) for one in given)
-        if field in elements.REFERENCES:
-            names = tuple(self._element(one, elements.REFERENCES[field]).name for one in given)
-            return names if field in _LISTS else _single(field, names)
-        if field in ("constrained", "causer", "element"):
-            players = tuple(self._element(one, object) for one in given)
-            return players if field in _LISTS else _single(field, players)
+        if (of := elements.REFERENCES.get(field)) or field in ("constrained", "causer", "element"):
+            players = [self._element(one, of or object) for one in given]
+            found = tuple(one.name for one in players) if of else tuple(players)
+            return found if field in _LISTS else _single(field, found)
         value = _single(field, given)
         if isinstance(value, Ref):
             raise ModelError(f"{field} is a value, not {value.id}")
@@ -288,7 +283,7 @@ class Declarer:
 
     def _inner(self, value: Value) -> Individual:
         if not isinstance(value, Ref) or value.id not in self.nested:
-            raise ModelError(f"{_shown(value)} is no individual that is described")
+            raise ModelError(f"{shown(value)} is no individual that is described")
         return self.nested[value.id]
 
     def _weight(self, one: Individual) -> tuple[str, Any]:
@@ -299,7 +294,7 @@ class Declarer:
         found = self.known.get(value.id) if isinstance(value, Ref) else None
         if found is None or not isinstance(found, cls):
             known = [one for one, element in self.known.items() if isinstance(element, cls)]
-            raise UnknownName(CLASSES.get(cls, "individual"), _shown(value), known)
+            raise UnknownName(CLASSES.get(cls, "individual"), shown(value), known)
         return found
 
     def _make(self, one: Individual) -> elements.Changeable | None:
@@ -311,35 +306,16 @@ class Declarer:
             constrained, value = values.pop("constrained"), elements.finite_number(values.pop("value"))
             return self.model.constrain(constrained, elements.Expression(**values, value=value))
         if issubclass(cls, elements.Element):
-            return self._declared(cls, one.kind, **values)
+            special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
+            if cls is elements.Attribute and one.kind not in special:
+                raise ModelError(f"an attribute is a {' or an '.join(special)}; say which")
+            values |= {"kind": special[one.kind]} if one.kind in special else {}
+            element: elements.Element = self.model.declare(cls, values.pop("name"), **values)
+            return element
         if cls is facts.StatusFact:
             values["status"] = elements.choice("status", Status, values["status"])
         self.model.add_fact(cls(**values))
         return None
-
-    def _declared(self, cls: type[elements.Element], kind: str, name: str, **values: object) -> elements.Element:
-        if cls in (elements.Attribute, elements.Component):
-            special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
-            if cls is elements.Attribute and kind not in special:
-                raise ModelError(f"an attribute is a {' or an '.join(special)}; say which")
-            values |= {"kind": special[kind]} if kind in special else {}
-        return self.model.declare(cls, name, **values)
-
-
-@contextmanager
-def _blamed(individual: str) -> Iterator[None]:
-    try:
-        yield
-    except KnowledgeBaseError as error:
-        raise ModelError(f"{individual}: {error}") from None
-
-
-@contextmanager
-def _well_written() -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, TypeError, LookupError) as error:
-        raise InvalidValue(f"it is not written as it should be: {error}") from None
 
 
 def _single(what: str, values: Iterable[Any]) -> Any:  # noqa: ANN401  # one of what is given
@@ -349,7 +325,7 @@ def _single(what: str, values: Iterable[Any]) -> Any:  # noqa: ANN401  # one of 
     return listed[0]
 
 
-def _shown(value: Value) -> str:
+def shown(value: Value) -> str:
     return value.id if isinstance(value, Ref) else repr(value)
 
 

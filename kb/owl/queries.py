@@ -1,8 +1,11 @@
 """Queries in SPARQL 1.1 over a world of individuals; through pyoxigraph, in a worker's process."""
 
 import re
+import resource
+import signal
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Final
 
@@ -11,7 +14,7 @@ from pyoxigraph import NamedNode, Quad, QueryBoolean, RdfFormat, Store, parse
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.files import PREFIXES, XSD, answer_of, described
 from kb.owl.individuals import ROSA, Individual
-from kb.owl.worker import Answer, answer, stopped
+from kb.owl.worker import ENDED, MEMORY, Answer, parts, stopped
 
 _MOST_ROWS: Final = 1_000_000
 _PREFIXES: Final = {**PREFIXES, "rosa": ROSA, "xsd": XSD}
@@ -25,8 +28,30 @@ _SENTENCE: Final = re.compile(r"(The [A-Z]+ .*?|Prefix not found)(?:,|$)")
 
 
 def serve(descriptor: int) -> None:
-    """Be the process of a worker."""
-    answer(Connection(descriptor), Book)
+    """Be the process of a worker: do what comes in on its line, until nothing can come any more."""
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    line, book = Connection(descriptor), Book("")
+    line.send("ready")
+    with suppress(EOFError, OSError):
+        while True:
+            method, arguments = line.recv()
+            if method == "open":
+                book = Book(*arguments)
+            elif method != "ask":
+                getattr(book, method)(*arguments)
+            else:
+                _answer(line, book, *arguments)
+
+
+def _answer(line: Connection, book: "Book", query: str, timeout: float, left: float) -> None:
+    signal.setitimer(signal.ITIMER_REAL, 2.0 * left + 5.0)  # should nobody be there to kill it
+    try:
+        for some in parts(book.ask(query, timeout, time.monotonic() + left)):
+            line.send(("", some))
+        line.send(("", None))
+    except (KnowledgeBaseError, MemoryError) as error:
+        line.send((type(error).__name__, str(error) or ENDED))
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 class Book:
@@ -104,6 +129,7 @@ def _complaint(query: str, told: str) -> InvalidValue:
     if place is None:
         return InvalidValue(f"the query cannot be answered: {told}")
     line, column = int(place[1]), int(place[2])
-    rest = "\n".join(query.split("\n")[line - 1 :])[column - 1 :]
-    what = said[1] if said else f"this is not understood, from {rest[:20]!r} on" if rest else "the query ends too early"
-    return InvalidValue(f"line {line}, column {column} of the query: {what}")
+    at = len(query) - len("\n".join(query.split("\n")[line - 1 :])) + column - 1
+    read, rest = query[:at].strip()[-20:], query[at : at + 20]
+    what = f"from {rest!r} on this is not understood" if rest else "the query ends too early, or this cannot stand here"
+    return InvalidValue(f"line {line}, column {column} of the query, after {read!r}: {said[1] if said else what}")

@@ -6,30 +6,25 @@ needed, and is used again by others when nobody needs it any more.
 
 import atexit
 import os
-import resource
-import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import Final, TypeVar
 
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.owl.individuals import Individual
 
-if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
-
 _PROGRAM: Final = "import sys; sys.path[:] = {path!r}; from kb.owl.queries import serve; serve({descriptor})"
-_MEMORY: Final = 4 << 30  # that it may use at most [bytes]
+MEMORY: Final = 4 << 30  # that it may use at most [bytes]
 _AT_ONCE: Final = 500  # individuals or rows; to hand over more would keep other threads from running
 _GRACE: Final = 0.2  # of its time, in which a query may stop by itself before its process is killed
 _MOST_IDLE: Final = 2
 _IDLE: Final[list["Worker"]] = []
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName)}
-_ENDED: Final = f"the process that answers queries has ended; if it needed more than {_MEMORY >> 30} GB, ask for less"
+ENDED: Final = f"the process that answers queries has ended; if it needed more than {MEMORY >> 30} GB, ask for less"
 
 Answer = str | bool | int | float | None
 T = TypeVar("T")
@@ -103,7 +98,7 @@ class Worker:
         except BaseException as error:
             self.end()
             if isinstance(error, OSError | EOFError):
-                raise KnowledgeBaseError(_ENDED) from None
+                raise KnowledgeBaseError(ENDED) from None
             raise
 
 
@@ -135,27 +130,3 @@ def give_back(held: list[Worker] = _IDLE) -> None:
             _IDLE.append(worker)
         else:
             worker.end()
-
-
-def answer(line: "Connection", book: Callable[[str], Any]) -> None:
-    """Do what comes in on a line to a process, with a book that is opened anew, until nothing can come any more."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    line.send("ready")
-    of: Any = None
-    with suppress(EOFError, OSError):
-        while True:
-            method, arguments = line.recv()
-            if method == "open":
-                of = book(*arguments)
-            elif method != "ask":
-                getattr(of, method)(*arguments)
-            else:
-                *given, left = arguments
-                signal.setitimer(signal.ITIMER_REAL, 2.0 * left + 5.0)  # should nobody be there to kill it
-                try:
-                    for some in parts(of.ask(*given, time.monotonic() + left)):
-                        line.send(("", some))
-                    line.send(("", None))
-                except (KnowledgeBaseError, MemoryError) as error:
-                    line.send((type(error).__name__, str(error) or _ENDED))
-                signal.setitimer(signal.ITIMER_REAL, 0.0)

@@ -10,15 +10,15 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from itertools import chain, count
 from threading import Lock
-from types import SimpleNamespace
 from typing import Any, Final
 from weakref import finalize
 
 from kb.elements import KINDS, Attribute, Changeable
 from kb.events import Event
 from kb.exceptions import InvalidValue, UnknownName
-from kb.facts import TABLES, ActiveFact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
+from kb.network import Node
 from kb.owl.individuals import (
     BASE,
     CLASSES,
@@ -45,6 +45,17 @@ _PRESENT: Final[Mapping[str, str]] = {
     "AssertedRequirement": "asserted_required",
 }
 """What can be so now, by the facts of the state that say so."""
+_STATED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
+    "component_failed": ("Failure", ("reason",)),
+    "component_active": ("Activity", ("is_so",)),
+    "component_configured": ("ParametersInForce", ("parameters",)),
+    "assert_status": ("AssertedStatus", ("status", "reason", "until")),
+    "retract_status": ("AssertedStatus", ()),
+    "lapse": ("AssertedStatus", ()),
+    "assert_required": ("AssertedRequirement", ("is_so",)),
+    "assert_selected": ("Selection", ("is_so", "reason")),
+}
+"""What is so, or no longer, by the verb that says it of its first argument, and what its others are."""
 Period = tuple[str, str, Mapping[str, Any]]
 """What is so for a time: its kind, what it is about, and what else is known of it."""
 _ENDS: Final = ("end", "result", "reason")
@@ -135,7 +146,7 @@ class World:
             nodes = state.network.attributes.values() if is_anew else ()
             histories = [(node.name, state.histories[node.index]) for node in nodes if node.index in state.histories]
             measured = [(name, *sample) for name, history in histories for sample in history.samples(self._keep)]
-            model = self._model() if is_amended else None
+            model = individuals(known.model, known.serials) if is_amended else None
             if not is_lost:
                 records, inferred = chronicle.of_records(), self._inferred(state)
                 present = chronicle.of_state(state) if is_anew else []
@@ -154,8 +165,8 @@ class World:
         if model is not None:
             yield from self._replace(worker, "model", model)
         older = (chronicle.measurement(name, value, time) for name, time, value in measured)
-        told = chain(older, begins, chronicle.of_events(past), records, chronicle.older(present))
-        yield from worker.write("told", told)
+        news = chain.from_iterable(map(chronicle.of_event, past))
+        yield from worker.write("told", chain(older, begins, news, records, chronicle.older(present)))
         yield from self._replace(worker, "inferred", inferred)
         self._is_built, self._grown = True, 0 if is_anew else self._grown + len(past)
 
@@ -164,26 +175,12 @@ class World:
         worker.tell("clear", context)
         yield from worker.write(context, (one for one in given if not one.id.startswith(f"{STATED}.")))
 
-    def _model(self) -> Iterator[Individual]:
-        """Describe the model as it is now, whatever becomes of it before that is read."""
-        model = self._known.model
-        parts: Any = {word: dict(getattr(model, word)) for word in TABLES}
-        now: Any = SimpleNamespace(
-            name=model.name, constraints=model.constraints, estimations=model.estimations, facts=model.facts, **parts
-        )
-        return individuals(now, self._known.serials)
-
     def _inferred(self, state: State) -> Iterator[Individual]:
-        nodes = [node for node in state.network.present() if node.kind != "attribute"]
-        now = [(node, str(state.status[node.index]), state.required[node.index]) for node in nodes]
-        return (
-            Individual(
-                "",
-                element_id(node.element, self._known.serials),
-                {"status": (status,), **({"isRequired": (is_required,)} if node.kind in _REQUIRABLE else {})},
-            )
-            for node, status, is_required in now
-        )
+        now = list[tuple[Node, Values]]()
+        for node in (node for node in state.network.present() if node.kind != "attribute"):
+            required: Values = {"isRequired": (state.required[node.index],)} if node.kind in _REQUIRABLE else {}
+            now.append((node, {"status": (str(state.status[node.index]),), **required}))
+        return (Individual("", element_id(node.element, self._known.serials), said) for node, said in now)
 
 
 class _Chronicle:
@@ -221,41 +218,21 @@ class _Chronicle:
 
     # ---------------------------------------------------------------- what was so for a time
 
-    def of_events(self, events: Iterable[Event]) -> Iterator[Individual]:
-        for event in events:
-            yield from self._of_event(event)
-
-    def _of_event(self, event: Event) -> Iterator[Individual]:
+    def of_event(self, event: Event) -> Iterator[Individual]:
         time = event.time
         match event.verb, event.arguments:
             case "measure", (name, value):
                 yield self.measurement(name, value, time)
-            case "component_failed", (name, reason):
-                yield from self._is_so("Failure", self._about(name), time, True, reason)
             case "component_recovered", (name,):
                 about = self._about(name)
                 yield from self._ended("Failure", about, time)
                 if about in self._asserted_failed:
                     yield from self._ended("AssertedStatus", about, time)
-            case "component_active", (name, active, _):
-                yield from self._is_so("Activity", self._about(name), time, active)
-            case "component_configured", (name, parameters):
-                yield from self._is_so("ParametersInForce", self._about(name), time, True, parameters=parameters)
             case "finish_attempt", (serial, "completed", _):
                 attempt = self._known.records.attempts.get(serial)
                 if attempt is not None and attempt.operation == "configure":
                     given, about = attempt.parameters, self._about(attempt.component)
                     yield from self._is_so("ParametersInForce", about, time, True, parameters=given)
-            case "assert_status", (ref, status, reason, until):
-                yield from self._is_so(
-                    "AssertedStatus", self._about(ref), time, True, reason, status=status, until=until
-                )
-            case ("retract_status", (ref,)) | ("lapse", (ref, _)):
-                yield from self._ended("AssertedStatus", self._about(ref), time)
-            case "assert_required", (ref, is_so):
-                yield from self._is_so("AssertedRequirement", self._about(ref), time, bool(is_so))
-            case "assert_selected", (ref, is_so, reason):
-                yield from self._is_so("Selection", self._about(ref), time, bool(is_so), reason)
             case "select", (designs, configurations, reason):
                 yield from self._selected(event, {"function design": designs, "configuration": configurations}, reason)
             case "amend", (how, written):
@@ -266,6 +243,11 @@ class _Chronicle:
                         element = fact.component if isinstance(fact, ActiveFact) else fact.element
                         about = self._about(element) if isinstance(element, str) else self._id(element)
                         yield from self._began(CLASSES[type(fact)], about, time, status=getattr(fact, "status", None))
+            case verb, (ref, *said) if verb in _STATED:
+                word, names = _STATED[verb]
+                values = dict(zip(names, said, strict=False))
+                is_so = bool(values.pop("is_so", names))  # of what is only over nothing more is said
+                yield from self._is_so(word, self._about(ref), time, is_so, **values)
 
     def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
         changed = {self._about((kind, name)): is_so for kind, name, is_so in event.effects}

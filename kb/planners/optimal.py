@@ -2,24 +2,19 @@
 
 import logging
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
-from kb.planners.choice import Choice, Criterion, Optimum, choice_by_priority, summed_weights
-from kb.planners.encoding import check_names, encode
+from kb.planners import Choice, Criterion, Optimum, choice_by_priority, summed_weights
 from kb.records import ReconfigurationPlan
 
+if TYPE_CHECKING:
+    from kb.planners.solver import Problem
+
 _log = logging.getLogger(__name__)
-
-
-class _Last(NamedTuple):
-    """What was decided last: by which weights, and why nothing could be chosen; empty if something could."""
-
-    weights: Mapping[str, float]
-    nothing: str = ""
 
 
 class OptimalPlanner:
@@ -57,7 +52,8 @@ class OptimalPlanner:
         self._solver = solver
         self._given = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
-        self._last: WeakKeyDictionary[KnowledgeBase, _Last] = WeakKeyDictionary()
+        self._last = WeakKeyDictionary[KnowledgeBase, tuple[Mapping[str, float], str]]()
+        """By what weights was chosen for each, and why nothing could be; empty if something could."""
         self.latest: Optimum | None = None
 
     @property
@@ -78,14 +74,18 @@ class OptimalPlanner:
         """Choose for all that is required if something is adaptable or preferred anew; see `Planner`."""
         if kb not in self._last:  # a name that is wrong is found at the first update
             with kb.reading() as state:
-                check_names(state.network, self._given)
+                self._given.check(state.network)
         found, weights = None, self.criterion(kb).weights
         if self._is_due(kb):
             found = self.latest = self.optimum(kb)
-        nothing = self._note(kb, found)
+        nothing = found.reason if found is not None and found.choice is None else ""
+        if nothing != self._last.get(kb, ({}, ""))[1]:
+            kb.note_no_choice(nothing)
+            if nothing:
+                _log.warning("nothing can be selected: %s", nothing)
         choice = _choice(kb, found)
         plan = None if choice is None else kb.select(*choice)
-        self._last[kb] = _Last(weights, nothing)  # last: what was interrupted is chosen again
+        self._last[kb] = weights, nothing  # now: what was interrupted is chosen again
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
@@ -94,25 +94,29 @@ class OptimalPlanner:
         That is so where nothing is estimated or limited, and where no choice at all was found with the effort allowed.
         """
         criterion = self.criterion(kb)
-        with kb.reading() as state:
-            problem = encode(state, criterion)
-        found = None if problem.is_by_priority else self._solver.solve(problem, self._effort)
+        problem = self._posed(kb, criterion)
+        found = None if problem is None else problem.solve(self._effort)
         is_lost = found is not None and found.choice is None and not (found.is_proven or criterion.budgets)
         return None if is_lost else found
+
+    def _posed(self, kb: KnowledgeBase, criterion: Criterion) -> "Problem | None":
+        """Pose the question of what is known now, if it is one; that takes a while, and nobody waits for it."""
+        while True:
+            with kb.reading() as state:
+                network, revision = state.network, state.network.revision
+                problem = self._solver.Problem(state, criterion)
+            try:
+                is_weighed = problem.pose()
+                if network.revision == revision:  # else the model was changed meanwhile
+                    return problem if is_weighed else None
+            except LookupError:
+                if network.revision == revision:
+                    raise
 
     def _is_due(self, kb: KnowledgeBase) -> bool:
         if kb.adaptable_functions() or kb.adaptable_components():
             return True
-        return kb in self._last and self._last[kb].weights != self.criterion(kb).weights
-
-    def _note(self, kb: KnowledgeBase, found: Optimum | None) -> str:
-        """Let the knowledge base explain it if nothing can be chosen; return why, empty if something can."""
-        nothing = found.reason if found is not None and found.choice is None else ""
-        if nothing != self._last.get(kb, _Last({})).nothing:
-            kb.note_no_choice(nothing)
-            if nothing:
-                _log.warning("nothing can be selected: %s", nothing)
-        return nothing
+        return kb in self._last and self._last[kb][0] != self.criterion(kb).weights
 
 
 def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:

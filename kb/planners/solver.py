@@ -2,15 +2,22 @@
 
 The only file that imports OR-tools; import it late, as that takes a while. One worker, a fixed seed and an effort that
 is counted in work done instead of seconds make the answer the same on every machine.
+
+What is left of a model is small: slots with options. A slot is a function, of which one design is chosen, or a
+component, of which one configuration is chosen if a chosen design needs it; what is estimated of what is chosen adds
+up. All numbers are whole, so that of two choices one is better or they are exactly as good.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Final
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
+from typing import Any, Final, NamedTuple
 
+from kb.elements import ComponentKind, EstimationKind
 from kb.exceptions import KnowledgeBaseError
-from kb.planners.choice import Optimum, number
-from kb.planners.encoding import Effect, Picks, Problem, Slot
+from kb.network import Node
+from kb.planners import Choice, Criterion, Optimum, number, ranked
+from kb.state import State
 
 try:
     from ortools.sat.python import cp_model
@@ -20,6 +27,8 @@ except ImportError as error:
 
 EFFORT: Final = 0.3
 """How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""
+DIGITS: Final = 12
+"""All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""
 
 _SETTINGS: Final = {
     "num_workers": 1,
@@ -33,134 +42,264 @@ _SETTINGS: Final = {
 }
 
 Untyped = Any  # what OR-tools makes: a variable, an expression, a status
-Literals = Sequence[Untyped]
 
 
-def solve(problem: Problem, effort: float = EFFORT) -> Optimum:
-    """Return the best choice that an effort in CP-SAT's deterministic time finds; of equally good ones the first.
+class Estimated(NamedTuple):
+    """What one estimation adds if its causer is chosen."""
 
-    That is the one with the first design by priority and name for the function declared first, and so on, and then the
-    same for the configurations of its components.
+    attribute: str
+    gain: int
+    is_level: bool  # it is absolute: only the worst of its attribute counts
+    loads: tuple[int, ...]  # to what each budget limits
+
+
+class Option(NamedTuple):
+    """One possibility: a design or configuration, or None for a component that has nothing to be chosen."""
+
+    node: Node | None
+    literal: Untyped
+    loads: tuple[int, ...]  # those of a configuration include that its component runs
+    is_now: bool  # it is selected now
+
+
+class Slot(NamedTuple):
+    """A function, or a component of some design; of its options the first by priority comes first."""
+
+    node: Node
+    options: Sequence[Option]
+    idle: Node | None = None  # the configuration to select even if nothing needs the component, if any
+
+
+class Problem:
+    """What is to be chosen in a state for all that is required, from what runs and is selected now; solved once.
+
+    It notes what it needs of the state when it is made; all else may be done while that changes, but not the network.
+
+    Raises:
+        UnknownName: the criterion names an attribute or a component that the model does not have.
     """
-    return _Search(problem, effort).optimum()
 
+    def __init__(self, state: State, criterion: Criterion) -> None:
+        criterion.check(state.network)
+        self._network, self._criterion = state.network, criterion
+        self._model: Any = None
+        required = (node for node in state.network.functions.values() if state.required[node.index])
+        self._designs = {node: ranked(state, node) for node in required}
+        stuck = [node for node, designs in self._designs.items() if not designs]
+        self._kept = [design for node in stuck for design in node.parts if state.selected[design.index]]
+        parts = {part for node in self._designs for design in node.parts for part in design.parts}
+        self._parts = {node: ranked(state, node) for node in sorted(parts, key=lambda node: node.index)}
+        self._obsolete = [one for one in state.obsolete.nodes() if one.kind == "component"]
+        choices = (one for node in (*self._designs, *self._parts) for one in node.parts)
+        self._selected = {one for one in choices if state.selected[one.index]}
+        self._active = {node for node in parts if state.active[node.index]}
+        self._asserted = {node for node in parts if state.asserted_required[node.index]}
+        self._given_up = {
+            node for node in parts if any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
+        }
 
-class _Program:
-    """A problem as a CP-SAT model: `picks` are the literals of each slot's options."""
+    # ---------------------------------------------------------------- the model
 
-    def __init__(self, problem: Problem) -> None:
-        self.model: Any = cp_model.CpModel()
-        self._problem = problem
-        self._effects: list[tuple[Any, Effect]] = [(1, problem.fixed)]
-        self._users: list[list[Literals]] = [[] for _ in problem.slots]
-        self.picks = [self._slot(slot, users) for slot, users in zip(problem.slots, self._users, strict=True)]
-        self.gain = cp_model.LinearExpr.sum([*self._sum(lambda effect: effect.gain), *self._levels()])
-        self.cost = cp_model.LinearExpr.sum(self._sum(lambda effect: effect.cost))
+    def pose(self, *, always: bool = False) -> bool:
+        """Weigh what is estimated, and make a model of it; returns False where the choice is by priority.
 
-    def load(self, place: int) -> Untyped:
-        return cp_model.LinearExpr.sum(self._sum(lambda effect: effect.loads[place]))
+        That is so if nothing is estimated of what takes part, and nothing limited; then no model is made, which takes
+        longer than all else.
+        """
+        with localcontext(Context(prec=60)):
+            self._estimate()
+        possible = [design for designs in self._designs.values() for design in designs]
+        concerned = {*self._parts, *(one for node in self._parts for one in node.parts), *self._kept, *possible}
+        is_weighed = bool(self._criterion.budgets) or not concerned.isdisjoint(self._estimated)
+        if is_weighed or always:
+            self._encode()
+        return is_weighed
 
-    def set_first_of(self, value: int) -> None:
-        """Ask for the choice of a value that comes first; the search goes in this order, unless it presolves."""
-        self.model.add(self.gain >= value)
-        self.model.clear_objective()
-        self.model.clear_hints()
-        for literals in self.picks:
-            self.model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
+    def _encode(self) -> None:
+        self._model = cp_model.CpModel()
+        self._gains, self._switching = list[Untyped](), list[Untyped]()
+        self._loads: list[list[Untyped]] = [[] for _ in self._criterion.budgets]
+        self._levels: dict[str, list[tuple[Untyped, int]]] = {}
+        self._users: dict[Node, list[list[Untyped]]] = {node: [] for node in self._parts}
+        self._add(1, *self._kept, cost=sum(self._cost_to_switch(node) for node in self._obsolete))
+        self._slots = [self._function(node, designs) for node, designs in self._designs.items() if designs]
+        self._slots += [self._component(node, possible) for node, possible in self._parts.items()]
+        self._gain = cp_model.LinearExpr.sum([*self._gains, *map(self._worst, self._levels.values())])
+        self._cost = cp_model.LinearExpr.sum(self._switching)
 
-    def read(self, solver: Untyped) -> Picks:
-        found = ((place for place, one in enumerate(literals) if solver.value(one)) for literals in self.picks)
-        return tuple(next(places, 0) for places in found)
+    def _estimate(self) -> None:
+        """Find the units in which all amounts are whole, and what is estimated of each causer."""
+        criterion, network = self._criterion, self._network
+        weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
+        limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
+        estimations = [one for one in network.model.estimations if one.attribute in weights or one.attribute in limits]
+        values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in estimations]
+        gains = [weights.get(one.attribute, 0) * value for one, value in zip(estimations, values, strict=True)]
+        costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
+        amounts = [*gains, *costs.values()]
+        self._unit, is_exact = _unit(amounts)  # what a gain of 1 stands for
+        self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
+        loads = {name: [limit] for name, limit in limits.items()}
+        for one, value in zip(estimations, values, strict=True):
+            loads.get(one.attribute, []).append(value)
+        self._load_units = {name: _unit(amounts)[0] for name, amounts in loads.items()}
+        self._limits = [_whole(limits[name], unit, ROUND_FLOOR) for name, unit in self._load_units.items()]
+        self._costs = {node: _whole(cost, self._unit) for node, cost in costs.items()}
+        self._estimated: dict[Node, list[Estimated]] = {}
+        for one, value, amount in zip(estimations, values, gains, strict=True):
+            units = self._load_units.items()
+            load = tuple(_whole(value, unit, ROUND_CEILING) if one.attribute == name else 0 for name, unit in units)
+            is_level = one.kind is EstimationKind.ABSOLUTE and one.attribute in weights
+            estimated = Estimated(one.attribute, _whole(amount, self._unit), is_level, load)
+            self._estimated.setdefault(network.find(one.causer), []).append(estimated)
 
-    def _slot(self, slot: Slot, users: Sequence[Literals]) -> Literals:
-        """Encode that one option is chosen exactly if the slot is needed, and enter who needs which component."""
-        literals = [self.model.new_bool_var("") for _ in slot.options]
-        options = list(zip(literals, slot.options, strict=True))
-        for literal, option in options:
-            self.model.add_hint(literal, option.is_now)
-        self._effects += [(literal, option.effect) for literal, option in options]
-        if slot.is_function:
-            self.model.add_exactly_one(literals)
-            for place in dict.fromkeys(place for option in slot.options for place in option.needs):
-                self._users[place].append([literal for literal, option in options if place in option.needs])
-            return literals
-        needed = self.model.new_bool_var("")
-        for one in users:  # of one function at most one option is chosen
-            self.model.add(cp_model.LinearExpr.sum(one) <= needed)
-        if slot.is_needed:
-            self.model.add(needed == 1)
+    def _cost_to_switch(self, component: Node) -> int:
+        """Return what it costs to start or stop a component; a plain one is only booked."""
+        return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
+
+    def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> tuple[int, ...]:
+        """Have what is estimated of nodes count where a literal is true, less a cost to switch; return its loads."""
+        estimated = [one for node in nodes for one in self._estimated.get(node, ())]
+        for one in estimated:
+            if one.is_level:
+                self._levels.setdefault(one.attribute, []).append((literal, one.gain))
+        gain = sum(one.gain for one in estimated if not one.is_level) - cost
+        loads = tuple(sum(one.loads[place] for one in estimated) for place in range(len(self._loads)))
+        for terms, amount in zip((self._gains, self._switching, *self._loads), (gain, cost, *loads), strict=True):
+            if amount:
+                terms.append(literal * amount)
+        return loads
+
+    def _option(self, node: Node | None, *running: Node, is_now: bool, cost: int = 0) -> Option:
+        literal = self._model.new_bool_var("")
+        self._model.add_hint(literal, is_now)
+        loads = self._add(literal, *running, *([node] if node else []), cost=cost)
+        return Option(node, literal, loads, is_now)
+
+    def _function(self, node: Node, designs: Iterable[Node]) -> Slot:
+        """Encode that one design is chosen, and note who needs which component."""
+        options = [self._option(one, is_now=one in self._selected) for one in designs]
+        self._model.add_exactly_one(one.literal for one in options)
+        for part in dict.fromkeys(part for one in options if one.node for part in one.node.parts):
+            self._users[part].append([one.literal for one in options if one.node and part in one.node.parts])
+        return Slot(node, options)
+
+    def _component(self, node: Node, nodes: Sequence[Node]) -> Slot:
+        """Encode that one configuration is chosen exactly if the component is needed."""
+        cost, to_switch = self._costs[node], self._cost_to_switch(node)
+        active, asserted = node in self._active, node in self._asserted
+        selected = [one for one in node.parts if one in self._selected]
+        # even if nothing needs it: a plan stops what it replaces, and what is obsolete
+        stays = active and node not in self._given_up
+        to_start = 0 if active else to_switch
+        options = [
+            self._option(one, node, is_now=one in selected, cost=to_start + (0 if one in selected else cost))
+            for one in nodes
+        ] or [self._option(None, node, *selected, is_now=False, cost=to_start)]
+
+        model, needed = self._model, self._model.new_bool_var("")
+        for users in self._users[node]:  # of one function at most one option is chosen
+            model.add(cp_model.LinearExpr.sum(users) <= needed)
+        if (stays and asserted) or any(node in design.parts for design in self._kept):
+            model.add(needed == 1)
         else:
-            self.model.add_bool_or([*(literal for one in users for literal in one), ~needed])
-        self.model.add(cp_model.LinearExpr.sum(literals) == needed)
-        self._effects.append((1 - needed, slot.idle))
-        return literals
+            model.add_bool_or([*(literal for users in self._users[node] for literal in users), ~needed])
+        model.add(cp_model.LinearExpr.sum([one.literal for one in options]) == needed)
 
-    def _sum(self, amount: Callable[[Effect], int]) -> list[Any]:
-        amounts = ((literal, amount(effect)) for literal, effect in self._effects)
-        return [literal * number for literal, number in amounts if number]
+        if stays:
+            self._add(1 - needed, node, *selected)
+            return Slot(node, options)
+        idle = next((one for one in nodes if cost and one in selected), nodes[0]) if asserted and nodes else None
+        to_stop = (to_switch if active else 0) + (cost if idle and idle not in selected else 0)
+        self._add(1 - needed, cost=to_stop)
+        return Slot(node, options, idle)
 
-    def _levels(self) -> list[Any]:
-        """Return a number for each attribute that is no better than any level of it that is chosen."""
-        levels: dict[str, list[tuple[Any, int]]] = {}
-        for literal, effect in self._effects:
-            for name, level in effect.levels:
-                levels.setdefault(name, []).append((literal, level))
-        return [self._worst(chosen) for chosen in levels.values()]
-
-    def _worst(self, levels: Sequence[tuple[Any, int]]) -> Untyped:
+    def _worst(self, levels: Sequence[tuple[Untyped, int]]) -> Untyped:
+        """Return a number that is no better than any level that is chosen."""
         low, high = min(0, *(level for _, level in levels)), max(0, *(level for _, level in levels))
-        worst, unset = self.model.new_int_var(low, high, ""), self.model.new_bool_var("")
+        worst, unset = self._model.new_int_var(low, high, ""), self._model.new_bool_var("")
         for literal, level in levels:
-            self.model.add(worst <= high - (high - level) * literal)
-        self.model.add(worst <= high - high * unset)
-        self.model.add(cp_model.LinearExpr.sum([literal for literal, _ in levels]) + unset >= 1)
+            self._model.add(worst <= high - (high - level) * literal)
+        self._model.add(worst <= high - high * unset)
+        self._model.add(cp_model.LinearExpr.sum([literal for literal, _ in levels]) + unset >= 1)
         return worst
 
+    # ---------------------------------------------------------------- the search
 
-class _Search:
-    """Searches for the best choice, with an effort that is used up."""
+    def solve(self, effort: float = EFFORT) -> Optimum:
+        """Return the best choice that an effort in CP-SAT's deterministic time finds; of equally good ones the first.
 
-    def __init__(self, problem: Problem, effort: float) -> None:
-        self._problem = problem
-        self._effort = effort
-        self._left = effort
+        That is the one with the first design by priority and name for the function declared first, and so on, and then
+        the same for the configurations of its components.
+        """
+        if self._model is None:
+            self.pose(always=True)
+        model, limits = self._model, self._criterion.limits
+        self._effort = self._left = effort
         self._solver: Any = cp_model.CpSolver()
         for name, value in _SETTINGS.items():
             setattr(self._solver.parameters, name, value)
-
-    def optimum(self) -> Optimum:
-        program, problem = _Program(self._problem), self._problem
-        for place, limit in enumerate(problem.limits):
-            program.model.add(program.load(place) <= limit)
-        program.model.maximize(program.gain)
-        status = self._run(program)
+        unlimited = model.clone() if self._limits else model
+        for load, limit in zip(self._loads, self._limits, strict=True):
+            model.add(cp_model.LinearExpr.sum(load) <= limit)
+        model.maximize(self._gain)
+        status = self._run(model)
         if status == cp_model.INFEASIBLE:
-            return Optimum(None, None, None, None, 0.0, True, self._why_nothing_fits())
+            return Optimum(is_proven=True, reason=self._why_nothing_fits(unlimited))
         if status not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-            within = f" that keeps within {problem.criterion.limits}" if problem.criterion.limits else ""
-            reason = f"no choice{within} was found with an effort of {self._effort:g}"
-            return Optimum(None, None, None, None, problem.resolution, False, reason)
+            within = f" that keeps within {limits}" if limits else ""
+            reason = f"no choice{within} was found with an effort of {effort:g}"
+            return Optimum(resolution=self._resolution, reason=reason)
         gains = round(self._solver.objective_value), round(self._solver.best_objective_bound)
-        picks, cost, is_proven = program.read(self._solver), self._solver.value(program.cost), False
-        if status == cp_model.OPTIMAL:
-            program.set_first_of(gains[0])
-            self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
-            self._solver.parameters.cp_model_presolve = False
-            is_proven = self._run(program) in (cp_model.OPTIMAL, cp_model.FEASIBLE)
-            if is_proven:
-                picks, cost = program.read(self._solver), self._solver.value(program.cost)
-        worth, most, switching = (float(amount * problem.unit) for amount in (*gains, cost))
-        found = Optimum(problem.choice(picks), worth, switching, most, problem.resolution, is_proven, "")
+        choice, cost, is_proven = self._choice(), self._solver.value(self._cost), False
+        if status == cp_model.OPTIMAL and self._run_for_first(gains[0]) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+            choice, cost, is_proven = self._choice(), self._solver.value(self._cost), True
+        worth, most, switching = (float(amount * self._unit) for amount in (*gains, cost))
+        found = Optimum(choice, worth, switching, most, self._resolution, is_proven)
         return replace(found, reason=self._reason(found))
+
+    def _run(self, model: Untyped) -> Untyped:
+        self._solver.parameters.max_deterministic_time = max(self._left, 0.0)
+        status = self._solver.solve(model)
+        self._left -= self._solver.response_proto.deterministic_time
+        return status
+
+    def _run_for_first(self, gain: int) -> Untyped:
+        """Look for the choice of that worth that comes first: the search goes in this order, unless it presolves."""
+        self._model.add(self._gain >= gain)
+        self._model.clear_objective()
+        self._model.clear_hints()
+        for slot in self._slots:
+            literals = [one.literal for one in slot.options]
+            self._model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
+        self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
+        self._solver.parameters.cp_model_presolve = False
+        return self._run(self._model)
+
+    def _choice(self) -> Choice:
+        """Return the choice that was found; configurations that use more of a budget than now come after the others."""
+        designs, configurations, using_more = dict[str, str](), dict[str, str](), dict[str, str]()
+        for slot in self._slots:
+            option = next((one for one in slot.options if self._solver.value(one.literal)), None)
+            node = option.node if option else slot.idle
+            chosen = designs if slot.node.kind == "function" else configurations
+            if option and chosen is configurations:
+                nothing = (0,) * len(option.loads)
+                now = next((one.loads for one in slot.options if one.is_now), nothing)
+                if any(new > old for new, old in zip(option.loads, now, strict=True)):
+                    chosen = using_more
+            if node:
+                chosen[slot.node.name] = node.name
+        return Choice(designs, configurations | using_more)
 
     def _reason(self, found: Optimum) -> str:
         """Say what makes it the best, what it is worth, and how sure that is."""
-        problem, effort = self._problem, f"an effort of {self._effort:g}"
-        within = f" within {problem.criterion.limits}" if problem.criterion.limits else ""
-        best = f"the best for {problem.criterion.goal}" if problem.criterion.goal else "the first by priority"
-        if found.switching and not problem.criterion.goal:
+        criterion, effort = self._criterion, f"an effort of {self._effort:g}"
+        within = f" within {criterion.limits}" if criterion.limits else ""
+        best = f"the best for {criterion.goal}" if criterion.goal else "the first by priority"
+        if found.switching and not criterion.goal:
             best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
-        worth = f", worth {found.worth}" if problem.criterion.goal else ""
+        worth = f", worth {found.worth}" if criterion.goal else ""
         rounded = (
             f" by more than {number(found.resolution)}, to which its worth was rounded" if found.resolution else ""
         )
@@ -173,19 +312,31 @@ class _Search:
         left = f"none is worth more than {number(found.bound)} (a gap of {number(found.gap)})"
         return f"this is {best}{within} that {effort} found{worth}; {left}"
 
-    def _run(self, program: _Program) -> Untyped:
-        self._solver.parameters.max_deterministic_time = max(self._left, 0.0)
-        status = self._solver.solve(program.model)
-        self._left -= self._solver.response_proto.deterministic_time
-        return status
-
-    def _why_nothing_fits(self) -> str:
+    def _why_nothing_fits(self, unlimited: Untyped) -> str:
         """Say which budget is too small for any choice, as far as the effort that is left allows."""
-        problem, program, reasons = self._problem, _Program(self._problem), []
-        for place, name in enumerate(problem.criterion.budgets):
-            limit, unit = problem.limits[place], problem.load_units[place]
-            program.model.minimize(program.load(place))
-            if self._run(program) == cp_model.OPTIMAL and (least := round(self._solver.objective_value)) > limit:
+        reasons = []
+        for load, limit, (name, unit) in zip(self._loads, self._limits, self._load_units.items(), strict=True):
+            unlimited.minimize(cp_model.LinearExpr.sum(load))
+            if self._run(unlimited) == cp_model.OPTIMAL and (least := round(self._solver.objective_value)) > limit:
                 least_said, limit_said = number(float(least * unit)), number(float(limit * unit))
                 reasons.append(f"{name} would be {least_said} at least, more than {limit_said}")
-        return " and ".join(reasons) or f"no choice keeps within {problem.criterion.limits}"
+        return " and ".join(reasons) or f"no choice keeps within {self._criterion.limits}"
+
+
+def _decimal(number: float) -> Decimal:
+    return Decimal(repr(float(number)))
+
+
+def _unit(amounts: Iterable[Decimal]) -> tuple[Decimal, bool]:
+    """Return what 1 stands for when amounts are written as whole numbers, and whether they are exact so."""
+    decimals, total = 0, Decimal()
+    for amount in amounts:
+        if amount:
+            decimals = max(decimals, -int(amount.normalize().as_tuple().exponent))
+            total += abs(amount)
+    most = DIGITS - 1 - total.adjusted() if total else decimals
+    return Decimal(1).scaleb(-min(decimals, most)), decimals <= most
+
+
+def _whole(amount: Decimal | int, unit: Decimal, rounding: str = ROUND_HALF_EVEN) -> int:
+    return int((amount / unit).to_integral_value(rounding))

@@ -1,5 +1,484 @@
-"""Components as processes of the operating system; a guardian ends what is left over of them."""
+"""Components that are processes of the operating system: what is run, the process as which it runs, and all of them."""
 
-from kb.processes.components import ProcessComponents, Program
+import atexit
+import json
+import logging
+import math
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import mkdtemp
+from threading import RLock
+from types import MappingProxyType
+from typing import Any, Final
+from urllib.parse import quote
 
-__all__ = ["ProcessComponents", "Program"]
+from kb.elements import Parameters, is_number
+from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
+from kb.knowledge_base import KnowledgeBase
+from kb.processes import guardian
+from kb.processes.output import Output
+
+_log = logging.getLogger(__name__)
+
+PARAMETERS: Final = "KB_PARAMETERS"
+"""The variable of the environment in which a process finds all its parameters, as a JSON object."""
+
+_Report = tuple[str, tuple[Any, ...]]  # a method of the knowledge base, and its arguments: the component first
+_PLACE = re.compile(r"\{\{(\w+)\}\}|\{([^\W\d]\w*)\}")
+_TO_DIE_S: Final = 5.0
+"""How long what was killed may take to be gone, before one does without."""
+_STEADY_S: Final = 60.0
+"""How long a process has to run for its ends no longer to count as in a row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """What is run for a component, with what, and what happens when it ends by itself.
+
+    Attributes:
+        arguments: the executable and its arguments; no shell reads them. `{name}` in an argument, or in a value of the
+            environment, stands for the parameter of that name; `{{name}}` stands for `{name}`.
+        environment: variables in addition to those of this process.
+        directory: where it is run; None for where this process is.
+        configure: called with the parameters, and with the number of the process or None if there is none, whenever
+            parameters are set; a program without it gets new parameters only when it starts.
+        grace: how long it may take to end when it is told to [s]; then it is killed.
+        restarts: how often in a row, within a minute each, it may be started again after it ended by itself, before it
+            counts as failed.
+        back_off: how long it is not started again then [s]; twice as long after each further time in a row.
+    """
+
+    arguments: Sequence[str]
+    environment: Mapping[str, str] = field(default_factory=dict)
+    directory: str | Path | None = None
+    configure: Callable[[Parameters, int | None], None] | None = None
+    grace: float = 5.0
+    restarts: int = 0
+    back_off: float = 0.5
+
+    def __post_init__(self) -> None:
+        if isinstance(self.arguments, str) or not isinstance(self.arguments, Sequence) or not self.arguments:
+            raise InvalidValue(
+                f'arguments are a list that begins with the executable, e.g. ["node", "--quiet"], not '
+                f"{self.arguments!r}; no shell takes them apart"
+            )
+        if not isinstance(self.environment, Mapping):
+            raise InvalidValue(f"an environment is a mapping of text to text, not {self.environment!r}")
+        for text in (*self.arguments, *self.environment, *self.environment.values()):
+            if not isinstance(text, str) or "\0" in text:
+                raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
+        for name in self.environment:
+            if not name or "=" in name:
+                raise InvalidValue(f"{name!r} cannot be the name of a variable: it is not empty and has no '='")
+        if type(self.restarts) is not int or self.restarts < 0:
+            raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
+        for what in ("grace", "back_off"):
+            value = getattr(self, what)
+            if not is_number(value) or not 0 <= value < math.inf:
+                raise InvalidValue(f"{what} is a finite number of seconds from 0, not {value!r}")
+
+    def check(self) -> None:
+        """Raise if it cannot be run because something is missing on this machine."""
+        directory, name = Path(self.directory or "."), self.arguments[0]
+        if not directory.is_dir():
+            raise InvalidValue(f"there is no working directory {str(directory)!r}; create it or name another")
+        path = self.environment.get("PATH", os.environ.get("PATH"))
+        if shutil.which(directory.absolute() / name if os.sep in name else name, path=path) is None:
+            raise InvalidValue(f"no executable {name!r} is found; install it, correct the path, or chmod +x it")
+
+    def command(self, parameters: Parameters) -> list[str]:
+        """Return the arguments with the parameters in place; one that was not given raises `KnowledgeBaseError`."""
+        return [_placed(argument, parameters) for argument in self.arguments]
+
+    def variables(self, parameters: Parameters) -> dict[str, str]:
+        """Return the variables in addition to those of this process, with the parameters in place."""
+        own = {name: _placed(value, parameters) for name, value in self.environment.items()}
+        return {PARAMETERS: json.dumps(dict(parameters)), **own}
+
+
+def _placed(text: str, parameters: Parameters) -> str:
+    def put(place: re.Match[str]) -> str:
+        literal, name = place.groups()
+        if literal is not None:
+            return f"{{{literal}}}"
+        if name not in parameters:
+            known = ", ".join(map(repr, parameters)) or "none"
+            raise KnowledgeBaseError(f"{text!r} needs the parameter {name!r}; given are: {known}")
+        value = parameters[name]
+        return value if isinstance(value, str) else json.dumps(value)
+
+    return _PLACE.sub(put, text)
+
+
+class ProcessComponents:
+    """A managed system, and the monitor, of components that are processes.
+
+    Each runs in a process group of its own, without a shell. It is told to end with SIGTERM; after its grace the whole
+    group is killed. Have the manager ask it at each turn (`monitors=[processes]`): so the knowledge base gets to know
+    what was started, has ended, or ended by itself; and, at the first time, that nothing runs that was started before
+    this was made. Close it, or use it in a `with` statement; nothing is left behind either way, even if this process is
+    killed.
+
+    What a component writes to its standard output and error goes to a file of its own; of each the newest MB is kept.
+    When it ends by itself, the last lines are part of the reason.
+
+    Args:
+        programs: what to run, by name of the component.
+        output: the folder of these files, which stay there; None for a private one that goes when this is closed.
+
+    Raises:
+        InvalidValue: one of the programs cannot be run on this machine.
+    """
+
+    def __init__(self, programs: Mapping[str, Program], *, output: str | Path | None = None) -> None:
+        if not Path("/proc/self/environ").exists():
+            raise KnowledgeBaseError("components as processes need the /proc of Linux; manage them by objects instead")
+        for name, program in programs.items():
+            if not isinstance(program, Program):
+                raise InvalidValue(f"component {name!r} is run as a kb.processes.Program, not as {program!r}")
+            try:
+                program.check()
+            except InvalidValue as error:
+                raise InvalidValue(f"component {name!r} cannot be run: {error}") from None
+        self._mark = guardian.new_mark()
+        self._grace = max((program.grace for program in programs.values()), default=0.0)
+        self._reports: deque[_Report] = deque()
+        self._private = mkdtemp(prefix="kb-output-") if output is None else None
+        folder = Path(self._private or output or ".")
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise InvalidValue(f"output cannot go to {str(folder)!r}: {error.strerror}; name another folder") from None
+        outputs = {name: Output(folder / f"{quote(name, safe=' ')[:200]}.log") for name in programs}
+        self._handles = {name: _Handle(name, one, self._reports, outputs[name]) for name, one in programs.items()}
+        self._lock = RLock()
+        self._guardian: subprocess.Popen[bytes] | None = None
+        self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
+        self._observed: KnowledgeBase | None = None
+        self._owner = os.getpid()
+        self._is_open = True
+        atexit.register(self.close)
+
+    def activate(self, component: str) -> "_Switch":
+        """Start a component; one that is still ending, or ended by itself a moment ago, once somebody asks later."""
+        handle = self._handle(component)
+        with self._lock:
+            if not self._is_open:
+                raise KnowledgeBaseError(f"{component!r} cannot be started: its processes are closed for good")
+            if self._guardian is not None and self._guardian.poll() is not None:
+                _dismiss(self._guardian, self._grace)
+                self._guardian = None
+            self._guardian = self._guardian or _guard(self._mark, self._grace, os.getpid())
+            return _Switch(handle, self._lock, self._mark)
+
+    def deactivate(self, component: str) -> "_Switch":
+        """End a component: tell it to, and kill its process group after its grace."""
+        return _Switch(self._handle(component), self._lock)
+
+    def set_parameters(self, component: str, parameters: Parameters) -> None:
+        """Give a component its parameters, for its next start if it has no way to take them while it runs."""
+        handle = self._handle(component)
+        with self._lock:
+            handle.set_parameters(MappingProxyType(dict(parameters)))
+
+    def is_active(self, component: str) -> bool:
+        """Tell whether the process of a component is there; one that ended by itself is until `observe` tells why."""
+        handle = self._handle(component)
+        with self._lock:
+            handle.look()
+            news = [] if self._observed is None else [(verb, arguments[0]) for verb, arguments in self._reports]
+            return handle.process is not None or ("component_active", component) in news
+
+    def output(self, component: str) -> Path:
+        """Return the file that holds what a component writes; what it wrote before that is in FILE.1 beside it."""
+        return self._handle(component).output.path
+
+    def observe(self, kb: KnowledgeBase) -> None:
+        """Tell the knowledge base what started and ended since the last time.
+
+        One that is seen for the first time may have another past, e.g. of a program that was killed. It is told which
+        of its processes are no more, and what of them is there all the same is ended.
+
+        Raises:
+            UnknownName: a program was given for a component that the model does not have; at the first time only.
+        """
+        if kb is not self._observed:
+            self._observed = kb
+            for name in self._handles:
+                kb.components[name]
+            self._meet(kb)
+        self._tell(kb)
+
+    def close(self) -> None:
+        """End everything and wait for that, as long as the longest grace at most; nothing can be started any more.
+
+        The knowledge base that was observed last is told.
+        """
+        with self._lock:
+            if not self._is_open or os.getpid() != self._owner:  # a fork owns none of the processes
+                return
+            self._is_open = False
+            atexit.unregister(self.close)
+            started = time.monotonic()
+            left = list(self._handles.values())
+            while left and time.monotonic() < started + self._grace + _TO_DIE_S:
+                is_over = time.monotonic() >= started + self._grace
+                left = [handle for handle in left if not handle.stop(kill=is_over)]
+                if left:
+                    time.sleep(0.01)
+            for one in (self._guardian, *self._tidiers.values()):
+                if one is not None:
+                    _dismiss(one, self._grace)
+            for handle in self._handles.values():
+                handle.output.catch_up()
+            if self._private is not None:
+                shutil.rmtree(self._private, ignore_errors=True)
+        try:  # an end is never an error, also if it cannot be told any more
+            if (kb := self._observed) is not None:
+                self._tell(kb)
+                for name in (one for one in self._handles if one in kb.components):
+                    kb.component_active(name, False, f"the process of {name} was ended with all others")
+        except KnowledgeBaseError as error:
+            _log.warning("the knowledge base was not told that the processes have ended: %s", error)
+
+    def __enter__(self) -> "ProcessComponents":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _handle(self, component: str) -> "_Handle":
+        if component not in self._handles:
+            raise UnknownName("process component", component, self._handles)
+        return self._handles[component]
+
+    def _pids(self) -> dict[str, int]:
+        with self._lock:
+            for handle in self._handles.values():
+                handle.look()
+            return {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
+
+    def _meet(self, kb: KnowledgeBase) -> None:
+        mine = self._pids()
+        for process in kb.processes:
+            name, pid = process.component, process.pid
+            if name in self._handles and process.end is None and mine.get(name) != pid:
+                self._tidy_up(name, pid)
+                kb.component_ended(name, pid)
+        for name in self._handles:
+            kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
+
+    def _tidy_up(self, component: str, pid: int) -> None:
+        """Have what another life started ended, if it lives on, and nothing started in its place before."""
+        mark = guardian.left_over(pid)
+        if mark is None:
+            return
+        with self._lock:
+            self._handles[component].predecessors[pid] = guardian.started(pid)
+            if self._is_open and mark not in self._tidiers:
+                _log.warning("the process of %s, %d, was left over and is ended", component, pid)
+                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # nobody's number: it begins at once
+
+    def _tell(self, kb: KnowledgeBase) -> None:
+        with self._lock:
+            self._pids()
+            reports = tuple(self._reports)
+            self._reports.clear()
+        for verb, arguments in reports:
+            if arguments[0] in kb.components:
+                getattr(kb, verb)(*arguments)
+
+
+@dataclass(slots=True, eq=False)
+class _Handle:
+    """A component on its way to running, or to an end; each call does what can be done without waiting."""
+
+    name: str
+    program: Program
+    reports: deque[_Report]
+    output: Output
+    process: subprocess.Popen[bytes] | None = None
+    crash: tuple[int, str] = (-1, "")  # number of the process that ended by itself last, and how, in words
+    predecessors: dict[int, int | None] = field(default_factory=dict)  # what has to be gone first, and since when it is
+    _parameters: Parameters = field(default_factory=dict)
+    _in_force: Parameters = field(default_factory=dict)
+    _started: float = 0.0
+    _kill_at: float | None = None
+    _crashes: int = 0
+    _not_before: float = 0.0
+
+    def set_parameters(self, parameters: Parameters) -> None:
+        self.look()
+        pid = None if self.process is None else self.process.pid
+        if self.program.configure is not None:
+            self.program.configure(parameters, pid)
+        elif pid is not None and parameters != self._in_force:
+            raise KnowledgeBaseError(
+                f"{self.name!r} takes no parameters while it runs; declare the component with "
+                f"stops_to_configure=True, or give its Program a function configure"
+            )
+        else:
+            self.program.command(parameters)
+        self._parameters = parameters
+
+    def start(self, mark: str) -> int | None:
+        """Go on towards running; returns the process number once it does."""
+        self.look()
+        left = {pid: began for pid, began in self.predecessors.items() if began is not None}
+        self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
+        if self.process is None and time.monotonic() >= self._not_before and not self.predecessors:
+            self._spawn(mark)
+        return None if self.process is None or self._kill_at is not None else self.process.pid
+
+    def stop(self, *, kill: bool = False) -> bool:
+        """Go on towards an end; returns whether nothing is left."""
+        self.look()
+        if self.process is None:
+            self._crashes, self._not_before = 0, 0.0
+            return True
+        if self._kill_at is None:
+            self._kill_at = time.monotonic() + self.program.grace
+            _signal_group(self.process.pid, signal.SIGTERM)
+        if kill:
+            _signal_group(self.process.pid, signal.SIGKILL)
+        self.look()
+        return self.process is None
+
+    def look(self) -> None:
+        process = self.process
+        if process is None:
+            return
+        is_over = _has_ended(process.pid)
+        if self._kill_at is None:
+            if is_over:
+                self._note_crash(process)
+        elif is_over and not guardian.has_others(process.pid):
+            self._bury(process)
+        elif time.monotonic() >= self._kill_at:
+            _signal_group(process.pid, signal.SIGKILL)
+
+    def _spawn(self, mark: str) -> None:
+        program = self.program
+        program.check()
+        command, variables = program.command(self._parameters), program.variables(self._parameters)
+        environment, no_input = {**os.environ, **variables, guardian.MARK: mark}, subprocess.DEVNULL
+        try:
+            self.process = subprocess.Popen(
+                command,
+                bufsize=0,
+                cwd=program.directory,
+                env=environment,
+                stdin=no_input,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            remedy = "see whether its first line names an interpreter that is there"
+            raise KnowledgeBaseError(f"{command[0]!r} cannot be run: {error.strerror}; {remedy}") from None
+        assert self.process.stdout is not None
+        self.output.follow(self.process.stdout)
+        self._started, self._in_force, self.crash = time.monotonic(), self._parameters, (-1, "")
+        self._report("component_started", self.process.pid)
+
+    def _note_crash(self, process: subprocess.Popen[bytes]) -> None:
+        _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
+        self._bury(process)
+        code, signals = process.returncode, {one.value: one.name for one in signal.Signals}
+        manner = f"exit status {code}" if code >= 0 else signals.get(-code, f"signal {-code}")
+        now, reason = time.monotonic(), f"the process of {self.name} ended by itself ({manner})"
+        if words := self.output.last_lines():
+            reason += f"; it last wrote: {words}"
+        self.crash = (process.pid, reason)
+        _log.warning("%s", reason)
+        self._report("component_active", False, reason)
+        if now - self._started >= _STEADY_S:
+            self._crashes = 0
+        self._crashes += 1
+        if self._crashes > self.program.restarts:
+            self._crashes, self._not_before = 0, 0.0
+            self._report("component_failed", reason)
+        else:
+            self._not_before = now + self.program.back_off * 2.0 ** min(self._crashes - 1, 60)
+
+    def _bury(self, process: subprocess.Popen[bytes]) -> None:
+        process.wait()
+        self.process, self._kill_at = None, None
+        self._report("component_ended", process.pid)
+
+    def _report(self, verb: str, *arguments: object) -> None:
+        self.reports.append((verb, (self.name, *arguments)))
+
+
+def _has_ended(pid: int) -> bool:
+    """Tell whether a child has ended, and leave it unburied, so that its number stays its own."""
+    try:
+        return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    except ChildProcessError:
+        return True
+
+
+def _signal_group(leader: int, number: signal.Signals) -> None:
+    try:
+        os.killpg(leader, number)
+    except ProcessLookupError:  # it is gone
+        return
+    except PermissionError as error:
+        _log.warning("process group %d could not be sent %s: %s", leader, number.name, error)
+
+
+@dataclass(slots=True)
+class _Switch:
+    """A component on its way to running, or without a mark to an end; see `Operation`."""
+
+    handle: _Handle
+    lock: RLock
+    mark: str | None = None
+    pid: int | None = None
+
+    def __post_init__(self) -> None:
+        self.done()  # so it has begun
+
+    def done(self) -> bool:
+        with self.lock:
+            if self.mark is None:
+                return self.handle.stop()
+            self.pid = self.pid or self.handle.start(self.mark)
+            return self.pid is not None
+
+    def exception(self) -> KnowledgeBaseError | None:
+        with self.lock:
+            self.handle.look()
+            pid, text = self.handle.crash
+            return KnowledgeBaseError(text) if pid == self.pid else None
+
+
+def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-I", "-S", guardian.__file__, mark, str(grace), str(parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={name: value for name, value in os.environ.items() if name != guardian.MARK},
+        start_new_session=True,
+    )
+
+
+def _dismiss(one: subprocess.Popen[bytes], grace: float) -> None:
+    """Have a guardian end what has left its process group, and end itself."""
+    assert one.stdin is not None
+    one.stdin.close()
+    try:
+        one.wait(grace + _TO_DIE_S)
+    except subprocess.TimeoutExpired:
+        one.kill()
+        one.wait()

@@ -16,7 +16,7 @@ from kb.exceptions import UnknownName
 from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.store import Insertion, Own, Question, Store, Thing, shown
+from kb.typeql.store import Own, Query, Store, Thing, shown
 from kb.typeql.syntax import Define, Literal, parse
 from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Vocabulary, seconds
 
@@ -25,8 +25,8 @@ Stated = tuple[int, facts.Fact, Place]
 """A fact, with the number of its statement, and where."""
 
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
-_STATED: Final = frozenset({"name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
-"""The attributes of elements that say what is so from the start, and its name."""
+_STATED: Final = frozenset({"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
+"""The attributes of elements that say what is so from the start, its name, and those that ROSA does not have."""
 _SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
 """What is written for a comparison by mistake, and what is meant."""
 _FLAGS: Final[Mapping[str, Callable[[Any], facts.Fact]]] = {
@@ -53,10 +53,11 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
     store = Store(vocabulary)
     for file, query in parsed:
         if not isinstance(query, Define):
-            for bindings in Question(store, file).answers(query.patterns):
-                Insertion(store, file, bindings).run(query.statements)
+            asked = Query(store, file)
+            for bindings in asked.answers(query.patterns):
+                asked.insert(query.statements, bindings)
     _complete(store)
-    said = (one.name for one in store.of("robot-model"))
+    said = (one.name for one in store.things["robot-model"])
     model = cls(name if name is not None else next(said, files[0].stem))
     _Reading(model, store).run()
     model.notes.extend(store.notes)
@@ -66,13 +67,13 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
 def _complete(store: Store) -> None:
     """See that no relation lacks a part, and give a name to each design and configuration without one."""
     for kind, roles in ROLES.items():
-        for thing in store.of(kind):
+        for thing in store.things[kind]:
             for role in roles:
                 if len(thing.players(role.name)) < role.least and not _only_states(thing):
                     raise thing.place.error(f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)")
     for kind in ("function-design", "component-configuration"):
         whole, _, what = kind.partition("-")
-        for thing in store.of(kind):
+        for thing in store.things[kind]:
             if thing.own("name") is None:
                 name = _unused(f"{thing.players(whole)[0].name} {what}", store.named[kind])
                 store.give(thing, "name", name, thing.place)
@@ -94,15 +95,15 @@ class _Reading:
     def run(self) -> None:
         required = self._required_functions()
         for cls, kind in CLASSES.items():
-            for thing in self.store.of(kind) if issubclass(cls, Element) else ():
+            for thing in self.store.things[kind] if issubclass(cls, Element) else ():
                 with thing.place.blamed():
                     is_action = cls is elements.Action
                     given = {"functions": required.get(thing, [])} if is_action else self._fields(cls, thing)
                     self._keep(thing, self.model.declare(cls, thing.name, **given))
-        for thing in self.store.of("constraint"):
+        for thing in self.store.things["constraint"]:
             with thing.place.blamed():
                 self._keep(thing, self._constraint(thing))
-        for thing in self.store.of("estimation"):
+        for thing in self.store.things["estimation"]:
             with thing.place.blamed():
                 self._estimate(thing)
         for _, fact, place in sorted(self._facts(), key=lambda one: one[0]):
@@ -116,14 +117,13 @@ class _Reading:
     def _required_functions(self) -> dict[Thing, list[str]]:
         """An action may stand in several requirements."""
         required: dict[Thing, list[str]] = {}
-        for relation in self.store.of("functional-requirement"):
+        for relation in self.store.things["functional-requirement"]:
             for action in relation.players("action"):
                 required.setdefault(action, []).extend(_names(relation, "required-function"))
         return required
 
     def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
-        owns = [own for own in thing.owns if own.field and own.field.name not in _STATED]
-        given: dict[str, Any] = {own.field.name: own.value for own in owns if own.field}
+        given: dict[str, Any] = {own.name: own.value for own in thing.owns if own.name not in _STATED}
         for role in ROLES.get(CLASSES[cls], ()):
             if role.field:
                 names = _names(thing, role.name)
@@ -170,28 +170,27 @@ class _Reading:
                 if fact is not None:
                     yield own.order, fact, own.place
         yield from self._measurements()
-        for thing in self.store.of("required-action"):
+        for thing in self.store.things["required-action"]:
             preference = _preference(thing)
             for name in _names(thing, "action"):
                 requested = facts.RequiredActionFact(name, preference, **_period(thing), result=self._result(thing))
                 yield thing.order, requested, thing.place
-        for thing in self.store.of("component-process"):
+        for thing in self.store.things["component-process"]:
             pid = thing.value("pid")
             if isinstance(pid, int):
                 (name,) = _names(thing, "component")
                 yield thing.order, facts.ProcessFact(name, pid, **_period(thing)), thing.place
             else:
                 self.store.note(thing.place, f"this {thing.type.label} has no pid; it is passed over")
-        for thing in self.store.of("reconfiguration-plan"):
+        for thing in self.store.things["reconfiguration-plan"]:
             yield thing.order, self._plan(thing), thing.place
 
     def _stated(self, thing: Thing, element: Any, own: Own) -> facts.Fact | None:  # noqa: ANN401  # what has such a field
-        name = own.field.name if own.field else ""
-        if name == "pid":
+        if own.name == "pid":
             return facts.ProcessFact(element.name, own.value)  # type: ignore[arg-type]  # a whole number: checked
-        if name in _FLAGS:
-            return _FLAGS[name](element) if own.value is True else None
-        if name != "status":
+        if own.name in _FLAGS:
+            return _FLAGS[own.name](element) if own.value is True else None
+        if own.name != "status":
             return None
         word = " ".join(str(own.value).replace("_", " ").replace("-", " ").lower().split())
         known = STATUSES[elements.KINDS[type(element)]]
@@ -204,10 +203,10 @@ class _Reading:
     def _measurements(self) -> Iterator[Stated]:
         """Yield all measurements; where the files do not say which one is the latest, the newest, said last, is."""
         measured: dict[str, list[Thing]] = {}
-        for thing in self.store.of("measurement"):
+        for thing in self.store.things["measurement"]:
             for name in _names(thing, "measured-attribute"):
                 measured.setdefault(name, []).append(thing)
-        for thing in self.store.of("attribute"):
+        for thing in self.store.things["attribute"]:
             if thing.own("value"):
                 measured.setdefault(thing.name, []).append(thing)
         for name, things in measured.items():

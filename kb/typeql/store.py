@@ -21,9 +21,9 @@ _REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
 
 
 class Own(NamedTuple):
-    """A thing has an attribute; the field is None if ROSA has none such, the order is that of the statement."""
+    """A thing has an attribute; the name is empty if ROSA has none such, the order is that of the statement."""
 
-    field: Field | None
+    name: str
     label: str
     value: Literal
     place: Place
@@ -48,7 +48,7 @@ class Thing:
     parts: list[Part] = field(default_factory=list)
 
     @property
-    def kind(self) -> str | None:
+    def kind(self) -> str:
         return self.type.kind
 
     @property
@@ -60,7 +60,7 @@ class Thing:
 
     def own(self, name: str) -> Own | None:
         """Return the attribute of that name, the last one said."""
-        return next((own for own in reversed(self.owns) if own.field and own.field.name == name), None)
+        return next((own for own in reversed(self.owns) if own.name == name), None)
 
     def value(self, name: str) -> Literal | None:
         own = self.own(name)
@@ -69,6 +69,11 @@ class Thing:
     def players(self, role: str) -> "list[Thing]":
         return [part.thing for part in self.parts if part.role and part.role.name == role]
 
+
+T = TypeVar("T")
+
+MOST: Final = 100_000
+"""How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
 
 Bindings = Mapping[str, Thing]
 """What variables stand for."""
@@ -79,33 +84,30 @@ class Store:
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self.vocabulary = vocabulary
-        self.things: dict[str | None, list[Thing]] = {}
+        self.things: dict[str, list[Thing]] = defaultdict(list)
         self.named: dict[str, dict[str, Thing]] = defaultdict(dict)
         self.notes: list[str] = []
         self.order = 0
-
-    def of(self, kind: str | None) -> list[Thing]:
-        return self.things.get(kind, [])
 
     def note(self, place: Place, text: str) -> None:
         self.notes.append(f"{place}: {text}")
 
     def add(self, label: Word, place: Place) -> Thing:
         thing = Thing(self.vocabulary.type(label, place), place)
-        if thing.kind is None:
+        if not thing.kind:
             self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
-        self.things.setdefault(thing.kind, []).append(thing)
+        self.things[thing.kind].append(thing)
         return thing
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
-        found = field_of(thing.kind, label) if thing.kind else None
-        if found is None or thing.kind is None:
+        found = field_of(thing.kind, label)
+        if found is None:
             if thing.kind and label not in self.vocabulary.attributes:
                 known = [one.words[0] for one in ATTRIBUTES.get(thing.kind, ())]
                 self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; passed over")
-            thing.owns.append(Own(None, label, value, place, self.order))
+            thing.owns.append(Own("", label, value, place, self.order))
             return
-        own = Own(found, label, _checked(found, value, label, place), place, self.order)
+        own = Own(found.name, label, _checked(found, value, label, place), place, self.order)
         before = thing.own(found.name)
         if before is not None and found.name not in _REPEATABLE:
             if before.value != own.value:
@@ -121,50 +123,118 @@ class Store:
                 raise DuplicateInFile(message, *place)
 
 
-class Insertion:
-    """One `insert`, for one answer to what stands before it."""
+class Query:
+    """One query of a file: what it asks of all that was said before it, and what it adds for each answer."""
 
-    def __init__(self, store: Store, file: str, bindings: Bindings) -> None:
-        self.store, self.file, self.things = store, file, dict(bindings)
+    def __init__(self, store: Store, file: str) -> None:
+        self.store, self.file = store, file
 
-    def run(self, statements: Sequence[Statement]) -> None:
+    def insert(self, statements: Sequence[Statement], bindings: Bindings) -> None:
         """Find what each variable is, then take in what is said of it, for it may be said before."""
-        subjects = [self._declared(statement) for statement in statements]
+        things = dict(bindings)
+        subjects = [self._declared(things, statement) for statement in statements]
         for statement, declared in zip(statements, subjects, strict=True):
             self.store.order += 1
-            thing = declared or self._thing(statement.word)
+            thing = declared or self._thing(things, statement.word)
             thing.order = thing.order or self.store.order
             for has in statement.has:
-                self.store.give(thing, str(has.label), has.value, place_of(self.file, has.label))
-            for player in statement.players:
-                self._player(thing, player)
+                self.store.give(thing, str(has.label), has.value, self._place(has.label))
+            for role, variable in statement.players:
+                self._play(thing, role, self._thing(things, variable), self._place(role or variable))
 
-    def _declared(self, statement: Statement) -> Thing | None:
+    def _declared(self, things: dict[str, Thing], statement: Statement) -> Thing | None:
         """Return the thing that a statement declares; None if it is declared elsewhere."""
         if statement.isa is None:
             return None
         name = statement.variable
-        if name in self.things:
-            before, place = self.things[name], place_of(self.file, statement.word)
-            raise place.error(f"{name} is given a type already at {before.place}, {before.type.label}; a thing has one")
-        thing = self.store.add(statement.isa, place_of(self.file, statement.isa))
+        if name in things:
+            told = f"{name} is given a type already at {things[name].place}, {things[name].type.label}; a thing has one"
+            raise self._place(statement.word).error(told)
+        thing = self.store.add(statement.isa, self._place(statement.isa))
         if name:
-            self.things[name] = thing
+            things[name] = thing
         return thing
 
-    def _player(self, thing: Thing, player: Player) -> None:
-        one = self._thing(player.variable)
-        place = place_of(self.file, player.role or player.variable)
-        role = self.store.vocabulary.role(thing.type, thing.kind, player.role, one.type, place) if thing.kind else None
+    def _play(self, thing: Thing, word: Word | None, player: Thing, place: Place) -> None:
+        role = self.store.vocabulary.role(thing.type, word, player.type, place) if thing.kind else None
         if role is not None and role.most and len(thing.players(role.name)) >= role.most:
             raise place.error(f"a second {role.name}; a {thing.type.label} has one")
-        thing.parts.append(Part(role, one))
+        thing.parts.append(Part(role, player))
 
-    def _thing(self, word: Word) -> Thing:
-        if str(word) not in self.things:
-            what = UnknownName("variable", str(word), self.things) if self.things else f"unknown variable '{word}'"
-            raise place_of(self.file, word).error(f"{what}; a type is given by `{word} isa ...`")
-        return self.things[str(word)]
+    def _thing(self, things: dict[str, Thing], word: Word) -> Thing:
+        if str(word) not in things:
+            what = UnknownName("variable", str(word), things) if things else f"unknown variable '{word}'"
+            raise self._place(word).error(f"{what}; a type is given by `{word} isa ...`")
+        return things[str(word)]
+
+    def _place(self, word: Word) -> Place:
+        return place_of(self.file, word)
+
+    def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
+        """Return what the variables can stand for; at least one answer.
+
+        The most telling statements come first: those with a name, then relations.
+
+        Raises:
+            ModelFileError: nothing matches; the message says what was looked for and what there is.
+        """
+        found: list[Bindings] = [{}]
+        for one in sorted(patterns, key=lambda one: 0 if self._name(one) else 1 if one.players else 2):
+            place = self._place(one.word)
+            found = _bounded((more for known in found for more in self._extended(known, one)), place)
+            if not found:
+                raise self._nothing(one, place)
+        return list({tuple(each.items()): each for each in found}.values())
+
+    def _extended(self, known: Bindings, one: Statement) -> Iterator[Bindings]:
+        wanted = self._type(one)
+        for thing in self._candidates(known, one):
+            if (wanted is None or wanted in thing.type.lineage()) and all(_has(thing, has) for has in one.has):
+                yield from self._relating({**known, one.variable: thing} if one.variable else known, thing, one.players)
+
+    def _candidates(self, known: Bindings, one: Statement) -> Iterable[Thing]:
+        if one.variable is not None and one.variable in known:
+            return [known[one.variable]]
+        if (wanted := self._type(one)) is None:
+            return [thing for things in self.store.things.values() for thing in things]
+        if (name := self._name(one)) is None:
+            return self.store.things[wanted.kind]
+        return [thing for thing in [self.store.named[wanted.kind].get(name)] if thing]
+
+    def _relating(self, known: Bindings, thing: Thing, players: Sequence[Player]) -> list[Bindings]:
+        """Let each player that is asked for stand for another part of the relation."""
+        states: list[tuple[Bindings, frozenset[int]]] = [(known, frozenset())]
+        for role, variable in players:
+            name, place = str(variable), self._place(role or variable)
+            wanted = self.store.vocabulary.roles(thing.type, role, place) if role and thing.kind else None
+            every = (
+                ({**bindings, name: part.thing}, used | {number})
+                for bindings, used in states
+                for number, part in enumerate(thing.parts)
+                if number not in used
+                and bindings.get(name, part.thing) is part.thing
+                and (wanted is None or part.role in wanted)
+            )
+            states = _bounded(every, place)
+        return [bindings for bindings, _ in states]
+
+    def _type(self, one: Statement) -> Type | None:
+        return None if one.isa is None else self.store.vocabulary.type(one.isa, self._place(one.isa))
+
+    def _name(self, one: Statement) -> str | None:
+        """Return the name that is written in a statement that says the type."""
+        wanted = self._type(one)
+        fields = ((field_of(wanted.kind, has.label), has.value) for has in one.has) if wanted else ()
+        return next((str(value) for field, value in fields if field and field.name == "name"), None)
+
+    def _nothing(self, one: Statement, place: Place) -> ModelFileError:
+        name, wanted, what = self._name(one), self._type(one), "no thing known so far is like this"
+        if wanted is not None and name is not None and name not in self.store.named[wanted.kind]:
+            what = str(UnknownName(wanted.kind, name, self.store.named[wanted.kind]))
+        elif wanted is not None:
+            number = sum(wanted in thing.type.lineage() for thing in self.store.things[wanted.kind])
+            what = f"no {wanted.label} of the {number} known so far is like this"
+        return place.error(f"`match` finds nothing: {what}")
 
 
 def shown(value: Literal) -> str:
@@ -184,92 +254,9 @@ def _checked(field: Field, value: Literal, label: str, place: Place) -> Literal:
     return value
 
 
-# -------------------------------------------------------------------- match
-
-T = TypeVar("T")
-
-MOST: Final = 100_000
-"""How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
-
-
-class Question:
-    """What one `match` asks."""
-
-    def __init__(self, store: Store, file: str) -> None:
-        self.store, self.file = store, file
-
-    def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
-        """Return what the variables can stand for; at least one answer.
-
-        The most telling statements come first: those with a name, then relations.
-
-        Raises:
-            ModelFileError: nothing matches; the message says what was looked for and what there is.
-        """
-        found: list[Bindings] = [{}]
-        for one in sorted(patterns, key=lambda one: 0 if self._name(one) else 1 if one.players else 2):
-            place = place_of(self.file, one.word)
-            found = _bounded((more for known in found for more in self._extended(known, one)), place)
-            if not found:
-                raise self._nothing(one, place)
-        return list({tuple(each.items()): each for each in found}.values())
-
-    def _extended(self, known: Bindings, one: Statement) -> Iterator[Bindings]:
-        wanted = self._type(one)
-        for thing in self._candidates(known, one):
-            if (wanted is None or wanted in thing.type.lineage()) and all(_has(thing, has) for has in one.has):
-                yield from self._relating({**known, one.variable: thing} if one.variable else known, thing, one.players)
-
-    def _candidates(self, known: Bindings, one: Statement) -> Iterable[Thing]:
-        if one.variable is not None and one.variable in known:
-            return [known[one.variable]]
-        if (wanted := self._type(one)) is None:
-            return [thing for things in self.store.things.values() for thing in things]
-        if (name := self._name(one)) is None or wanted.kind is None:
-            return self.store.of(wanted.kind)
-        return [thing for thing in [self.store.named[wanted.kind].get(name)] if thing]
-
-    def _relating(self, known: Bindings, thing: Thing, players: Sequence[Player]) -> list[Bindings]:
-        """Let each player that is asked for stand for another part of the relation."""
-        states: list[tuple[Bindings, frozenset[int]]] = [(known, frozenset())]
-        for role, variable in players:
-            name, place = str(variable), place_of(self.file, role or variable)
-            wanted = None
-            if role is not None and thing.kind is not None:
-                wanted = self.store.vocabulary.roles(thing.type, thing.kind, role, place)
-            every = (
-                ({**bindings, name: part.thing}, used | {number})
-                for bindings, used in states
-                for number, part in enumerate(thing.parts)
-                if number not in used
-                and bindings.get(name, part.thing) is part.thing
-                and (wanted is None or part.role in wanted)
-            )
-            states = _bounded(every, place)
-        return [bindings for bindings, _ in states]
-
-    def _type(self, one: Statement) -> Type | None:
-        return None if one.isa is None else self.store.vocabulary.type(one.isa, place_of(self.file, one.isa))
-
-    def _name(self, one: Statement) -> str | None:
-        """Return the name that is written in a statement that says the type."""
-        wanted = self._type(one)
-        fields = ((field_of(wanted.kind, has.label), has.value) for has in one.has) if wanted and wanted.kind else ()
-        return next((str(value) for field, value in fields if field and field.name == "name"), None)
-
-    def _nothing(self, one: Statement, place: Place) -> ModelFileError:
-        name, wanted, what = self._name(one), self._type(one), "no thing known so far is like this"
-        if wanted is not None and wanted.kind and name is not None and name not in self.store.named[wanted.kind]:
-            what = str(UnknownName(wanted.kind, name, self.store.named[wanted.kind]))
-        elif wanted is not None:
-            number = sum(wanted in thing.type.lineage() for thing in self.store.of(wanted.kind))
-            what = f"no {wanted.label} of the {number} known so far is like this"
-        return place.error(f"`match` finds nothing: {what}")
-
-
 def _has(thing: Thing, wanted: Has) -> bool:
-    meant = field_of(thing.kind, str(wanted.label)) if thing.kind else None
-    said = (own.value for own in thing.owns if wanted.label == own.label or (meant and own.field is meant))
+    meant = field_of(thing.kind, str(wanted.label))
+    said = (own.value for own in thing.owns if wanted.label == own.label or (meant and own.name == meant.name))
     return any(one == wanted.value and isinstance(one, bool) is isinstance(wanted.value, bool) for one in said)
 
 

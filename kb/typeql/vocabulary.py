@@ -88,10 +88,10 @@ CLASSES: Final[Mapping[type, str]] = {
 
 @dataclass(slots=True, eq=False)
 class Type:
-    """A type of thing; its kind is None if ROSA does not know it."""
+    """A type of thing; its kind is empty if ROSA does not know it."""
 
     label: str
-    kind: str | None
+    kind: str
     parent: "Type | None" = None
 
     def lineage(self) -> Iterator["Type"]:
@@ -137,11 +137,12 @@ class Vocabulary:
             raise place.error(f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`")
         return found
 
-    def role(self, of: Type, kind: str, word: Word | None, player: Type, place: Place) -> Role:
+    def role(self, of: Type, word: Word | None, player: Type, place: Place) -> Role:
         """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
-        if kind not in ROLES:
+        every = ROLES.get(of.kind, ())
+        if not every:
             raise place.error(f"{of.label} is no relation; nothing plays a role in it")
-        candidates = ROLES[kind] if word is None else self.roles(of, kind, word, place)
+        candidates = every if word is None else self.roles(of, word, place)
         fitting = [role for role in candidates if player.kind in role.kinds]
         if len(fitting) == 1 or (fitting and word is not None):
             return fitting[0]
@@ -152,16 +153,15 @@ class Vocabulary:
         what = f"role `{word}`" if word else "a player"
         raise place.error(f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here")
 
-    def roles(self, of: Type, kind: str, word: Word, place: Place) -> tuple[Role, ...]:
+    def roles(self, of: Type, word: Word, place: Place) -> tuple[Role, ...]:
         """Return the roles that a word can mean."""
-        name, found = _word(word), tuple[Role, ...]()
-        while name and not found:
-            found = tuple(role for role in ROLES[kind] if name in role.words or name.removesuffix("s") in role.words)
+        name, every = _word(word), ROLES.get(of.kind, ())
+        while name:
+            if found := tuple(role for role in every if name in role.words or name.removesuffix("s") in role.words):
+                return found
             first, _, rest = name.partition("-")
             name = rest if first in _QUALIFIERS else ""
-        if found:
-            return found
-        known = [role.name for role in ROLES[kind]]
+        known = [role.name for role in every]
         raise place.error(f"{UnknownName(f'role of {of.label}', str(word), known)} (roles: {', '.join(known)})")
 
     def _link(self, label: str, below: list[str]) -> Type | None:
@@ -178,7 +178,7 @@ class Vocabulary:
             return None
         if above is None and parent not in _ROOTS:
             self.type(parent, place)
-        own = self._types.setdefault(_plain(label), Type(label, above.kind if above else None))
+        own = self._types.setdefault(_plain(label), Type(label, above.kind if above else ""))
         own.parent = own.parent if above is own else above
         return own
 

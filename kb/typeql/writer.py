@@ -19,7 +19,7 @@ from kb.elements import (
     parameter_type,
 )
 from kb.exceptions import ModelError
-from kb.facts import ROSA, ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact, tables_of
+from kb.facts import ROSA, ActiveFact, Contents, Fact, PlanFact, RequiredFact, SelectedFact, StatusFact
 from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, seconds
 
 _STEPS: Final = {
@@ -29,6 +29,7 @@ _STEPS: Final = {
 }
 """The steps of a plan: the role in each, the field that lists who has it, and of which class they are."""
 _ELEMENTS: Final = {kind: cls for cls, kind in CLASSES.items()}
+_FLAGS: Final[Mapping[type, str]] = {RequiredFact: "is-required true", SelectedFact: "is-selected true"}
 _DEFAULTS: Final = {cls: {field.name: field.default for field in fields(cls)} for cls in CLASSES}
 _FIELDS: Final = {
     cls: [field for field in ATTRIBUTES[kind] if field.name in ("weights", *_DEFAULTS[cls])]
@@ -53,21 +54,15 @@ class _Writer:
 
     def __init__(self, model: Contents) -> None:
         self.model = model
-        self.tables = tables_of(model)
         self.variables: dict[object, str] = {}
         self.taken: dict[str, int] = {}
 
     def lines(self) -> Iterator[str]:
         """Everything, in an order in which it can be read without looking ahead."""
         yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
-        parts: dict[str, Iterable[Changeable]] = {
-            **{f"{ROSA[cls]}s": table.values() for cls, table in self.tables.items()},
-            "constraints": self.model.constraints,
-            "estimations": self.model.estimations,
-        }
-        for title, listed in parts.items():
-            statements = [line for one in listed for line in self._element(one)]
-            yield from ["", f"# {title}", *statements] if statements else []
+        for cls, table in self.model.tables.items():
+            statements = [line for one in table.values() for line in self._element(one)]
+            yield from ["", f"# {ROSA[cls]}s", *statements] if statements else []
         statements = [line for fact in self.model.facts for line in self._fact(fact)]
         yield from ["", "# what is so from the start", *statements] if statements else []
 
@@ -87,13 +82,11 @@ class _Writer:
             yield _statement("", [("action", variable), *needs], "functional-requirement", {})
 
     def _fact(self, fact: Fact) -> Iterator[str]:
-        if isinstance(fact, StatusFact):
-            yield f"{self.variables[fact.element]} has status {quoted(fact.status)};"
-        elif isinstance(fact, RequiredFact | SelectedFact):
-            what = "is-required" if isinstance(fact, RequiredFact) else "is-selected"
-            yield f"{self.variables[fact.element]} has {what} true;"
-        elif isinstance(fact, ActiveFact):
+        if isinstance(fact, ActiveFact):
             yield f"{self._of(Component, fact.component)} has is-active true;"
+        elif isinstance(fact, StatusFact | RequiredFact | SelectedFact):
+            said = f"status {quoted(fact.status)}" if isinstance(fact, StatusFact) else _FLAGS[type(fact)]
+            yield f"{self.variables[fact.element]} has {said};"
         elif isinstance(fact, PlanFact):
             players = []
             for relation, (role, field, cls) in _STEPS.items():
@@ -117,7 +110,7 @@ class _Writer:
         return _statement(variable, [*named, *players], label, given)
 
     def _of(self, cls: type[Element], name: str) -> str:
-        return self.variables[self.tables[cls][name]]
+        return self.variables[self.model.tables[cls][name]]
 
     def _fresh(self, prefix: str, name: str) -> str:
         """Return a variable that no other has, and that still reads like the name."""

@@ -10,7 +10,7 @@ from missions.agv.building import PAPER, Building
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
 from missions.agv.pddl import PddlNames, cross_schema, switch_schema
-from missions.agv.tree import Planned, PlanningState, Route, agv_tree, cross, switch
+from missions.agv.tree import Planned, PlanningState, Route, agv_tree
 from missions.agv.world import AgvKind
 from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts
@@ -44,8 +44,8 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         tree=partial(agv_tree, building, weights),
         problem=pddl.problem,
         actions=by_schema(
-            Planned(switch_schema(LIMITED), planning_state, switch),
-            Planned(cross_schema(LIMITED), planning_state, cross),
+            Planned(switch_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).switch(step)),
+            Planned(cross_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).cross(step)),
         ),
         facts=lambda kb, percepts: planning_state(kb, percepts).facts,
         engines=("label-setting",),

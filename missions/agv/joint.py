@@ -135,7 +135,9 @@ class Task:
         return state[0] == Place(self.goal)
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
-        return self._least.get(state[0], (math.inf, (math.inf,) * len(self.limited)))
+        if state[0].corridor:  # only at the start, from where anything may still be far
+            return 0, (0,) * len(self.limited)
+        return self._least.get(state[0].name, (math.inf, (math.inf,) * len(self.limited)))
 
     def crossings(self, place: Place) -> list[tuple[Leg, int]]:
         """Return each way from a place, in each mode that is possible, without switching to it, and what it costs."""
@@ -187,29 +189,17 @@ class Task:
         return [(mode, takes, self._weighed(takes)) for mode, takes in taken]
 
     @cached_property
-    def _least(self) -> dict[Place, tuple[float, tuple[float, ...]]]:
+    def _least(self) -> dict[str, tuple[float, tuple[float, ...]]]:
         """What it costs at least, and uses, from each place to the goal, whatever the modes."""
         arcs: list[tuple[str, str, list[int]]] = []
         for name, priced in self._whole.items():
             if priced:
-                counted = [self._counted(takes, cost) for _, takes, cost in priced]
+                counted = [[cost, *[takes[number] for number in self._indices]] for _, takes, cost in priced]
                 (one, two), least = self.building.corridors[name].ends, list(map(min, *counted, counted[0]))
                 arcs += [(one, two, least), (two, one, least)]
         numbers = range(1 + len(self.limited))
         far = [distances([(one, two, least[n]) for one, two, least in arcs], [self.goal]) for n in numbers]
-        found = {Place(name): (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()}
-        if self.start[0].corridor:
-            ways = [
-                [amount + each[leg.to] for amount, each in zip(self._counted(leg.takes, cost), far, strict=True)]
-                for leg, cost in self.crossings(self.start[0])
-                if leg.to in far[0]
-            ]
-            costs, *uses = map(min, *ways, ways[0]) if ways else [math.inf] * len(far)
-            found[self.start[0]] = (costs, tuple(uses))
-        return found
-
-    def _counted(self, takes: Amounts, cost: int) -> list[int]:
-        return [cost, *[takes[number] for number in self._indices]]
+        return {name: (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()}
 
 
 class JointPlanner:
@@ -269,11 +259,11 @@ class JointPlanner:
             wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
             faults = "".join(wrong[:1])
             return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].name}, {why}"
-        if not task.limited or task.least(task.start)[0] == math.inf:
+        alone = {name: self.plan(replace(task.question, weights={name: 1e3}, limits={})) for name in task.limited}
+        if not task.limited or not all(one.is_solved for one in alone.values()):
             named = ", ".join(one.name for one in blocked[:5])
             because = f"{named} cannot be crossed: {why}" if blocked else "no way"
             return f"{task.goal} cannot be reached from {task.start[0].name}; {because}"
-        alone = {name: self.plan(replace(task.question, weights={name: 1e3}, limits={})) for name in task.limited}
         limits = [
             f"{name} {task.question.limits[name]:g} (alone {one.takes.in_units[name]:.6g} or more)"
             for name, one in alone.items()

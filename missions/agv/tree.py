@@ -91,6 +91,11 @@ class Route:
         light = 1.0 if corridor is None else self._light.get(corridor.name, corridor.light)
         return {"obstacles": 0.0, "light": light}
 
+    def measure(self, demands: Mapping[str, float]) -> None:
+        """Tell the knowledge base what is demanded of the robot, as values of attributes."""
+        for attribute, value in demands.items():
+            self.kb.measure(attribute, value)
+
     @property
     def revision(self) -> tuple[object, ...]:
         """Differs when anything has happened; that it drives on and draws energy is nothing."""
@@ -121,9 +126,10 @@ class Cross(RosaAction):
         self._leg = self._choose()
         if self._leg is not None:
             way = headings(self._route.building).index((self._leg.corridor, self._leg.origin)) + 1.0
-            _measure(self._route, {**self._leg.conditions, "way": way})
+            self._route.measure({**self._leg.conditions, "way": way})
             if self.kb.pending_plan is None:  # else it would be abandoned together with that one
-                self._select(self._leg)
+                asked = next((one.number for one in self.kb.required_actions if one.action == self.action), None)
+                self._select(self._leg, asked)  # what it has just told is what it demands itself
 
     def update(self) -> Status:
         """Look whether the other end is reached; take over what was planned anew for the same corridor."""
@@ -142,12 +148,12 @@ class Cross(RosaAction):
 
     def terminate(self, new_status: Status) -> None:
         """Demand no more than where it stands: what is behind or given up does not lie ahead."""
-        _measure(self._route, self._route.standing)
+        self._route.measure(self._route.standing)
 
-    def _select(self, leg: Leg) -> None:
+    def _select(self, leg: Leg, cause: int | None = None) -> None:
         why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
         choice = _choice(leg)
-        self.kb.select(choice.designs, choice.configurations, why)
+        self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
     def _is_selected(self, leg: Leg) -> bool:
         choice, kb = _choice(leg), self.kb
@@ -165,7 +171,7 @@ class Switch(RosaAction):
 
     def initialise(self) -> None:
         self._plan = None
-        _measure(self._route, self._route.standing)
+        self._route.measure(self._route.standing)
 
     def update(self) -> Status:
         """Select the mode, and look whether the robot is configured so."""
@@ -199,40 +205,31 @@ class PlanningState:
             self._facts = {**self._switching, **self.pddl.facts(task)}
         return self._facts
 
-    def leg(self, way: str, mode: str) -> Leg | None:
-        """Return a way in a mode as what to do now; None if it cannot be done from here."""
+    def cross(self, step: Step) -> Cross:
+        """Return the behaviour of a step that drives a way in a mode; it fails if that cannot be done from here."""
+        _, way, _, _, mode = step.arguments
         via, task = self.pddl.by_way[way], self.route.task
-        for leg, _ in task.crossings(task.start[0]):
-            if (leg.corridor, leg.to, self.pddl.modes[leg.mode.name]) == (via.corridor, via.to, mode):
-                return replace(leg, why="planned together with all that comes after it")
-        return None
+        legs = [
+            replace(leg, why="planned together with all that comes after it")
+            for leg, _ in task.crossings(task.start[0])
+            if (leg.corridor, leg.to, self.pddl.modes[leg.mode.name]) == (via.corridor, via.to, mode)
+        ]
+        return Cross(self.route, via.corridor, lambda: next(iter(legs), None))
+
+    def switch(self, step: Step) -> Switch:
+        """Return the behaviour of a step that changes to a mode."""
+        return Switch(self.route, self.pddl.by_mode[step.arguments[-1]])
 
 
 @dataclass(frozen=True)
 class Planned:
-    """Makes the behaviour of a step of a plan, from the planning state of a run, and declares it."""
+    """Makes the behaviour of a step of a plan, and declares it."""
 
     schema: ActionSchema
-    planning_state: Callable[[KnowledgeBase, Percepts], PlanningState]
-    make: Callable[[PlanningState, Step], Behaviour]
+    make: Callable[[KnowledgeBase, Percepts, Step], Behaviour]
 
     def __call__(self, kb: KnowledgeBase, percepts: Percepts, step: Step) -> Behaviour:
-        return self.make(self.planning_state(kb, percepts), step)
-
-
-def cross(planning_state: PlanningState, step: Step) -> Cross:
-    _, way, _, _, mode = step.arguments
-    leg = planning_state.leg(way, mode)
-    return Cross(planning_state.route, planning_state.pddl.by_way[way].corridor, lambda: leg)
-
-
-def switch(planning_state: PlanningState, step: Step) -> Switch:
-    return Switch(planning_state.route, planning_state.pddl.by_mode[step.arguments[-1]])
-
-
-def _measure(route: Route, demands: Mapping[str, float]) -> None:
-    for attribute, value in demands.items():
-        route.kb.measure(attribute, value)
+        return self.make(kb, percepts, step)
 
 
 def _choice(leg: Leg) -> Choice:

@@ -34,14 +34,14 @@ class TreeManager(Manager):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = robot.settings.tree_period_s
-        self._root = _tree(robot, SystemModes(robot))
+        self.root = _tree(robot, SystemModes(robot))
 
     @property
     def is_done(self) -> bool:
         return self.robot.percepts.count("pipeline_inspected") > 0
 
     def update(self) -> None:
-        self._root.tick_once()
+        self.root.tick_once()
 
 
 class _RequestMode(Behaviour):

@@ -6,17 +6,11 @@ Every 1.5 s it reasons about its objectives by the rules of TOMASys, as pure fun
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cache
-from pathlib import Path
-from typing import Any, ClassVar, Final
+from typing import ClassVar, Final
 
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.modes import SystemModes
-from missions.engine.mission import MissionError
 from missions.engine.settings import Setting
-from missions.extras import needs
-
-METAMODEL = Path(__file__).with_name("tomasys.owl")
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,55 +27,23 @@ class Design:
     qualities: tuple[tuple[str, float], ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Knowledge:
-    """All designs, the best first, then in order of name, and the functions that are improved though all is well."""
+DESIGNS: Final = (
+    Design("fd_all_thrusters", "f_maintain_motion", 1.0, tuple(f"c_thruster_{one}" for one in range(1, 7))),
+    Design("fd_follow_pipeline", "f_follow_pipeline", 1.0),
+    Design("fd_spiral_high", "f_generate_search_path", 1.0, qualities=(("water_visibility", 3.25),)),
+    Design("fd_recover_thrusters", "f_maintain_motion", 0.75),
+    Design("fd_spiral_medium", "f_generate_search_path", 0.5, qualities=(("water_visibility", 2.25),)),
+    Design("fd_spiral_low", "f_generate_search_path", 0.25, qualities=(("water_visibility", 1.25),)),
+)
+"""All there are, the best first, then in order of name; kas-lab/suave v1.3.0, ontology."""
 
-    designs: tuple[Design, ...]
-    always_improved: frozenset[str] = field(default_factory=frozenset)
-
-    def of(self, function: str) -> tuple[Design, ...]:
-        return tuple(design for design in self.designs if design.function == function)
-
-
-@cache
-def read_knowledge(path: Path) -> Knowledge:
-    """Read an ontology of a vehicle, which says what is so in the words of `tomasys.owl`.
-
-    Raises:
-        MissionError: the file cannot be read, or a design lacks what it needs.
-    """
-    with needs("sim", "the manager metacontrol"):
-        import owlready2
-
-    world = owlready2.World()
-    try:
-        for file in (METAMODEL, path):
-            with file.open("rb") as content:
-                words = world.get_ontology(f"file://{file}").load(fileobj=content)
-        words = world.get_namespace("http://rosa-taca/tomasys#")
-        designs = [_design(one) for one in words.FunctionDesign.instances()]
-        improved = frozenset(one.name for one in words.Function.instances() if one.is_always_improved)
-    except (OSError, owlready2.OwlReadyOntologyParsingError, AttributeError) as error:
-        raise MissionError(
-            f"cannot read the ontology {path}: {type(error).__name__}: {error}; expected are a FunctionDesign for each "
-            "design with solves_function and has_performance, see tomasys.owl"
-        ) from error
-    finally:
-        world.close()
-    return Knowledge(tuple(sorted(designs, key=lambda one: (-one.performance, one.name))), improved)
+ALWAYS_IMPROVED: Final = frozenset({"f_generate_search_path"})
+"""The functions that are improved though all is well; of the same source."""
 
 
-def _design(one: Any) -> Design:  # noqa: ANN401  # an individual of owlready2
-    if one.solves_function is None or one.has_performance is None:
-        raise AttributeError(f"design {one.name} lacks solves_function or has_performance")
-    return Design(
-        one.name,
-        one.solves_function.name,
-        float(one.has_performance),
-        tuple(sorted(component.name for component in one.requires_component)),
-        tuple(sorted((quality.of_attribute.name, float(quality.has_value)) for quality in one.requires_quality)),
-    )
+def designs_of(function: str) -> tuple[Design, ...]:
+    """Return the designs of a function, the best first."""
+    return tuple(design for design in DESIGNS if design.function == function)
 
 
 class Standing(StrEnum):
@@ -122,14 +84,14 @@ class Situation:
     recovered: bool = False
 
 
-def unrealisable(knowledge: Knowledge, situation: Situation) -> frozenset[str]:
+def unrealisable(situation: Situation) -> frozenset[str]:
     """Return the names of the designs that need a component which has failed."""
-    return frozenset(one.name for one in knowledge.designs if not situation.failed.isdisjoint(one.components))
+    return frozenset(one.name for one in DESIGNS if not situation.failed.isdisjoint(one.components))
 
 
-def standing(knowledge: Knowledge, situation: Situation, function: str) -> Standing:
+def standing(situation: Situation, function: str) -> Standing:
     grounded = situation.grounded.get(function)
-    design = next((one for one in knowledge.of(function) if one.name == grounded), None)
+    design = next((one for one in designs_of(function) if one.name == grounded), None)
     if design is None:
         return Standing.UNGROUNDED
     if design.name in situation.unrealisable:
@@ -141,10 +103,10 @@ def standing(knowledge: Knowledge, situation: Situation, function: str) -> Stand
     return Standing.UPDATABLE if situation.recovered else Standing.SATISFIED
 
 
-def best_design(knowledge: Knowledge, situation: Situation, function: str) -> Design | None:
+def best_design(situation: Situation, function: str) -> Design | None:
     """Return the design of a function that performs best of those that are possible now; None if none is."""
     barred = situation.unrealisable | situation.errors
-    possible = (one for one in knowledge.of(function) if one.name not in barred and _suffices(one, situation))
+    possible = (one for one in designs_of(function) if one.name not in barred and _suffices(one, situation))
     return next(possible, None)
 
 
@@ -154,7 +116,6 @@ def _suffices(design: Design, situation: Situation) -> bool:
     return all(not measured[name] < value for name, value in design.qualities if name in measured)
 
 
-ONTOLOGY: Final = Path(__file__).with_name("suave.owl")
 OBJECTIVES: Final = {
     "search_pipeline": ("f_maintain_motion", "f_generate_search_path"),
     "inspect_pipeline": ("f_maintain_motion", "f_follow_pipeline"),
@@ -179,7 +140,6 @@ class Metacontrol(Manager):
         super().__init__(robot)
         self.period_s = robot.options["reasoning_period_s"]
         self._modes = SystemModes(robot)
-        self._knowledge = read_knowledge(ONTOLOGY)
         self._situation = Situation()
         self._objectives: tuple[str, ...] = ()
         self._is_reasoning = False
@@ -214,11 +174,10 @@ class Metacontrol(Manager):
 
     def _act(self, seen: Situation) -> None:
         """Ask for what was found, then reason again if an inference may have further consequences."""
-        knowledge = self._knowledge
-        inferred = unrealisable(knowledge, seen)
+        inferred = unrealisable(seen)
         for function in self._objectives:
-            stands = standing(knowledge, seen, function)
-            if stands is not Standing.SATISFIED or function in knowledge.always_improved:
+            stands = standing(seen, function)
+            if stands is not Standing.SATISFIED or function in ALWAYS_IMPROVED:
                 self._ground(function, stands, seen)
         if inferred == seen.unrealisable:
             self._situation = replace(self._situation, recovered=False)
@@ -232,7 +191,7 @@ class Metacontrol(Manager):
         if stands is Standing.FUNCTION_ERROR:
             errors |= {seen.grounded[function]}
             self._situation = replace(self._situation, errors=self._situation.errors | errors)
-        design = best_design(self._knowledge, replace(seen, errors=errors), function)
+        design = best_design(replace(seen, errors=errors), function)
         if design is not None:
             self._modes.request(function, design.name)
             self._situation = replace(self._situation, grounded={**self._situation.grounded, function: design.name})

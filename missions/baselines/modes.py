@@ -1,15 +1,13 @@
 """Modes of functions in the manner of ROS 2 System Modes, and SUAVE's two baselines that only ask for modes."""
 
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
+from typing import Final
 
 from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import MissionError
 
 UNGROUND = "fd_unground"
-MODES_FILE = Path(__file__).with_name("modes.toml")
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,33 +15,48 @@ class Mode:
     """What a mode means: whether the component is active in it, and the values of its parameters."""
 
     active: bool
-    parameters: Mapping[str, float]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+_ON, _OFF = Mode(True), Mode(False)
+_LOW, _MEDIUM, _HIGH = (Mode(True, {"spiral_altitude": metres}) for metres in (1.0, 2.0, 3.0))
+
+FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
+    "f_generate_search_path": (
+        "spiral_search",
+        {"__DEFAULT__": _LOW, "fd_spiral_high": _HIGH, "fd_spiral_medium": _MEDIUM, "fd_spiral_low": _LOW}
+        | {UNGROUND: _OFF},
+    ),
+    "f_follow_pipeline": ("follow_pipeline", {"__DEFAULT__": _OFF, "fd_follow_pipeline": _ON, UNGROUND: _OFF}),
+    "f_maintain_motion": (
+        "recover_thrusters",
+        {"__DEFAULT__": _ON, "fd_all_thrusters": _OFF, "fd_recover_thrusters": _ON, UNGROUND: _OFF},
+    ),
+    "f_generate_recharge_path": ("recharge", {"__DEFAULT__": _OFF, "normal": _ON, "inactive": _OFF, UNGROUND: _OFF}),
+}
+"""The component and the modes of each function; kas-lab/suave v1.3.0, System Modes."""
 
 
 class SystemModes:
-    """Switches components by the modes of their functions.
+    """Switches components by the modes of their functions."""
 
-    Read from a TOML file: a table for each function with its `component` and its `modes`; MissionError if it is not.
-    """
-
-    def __init__(self, robot: Robot, path: Path = MODES_FILE) -> None:
+    def __init__(self, robot: Robot) -> None:
         self._robot = robot
-        self._components, self._modes = _read(path)
         self._requested: dict[str, str] = {}
 
     def of(self, function: str) -> tuple[str, ...]:
-        return tuple(self._known(function))
+        return tuple(_known(function)[1])
 
     def request(self, function: str, mode: str) -> None:
         """Ask for a mode; one that was asked for last already is ignored."""
-        modes = self._known(function)
+        component, modes = _known(function)
         if mode not in modes:
             raise MissionError(f"function {function} has no mode {mode!r}; there are {', '.join(modes)}")
         before = self._requested.get(function)
         if mode == before:
             return
         self._requested[function] = mode
-        self._switch(self._components[function], modes.get(before or ""), modes[mode])
+        self._switch(component, modes.get(before or ""), modes[mode])
 
     def unground(self, function: str) -> None:
         """Ask for the mode in which the function's component is inactive."""
@@ -51,7 +64,8 @@ class SystemModes:
 
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether what is in force is what a mode means; several modes may mean the same."""
-        component, wanted = self._components[function], self._known(function)[mode]
+        component, modes = _known(function)
+        wanted = modes[mode]
         parameters = self._robot.parameters(component)
         return wanted.active == self._robot.is_active(component) and all(
             parameters.get(key) == value for key, value in wanted.parameters.items()
@@ -65,33 +79,11 @@ class SystemModes:
         elif not mode.active and before is not None and before.active:
             self._robot.deactivate(component)
 
-    def _known(self, function: str) -> Mapping[str, Mode]:
-        if function not in self._modes:
-            raise MissionError(f"there is no function {function!r}; there are {', '.join(self._modes)}")
-        return self._modes[function]
 
-
-def _read(path: Path) -> tuple[dict[str, str], dict[str, dict[str, Mode]]]:
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-        components = {function: str(table["component"]) for function, table in content.items()}
-        modes = {
-            function: {name: _mode(dict(values)) for name, values in table["modes"].items()}
-            for function, table in content.items()
-        }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise MissionError(
-            f"cannot read the modes in {path}: {type(error).__name__}: {error}; expected is, for each function, a "
-            "component and modes such as fd_high = { active = true, altitude = 3.0 }"
-        ) from error
-    return components, modes
-
-
-def _mode(values: dict[str, float]) -> Mode:
-    active = values.pop("active")
-    if not isinstance(active, bool):
-        raise TypeError(f"active is {active!r}, not true or false")
-    return Mode(active, {name: float(value) for name, value in values.items()})
+def _known(function: str) -> tuple[str, Mapping[str, Mode]]:
+    if function not in FUNCTIONS:
+        raise MissionError(f"there is no function {function!r}; there are {', '.join(FUNCTIONS)}")
+    return FUNCTIONS[function]
 
 
 MODES = {

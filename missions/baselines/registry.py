@@ -3,14 +3,13 @@
 from collections.abc import Mapping
 from typing import Any
 
-from missions.baselines.manager import Manager
+from missions.baselines.manager import BaselineRun, Manager
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.controller import OURS, TASK_KINDS, RosaController, check_task
+from missions.engine.controller import OURS, TASK_KINDS, RosaRun, check_task
 from missions.engine.mission import Mission, MissionError, split_settings
-from missions.engine.registry import Registry
-from missions.engine.runner import Controller, Listener, MissionRun
+from missions.engine.registry import Registry, needs
+from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import Setting, own_values, read_values
-from missions.extras import needs
 
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",
@@ -113,21 +112,18 @@ def open_run(
     rng = numpy.random.default_rng(seed)
     with needs("sim", f"the world of {mission.name}"):
         world = mission.world.open(world_settings, rng)
-    controller: Controller
-    if managed_by is None:
-        controller = RosaController(mission, task, world, run_settings)
-        return MissionRun(mission, controller, world, run_settings, listeners)
-    name, chance = name_of(managed_by), rng.spawn(1)[0]
-    if issubclass(managed_by, Policy):
-        policy = managed_by(mission.model(), chance, chosen)
-        mission = policy.alter(mission, world)
-        controller = RosaController(mission, task, world, run_settings, name, policy, policy.hear)
-    else:
-        from missions.baselines.controller import BaselineController
-
-        deadline_s = run_settings.duration_s
-        controller = BaselineController(mission, name, managed_by, world, chance, chosen, deadline_s)  # type: ignore[arg-type]  # a Manager's world is the Sea
-    return MissionRun(mission, controller, world, run_settings, listeners)
+    try:
+        if managed_by is None:
+            return RosaRun(mission, task, world, run_settings, listeners)
+        name, chance = name_of(managed_by), rng.spawn(1)[0]
+        if issubclass(managed_by, Policy):
+            policy = managed_by(mission.model(), chance, chosen)
+            mission = policy.alter(mission, world)
+            return RosaRun(mission, task, world, run_settings, listeners, name, policy, policy.hear)
+        return BaselineRun(mission, world, run_settings, listeners, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
+    except BaseException:
+        world.close()
+        raise
 
 
 def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:

@@ -12,7 +12,7 @@ from typing import ClassVar
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model, PriorityPlanner, ReconfigurationPlan
+from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
 from missions.baselines.manager import Manager, Robot
 from missions.engine.controller import build_task
 from missions.engine.mission import Message, Percepts
@@ -38,18 +38,14 @@ class OwnTree(Manager):
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self.kb = KnowledgeBase(self.model(), clock=lambda: robot.now)
+        self.kb = KnowledgeBase(robot.mission.model(), clock=lambda: robot.now)
         self.percepts = Percepts()
         self._stop = self.kb.subscribe(self._hear)
         self.runner = TreeRunner(self.tree(), clock=lambda: robot.now, period=self.period_s)
         self.runner.tree.setup()
 
-    def model(self) -> Model:
-        return self.robot.mission.model()
-
     def tree(self) -> Behaviour:
-        robot = self.robot
-        return build_task("bt", robot.mission, self.kb, self.percepts).root
+        return build_task("bt", self.robot.mission, self.kb, self.percepts).root
 
     @property
     def is_done(self) -> bool:

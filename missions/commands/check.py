@@ -11,7 +11,7 @@ import typer
 from rich.markup import escape
 
 from kb import KnowledgeBase, Model
-from kb.checks.findings import Finding, found, rules
+from kb.checks import Finding, found, rules
 from kb.files import read_text
 from missions.commands import FAILED, complain, open_console
 from missions.engine.declared import mission_domain

@@ -8,6 +8,7 @@ from typing import Annotated, Final
 import typer
 
 from missions.engine.mission import MissionError
+from missions.views.output import files_tried
 
 TEMPLATE: Final = Path(__file__).parents[1] / "template"
 FILES: Final = {
@@ -33,15 +34,13 @@ def new(
     if folder.exists() or find_spec(name) is not None:
         raise MissionError(f"there is something named {name} already; give the robot another name")
     parts = ({"bt", "pddl"} if task == "both" else {task}) | ({"ros2"} if ros2 else set())
-    try:
+    with files_tried(f"write {folder}"):
         for template, target in FILES.items():
             if NEEDS.get(template) in (None, *parts):
                 file = folder / target.replace("my_robot", name)
                 file.parent.mkdir(parents=True, exist_ok=True)
                 text = filled((TEMPLATE / template).read_text(encoding="utf-8"), name, parts)
                 file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise MissionError(f"cannot write {folder}: {error.strerror or error}") from error
     typer.echo(f"{folder}/README.md says what is where; it runs and is tested by\n  cd {name}")
     typer.echo(f"  rosa run {name}:MISSION\n  pytest")
 

@@ -1,15 +1,17 @@
 """`rosa replay` and `rosa record`: what was recorded, decided once more, looked at, and put in another form."""
 
 import gc
-from collections.abc import Iterator, Sequence
-from difflib import SequenceMatcher
+from collections.abc import Iterable, Sequence
+from difflib import unified_diff
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Final
 
 import typer
+from rich.console import Console
 from rich.table import Table
 
-from kb import Event, Model
+from kb import Event
 from kb.files import draft
 from kb.typeql.writer import typeql_text
 from missions.commands import FAILED, open_console
@@ -18,10 +20,10 @@ from missions.engine.recording import line_of, read_recording
 from missions.engine.registry import MISSIONS
 from missions.engine.runner import MissionRun
 from missions.testing.recorded import replay as decide
+from missions.views.output import files_tried
+from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
-from missions.views.run_recorder import RunRecorder
-from missions.wires.bags import Bag, Reader, is_bag, read_bag
-from missions.wires.mcap import McapFile
+from missions.wires.mcap import Bag, McapFile, Reader, is_bag, read_bag
 
 record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
 
@@ -65,26 +67,27 @@ def replay(
         pages[0].end(Verdict("replayed", f"decided once more from {recording.name}"))
         write_report(report, pages[0].recorder.recorded)
     console = open_console()
-    if (recorded := bag.run.get("typeql")) and (changed := _changed(recorded, decisions.kb.model)):
-        console.print(f"recorded with the model {bag.run['model']}, decided with {changed}", markup=False)
+    if "typeql" in bag.run:
+        model = decisions.kb.model
+        changed = _differences(bag.run["typeql"].splitlines(), typeql_text(model).splitlines())
+        other = f"decided with {model.name}, which is another one (-: recorded, +: now)"
+        if changed:
+            console.print(f"recorded with the model {bag.run['model']}, {other}", markup=False)
+        _print_differences(console, changed)
     for moment in decisions.timeline:
         if heard or moment.what != "heard":
             console.print(str(moment), markup=False, soft_wrap=True)
-    for note in _notes(bag):
-        console.print(note, style="yellow", markup=False)
+    _print_notes(console, bag)
     if decisions.problems:
         console.print(f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}")
     if not bag.events:
         return
-    differences = _differences(bag, decisions.events)
+    differences = _differences(_decisions(bag, bag.events), _decisions(bag, decisions.events))
     if not differences:
         console.print("decided as recorded")
         return
-    console.print(f"[bold]decided otherwise from {differences[0][0]:.2f} s on[/] (-: recorded, +: now)")
-    for _, text in differences[:_SHOWN]:
-        console.print(text, markup=False)
-    if len(differences) > _SHOWN:
-        console.print(f"... and {len(differences) - _SHOWN} more")
+    console.print(f"[bold]decided otherwise from {differences[0].split()[1]} s on[/] (-: recorded, +: now)")
+    _print_differences(console, differences)
     raise typer.Exit(FAILED)
 
 
@@ -99,8 +102,7 @@ def info(recording: Path) -> None:
     for topic, (kind, count) in sorted(bag.topics.items()):
         table.add_row(topic, kind, str(count))
     console.print(table)
-    for note in _notes(bag):
-        console.print(note, style="yellow", markup=False)
+    _print_notes(console, bag)
     if bag.cut:
         raise typer.Exit(FAILED)
 
@@ -111,52 +113,40 @@ def convert(recording: Path, output: Path) -> None:
     if output.suffix not in (".mcap", ".jsonl"):
         raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
     bag: Bag | Reader
-    try:
-        with draft(output) as part:  # what is there stays until the new one is whole
-            if output.suffix == ".jsonl":
-                bag = read_bag(recording)
-                part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
-            else:
-                bag = Reader(recording)
-                with McapFile(part) as file:
-                    for raw in bag:
-                        file.copy(*raw)
-            part.replace(output)
-    except OSError as error:
-        raise MissionError(f"cannot write {output}: {error.strerror or error}") from None
-    console = open_console()
-    for note in _notes(bag):
+    with files_tried(f"write {output}"), draft(output) as part:  # what is there stays until the new one is whole
+        if output.suffix == ".jsonl":
+            bag = read_bag(recording)
+            part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
+        else:
+            bag = Reader(recording)
+            with McapFile(part) as file:
+                for raw in bag:
+                    file.copy(raw)
+        part.replace(output)
+    _print_notes(open_console(), bag)
+
+
+def _print_notes(console: Console, bag: Bag | Reader) -> None:
+    notes = [f"{bag.cut}; all before that is read"] if bag.cut else []
+    for note in [*notes, *(f"not read, {count} times: {problem}" for problem, count in bag.problems.items())]:
         console.print(note, style="yellow", markup=False)
 
 
-def _notes(bag: Bag | Reader) -> Iterator[str]:
-    if bag.cut:
-        yield f"{bag.cut}; all before that is read"
-    for problem, count in bag.problems.items():
-        yield f"not read, {count} times: {problem}"
+def _print_differences(console: Console, lines: Sequence[str]) -> None:
+    for line in [*lines[:_SHOWN], *([f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else [])]:
+        console.print(line, markup=False)
 
 
-def _changed(recorded: str, model: Model) -> str:
-    """Return what is another model than the recorded one, in words; nothing if it is the same."""
-    then, now = (dict.fromkeys(text.splitlines()) for text in (recorded, typeql_text(model)))
-    lines = [f"- {one}" for one in then if one not in now] + [f"+ {one}" for one in now if one not in then]
-    if not lines:
-        return ""
-    more = [f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
-    return "\n".join([f"{model.name}, which is another one (-: recorded, +: now)", *lines[:_SHOWN], *more])
+def _differences(then: Sequence[str], now: Sequence[str]) -> list[str]:
+    """Return the lines that are only in one of two texts, "-" before those of the first and "+" of the second."""
+    changed = unified_diff(then, now, n=0, lineterm="")
+    return [f"{line[0]} {line[1:]}" for line in islice(changed, 2, None) if not line.startswith("@@")]
 
 
-def _differences(bag: Bag, events: Sequence[Event]) -> list[tuple[float, str]]:
-    """Return when and how it was decided otherwise; what comes after the recording's end is no difference."""
+def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
+    """Return what was decided, a line for each; without what comes after the end of the recording."""
     end_s = max(one.time for one in bag.events) + (-_SLACK_S if bag.cut else _SLACK_S)
-    then, now = ([one for one in some if one.verb in _DECISIVE and one.time <= end_s] for some in (bag.events, events))
-    lines = list(map(_line, then)), list(map(_line, now))
-    found = []
-    for same, start, end, now_start, now_end in SequenceMatcher(None, *lines, autojunk=False).get_opcodes():
-        if same != "equal":
-            found += [(one.time, f"- {_line(one)}") for one in then[start:end]]
-            found += [(one.time, f"+ {_line(one)}") for one in now[now_start:now_end]]
-    return found
+    return [_line(one) for one in events if one.verb in _DECISIVE and one.time <= end_s]
 
 
 def _line(event: Event) -> str:

@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from missions.engine.mission import MissionError
+from missions.engine.registry import needs
 from missions.experiments.results import read_store
-from missions.extras import needs
 from missions.views import report as page
 from missions.views.rows import Recorded
 
@@ -49,6 +49,6 @@ def report(
 def _page_of(path: Path) -> Recorded:
     if path.suffix not in (".mcap", ".jsonl"):
         return page.read_page(path)
-    from missions.wires.bags import read_page
+    from missions.wires.mcap import read_page
 
     return read_page(path)

@@ -10,17 +10,16 @@ import typer
 
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
-from missions.engine.controller import RosaController
+from missions.engine.controller import RosaRun
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import LineRecorder
-from missions.engine.registry import find_mission
+from missions.engine.registry import find_mission, needs
 from missions.engine.runner import MissionRun
-from missions.extras import needs
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView
 from missions.views.output import as_json, open_files, summary, timing_of
+from missions.views.recorder import RunRecorder
 from missions.views.report import report as page_of
-from missions.views.run_recorder import RunRecorder
 from missions.views.steering import Steering
 
 
@@ -128,13 +127,13 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
         going = pool.submit(run.run)
         view.run()
         if not going.done():
-            run.controller.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+            run.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
         return going.result()
 
 
 def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     from missions.wires.groot2 import Groot2Publisher
 
-    if not isinstance(run.controller, RosaController):
+    if not isinstance(run, RosaRun):
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
-    stack.callback(Groot2Publisher(run.controller.tree, port).close)
+    stack.callback(Groot2Publisher(run.tree, port).close)

@@ -11,24 +11,25 @@ from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPl
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-_REMEMBERED: Final = 256  # news, until the plan that it led to is there
+_REMEMBERED: Final = 256  # ticks that news has led, and news, until the plan that they asked for is there
 
 
 @dataclass(frozen=True, slots=True)
 class _News:
-    """What became known, when it was so [s], why it calls for another action by itself, and in which events it came."""
+    """What became known, when it was so [s], in which events it came, and why it calls for another action by itself."""
 
     time: float
     text: str
-    reason: str = ""
     events: tuple[int, ...] = ()
+    reason: str = ""
 
 
 class _Ended(NamedTuple):
-    """An action that has ended; cause: why it was given up, None if it was not, or not because of any news."""
+    """An action that has ended, in which event; cause: why it was given up, None if it was not or not for any news."""
 
     action: str
     at_s: float
+    event: int
     cause: _News | None
 
 
@@ -76,6 +77,8 @@ class Adaptation:
         """Whether the robot is configured as it is to be, or nobody does anything about it any more."""
         if not self.action:
             return self.plans[-1][1].end is not None
+        if kb.pending_plan is not None:
+            return False
         if all(one.action != self.action for one in kb.required_actions):
             return True
         latest = kb.latest_plan
@@ -100,7 +103,7 @@ class Adaptation:
 
 
 class AdaptationLog:
-    """Listens to a knowledge base and separates adaptations from the ordinary course of a mission.
+    """The table of adaptations: a fold over the log of a knowledge base, by the causes that its records carry.
 
     A new plan of reconfiguration is an adaptation if news from the robot led to it. A new action is one if the action
     before it
@@ -128,28 +131,21 @@ class AdaptationLog:
         self.adaptations: list[Adaptation] = []
         self._kb, self._report, self._plans = kb, report, plans
         self._stamp: float | None = None
-        # what was news: since the last tick, with whether it made a difference; before it; and what did, by its tick
+        # news: since the last tick, with whether it made a difference; what led the tick; what led earlier ones
         self._heard: list[tuple[_News, bool]] = []
-        self._before_tick: list[_News] = []
-        self._turns: deque[tuple[float, _News]] = deque(maxlen=_REMEMBERED)
-        self._last_tick = self._this_tick = float("-inf")
-        # what it made of actions: why each is unfeasible, by its name or by the event; what made it feasible again
-        self._lost: dict[str | int, _News] = {}
+        self._led: list[_News] = []
+        self._turns: deque[tuple[float, list[_News]]] = deque(maxlen=_REMEMBERED)
+        self._last_tick = self._this_tick = -inf
+        # by action: what made it unfeasible, or feasible again; by event: what the manager has not answered, maybe yet
+        self._lost: dict[str, _News] = {}
         self._regained: dict[str, _News] = {}
-        # what the task layer decided
-        self._plans_before = self._plans_seen = 0
-        self._steps: frozenset[Step] = frozenset()
-        self._given_up: set[str] = set()
-        self._began: dict[str, float] = {}
-        self._ended: list[_Ended] = []
+        self._to_answer: dict[int | None, _News] = {}
+        # what was decided: the action that ended last, until another begins; plans that are put down to nothing yet
         self._before: _Ended | None = None
-        # what the manager decided
-        self._to_answer: list[_News] = []
         self._made: list[ReconfigurationPlan] = []
-        self._prelude: list[ReconfigurationPlan] = []
-        self._is_switching = False
-        self._task: Adaptation | None = None
-        self._under_way: list[Adaptation] = []
+        self._open: list[Adaptation] = []
+        self._settled, self._plans_settled = kb.log.last, 0
+        self._steps: frozenset[Step] = frozenset()
         kb.log.witnesses += (self._hear,)  # at once and in order, whichever thread calls the subscribers, and when
 
     def news(self, stamp: float | None) -> None:
@@ -168,11 +164,11 @@ class AdaptationLog:
         """Say that the task layer is about to be ticked [s]: it can be led by what was heard until now."""
         with self._kb.reading():  # facts may be told by other threads than the one that ticks
             self._last_tick, self._this_tick = self._this_tick, time
-            self._plans_before = len(self._plans())
             heard, self._heard = self._heard, []
             turns = [news for news, is_turn in heard if is_turn]
-            self._before_tick = turns or [news for news, _ in heard]
-            self._turns.extend((time, news) for news in turns)
+            self._led = turns or [news for news, _ in heard]
+            if turns:
+                self._turns.append((time, turns))
 
     def passed_over(self, time: float) -> None:
         """Say that a tick was left out [s], in which there was nothing to do; nothing if it was told already."""
@@ -183,32 +179,25 @@ class AdaptationLog:
         """Put together what was decided, and complete what has ended; called after each turn of the manager."""
         with self._kb.reading():
             self._settle_task_plans(is_reported=self._settle_actions())
-            while self._made:
-                self._put_down(self._made.pop(0))
-            if self._kb.pending_plan is None:  # the manager has answered all news, with a plan or without
-                self._to_answer.clear()
-                if self._task is not None and self._task.is_over(self._kb, self._last_tick):
-                    self._end_task()
-                if self._kb.required_actions:  # a change of action that needed no plan is over
-                    self._is_switching = False
-            for one in [one for one in self._under_way if one.is_over(self._kb, self._last_tick)]:
-                self._under_way.remove(one)
-                self._report(one.close())
+            self._put_down_plans()
+            self._settled = self._kb.log.last
+            over = [one for one in self._open if one.is_over(self._kb, self._last_tick)]
+            self._close(sorted(over, key=lambda one: not one.action))
 
     @property
     def is_at_rest(self) -> bool:
         """Whether nothing is under way that the next tick or turn of the manager may end."""
-        decided = self._task or self._under_way or self._ended or self._began or self._made or self._to_answer
-        return not decided and len(self._plans()) == self._plans_seen
+        return not self._open and len(self._plans()) == self._plans_settled
 
     def finish(self) -> None:
         """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""
         last, self._before = self._before, None
         if last is None or last.cause is None or self._kb.required_actions:
             return
-        given_up = self._change(last, "nothing", last.at_s, last.cause)
+        self._change(last, "nothing", last.at_s, last.cause)
+        self._put_down_plans()
         self.adaptations.sort(key=lambda one: one.at_s)
-        self._report(given_up.close())
+        self._close(self._open[-1:])
 
     # ---------------------------------------------------------------- what is heard
 
@@ -216,88 +205,81 @@ class AdaptationLog:
         if event.plan is not None:
             self._made.append(event.plan)
         elif event.verb == "request_action":
-            self._is_switching = True
-            self._began[event.subject] = event.time
             self._lost.pop(event.subject, None)
         elif event.verb == "cancel_action":
             self._hear_end(event, *event.arguments)
-        elif event.kind is EventKind.MONITORING_DATA and (self._stamp != inf or is_news(self._kb, event)):
-            self._hear_news(event)
+        elif self._stamp == inf and is_news(self._kb, event):
+            self._hear_news(event, event.time)
+        elif self._stamp not in (None, inf) and event.kind is EventKind.MONITORING_DATA:
+            self._hear_news(event, self._stamp)
 
-    def _hear_news(self, event: Event) -> None:
-        """Take in what was measured; without a stamp it is the task layer's own word, which is no news to it."""
-        time = event.time if self._stamp in (None, inf) else self._stamp
-        news, is_from_robot = _News(time, event.text, "", (event.number,)), self._stamp is not None
+    def _hear_news(self, event: Event, time: float) -> None:
+        news = _News(time, event.text, (event.number,))
         for change in event.changes:
             if change.kind == "action" and change.new is Status.UNFEASIBLE:
-                why = self._kb.why(self._kb.actions[change.name])
-                self._lost[change.name if is_from_robot else event.number] = replace(news, reason=why)
-            elif change.kind == "action" and change.old is Status.UNFEASIBLE and is_from_robot:
+                self._lost[change.name] = replace(news, reason=self._kb.why(self._kb.actions[change.name]))
+            elif change.kind == "action" and change.old is Status.UNFEASIBLE:
                 self._lost.pop(change.name, None)
                 self._regained[change.name] = replace(news, reason=f"{change.name} is feasible again")
-        if is_from_robot:
-            self._heard.append((news, bool(event.changes)))
-            self._to_answer += [news] if event.changes else []
+        self._heard.append((news, bool(event.changes)))
+        if event.changes:
+            self._to_answer[event.number] = news
+            if len(self._to_answer) > _REMEMBERED:
+                del self._to_answer[next(iter(self._to_answer))]
 
     def _hear_end(self, event: Event, action: str, result: str, reason: str) -> None:
         """Note what has ended and why; a tree may begin the next one before it ends this one."""
-        self._is_switching = True
-        if self._began.pop(action, None) is None:  # else it ended in the tick in which it began
+        record = next(one for one in reversed(self._kb.history.actions) if one.action == action)
+        if record.number <= self._settled:  # else it ended in the tick in which it began
             cause = None if result == "completed" else self._why_given_up(event, action, result, reason)
-            self._ended.append(_Ended(action, event.time, cause))
+            self._before = _Ended(action, event.time, event.number, cause)
         if result != "completed":
-            self._given_up.add(action)
             self._regained.pop(action, None)
 
     def _why_given_up(self, event: Event, action: str, result: str, reason: str) -> _News | None:
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
-            said = reason or f"{action} gave no reason"
-            return _News(event.time, f"{action} has failed", said, (event.number,))
-        if event.cause in self._lost:
-            return self._lost[event.cause]
+            return _News(event.time, f"{action} has failed", (event.number,), reason or f"{action} gave no reason")
+        if event.cause is not None:  # a word of the task layer itself
+            own = next(self._kb.log.since(event.cause - 1), event)
+            return _News(own.time, own.text, (own.number,), self._kb.why(self._kb.actions[action]))
         plan = self._new_plan()
-        return _together(self._before_tick) if plan is None else self._cause_of_plan(plan)
+        return _together(self._led) if plan is None else self._cause_of_plan(plan)
 
     def _new_plan(self) -> "PlanRecord | None":
         """Return the task plan that was found in this tick, if one was."""
         plans = self._plans()
-        return plans[-1] if len(plans) > self._plans_before and plans[-1].outcome.is_solved else None
+        return plans[-1] if len(plans) > self._plans_settled and plans[-1].outcome.is_solved else None
 
     def _cause_of_plan(self, plan: "PlanRecord") -> _News:
         """Return what was news when a plan was asked for, or else why it was."""
-        until = max((tick for tick, _ in self._turns if tick <= plan.at_s), default=None)
-        led = _together([news for tick, news in self._turns if tick == until])
-        return replace(led or _News(plan.at_s, plan.reason), reason=plan.reason)
+        led = next((led for tick, led in reversed(self._turns) if tick <= plan.at_s), [])
+        return replace(_together(led) or _News(plan.at_s, plan.reason), reason=plan.reason)
 
     # ---------------------------------------------------------------- what comes of it
 
     def _settle_actions(self) -> bool:
         """Return whether the action that was begun stands in for another because of news; note so if it does."""
-        ended, self._ended = self._ended, []
-        began, self._began = self._began, {}
-        self._before = ended[-1] if ended else self._before
+        began = [one for one in self._kb.required_actions if one.number > self._settled]
         if not began:
             return False
         before, self._before = self._before, None
-        action, time = list(began.items())[-1]
-        cause = None if before is None else self._why_begun(before, action, time)
-        self._given_up.difference_update(began)
-        if before is not None and cause is not None:
-            self._end_task()
-            plan = self._new_plan()
-            if plan is not None and not cause.reason:
-                cause = replace(cause, reason=plan.reason)
-            self._task = self._change(before, action, time, cause)
-        self._prelude.clear()
-        return cause is not None
+        cause = None if before is None else self._why_begun(before, began[-1].action, began[-1].start)
+        if before is None or cause is None:
+            return False
+        plan = self._new_plan()
+        if plan is not None and not cause.reason:
+            cause = replace(cause, reason=plan.reason)
+        self._close([one for one in self._open if one.action])
+        self._change(before, began[-1].action, began[-1].start, cause)
+        return True
 
     def _why_begun(self, before: _Ended, action: str, time: float) -> _News | None:
         """Return what made an action take the place of another; None for the ordinary course."""
         cause = before.cause if before.action != action else None
         regained = self._regained.get(action)
-        if regained is None or (cause is None and action not in self._given_up):
+        if regained is None or (cause is None and not self._was_given_up(action)):
             return cause
         if cause is not None:
             return regained if regained.time > cause.time else cause  # there was nothing else to be done before
@@ -310,54 +292,55 @@ class AdaptationLog:
         if plan is not None and not self._steps.issuperset(plan.steps):
             return self._cause_of_plan(plan)
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
-        return _News(time, f"{before.action} is over", since, regained.events)
+        return _News(time, f"{before.action} is over", regained.events, since)
 
-    def _change(self, before: _Ended, action: str, time: float, cause: _News) -> Adaptation:
-        """Enter a change of action, with the plans that were made for it already."""
+    def _was_given_up(self, action: str) -> bool:
+        ended = (one for one in reversed(self._kb.history.actions) if one.action == action and one.end is not None)
+        return next((one.result != "completed" for one in ended), False)
+
+    def _change(self, before: _Ended, action: str, time: float, cause: _News) -> None:
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
         change = self._enter(time, "task", cause, reason, f"{before.action} -> {action}")
         change.before, change.action = before.action, action
-        for made in self._prelude:
-            change.add(self._in_words(made), made)
-        return change
 
     def _enter(self, at_s: float, kind: str, cause: _News, reason: str, change: str = "") -> Adaptation:
         made = Adaptation(at_s, kind, cause.text, reason, change, None, cause.time, events=cause.events)
         self.adaptations.append(made)
+        self._open.append(made)
         return made
 
-    def _end_task(self) -> None:
-        if self._task is not None:
-            self._report(self._task.close())
-            self._task = None
+    def _close(self, over: Sequence[Adaptation]) -> None:
+        for one in over:
+            self._open.remove(one)
+            self._report(one.close())
 
     def _settle_task_plans(self, *, is_reported: bool) -> None:
         """Report a task plan with steps that are new, unless the action that it begins with was reported."""
-        for plan in self._plans()[self._plans_seen :]:
-            self._plans_seen += 1
+        for plan in self._plans()[self._plans_settled :]:
+            self._plans_settled += 1
             if not plan.outcome.is_solved:
                 continue
             added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]
             if added and self._steps and not is_reported:
                 change = f"plan anew, with {', '.join(dict.fromkeys(added))}"
                 cause = self._cause_of_plan(plan)
-                self._report(self._enter(self._this_tick, "task", cause, cause.reason, change).close())
+                self._close([self._enter(self._this_tick, "task", cause, cause.reason, change)])
             self._steps = frozenset(plan.steps)
 
-    def _put_down(self, plan: ReconfigurationPlan) -> None:
-        """Put a plan down to the change of action that it belongs to, or else to the news that led to it."""
-        cause, self._to_answer = _together(self._to_answer), []
-        if self._task is not None:
-            self._task.add(self._in_words(plan), plan)
-            self._is_switching = False
-        elif self._is_switching:
-            self._is_switching = not self._kb.required_actions  # given up, and nothing new yet: more is to come
-            if self._is_switching:
-                self._prelude.append(plan)
-        elif cause is not None:
-            kind = "structural" if plan.activate or plan.deactivate else "parameter"
-            self._under_way.append(self._enter(plan.start, kind, cause, plan.reason))
-            self._under_way[-1].add(self._in_words(plan), plan)
+    def _put_down_plans(self) -> None:
+        """Put plans down to the news that caused them, or else to the change of action that they belong to."""
+        waiting = []
+        for plan in self._made:
+            change = next((one for one in self._open if one.action), None)
+            cause = self._to_answer.pop(plan.cause, None)
+            if cause is not None and (change is None or not set(cause.events) <= set(change.events)):
+                kind = "structural" if plan.activate or plan.deactivate else "parameter"
+                change = self._enter(plan.start, kind, cause, plan.reason)
+            if change is not None:
+                change.add(self._in_words(plan), plan)
+            elif self._before is not None and plan.cause == self._before.event:
+                waiting.append(plan)  # for the action that comes next
+        self._made = waiting
 
     def _step_in_words(self, step: "Step") -> str:
         return f"{step.schema}({', '.join(one for one in step.arguments if one not in self._kb.actions)})"
@@ -377,11 +360,12 @@ class AdaptationLog:
 
 def is_news(kb: KnowledgeBase, event: Event) -> bool:
     """Tell whether an event is news from the robot, and not what a plan that is being executed has brought about."""
-    return event.kind is EventKind.MONITORING_DATA and not (event.verb == "component_active" and kb.history.open_plans)
+    is_switched = event.verb == "component_active" and not event.arguments[2]  # of one that ends by itself why is told
+    return event.kind is EventKind.MONITORING_DATA and not (is_switched and kb.history.open_plans)
 
 
 def _together(news: Sequence[_News]) -> _News | None:
     if not news:
         return None
     events = tuple(dict.fromkeys(number for one in news for number in one.events))
-    return _News(news[0].time, " and ".join(dict.fromkeys(one.text for one in news)), "", events)
+    return _News(news[0].time, " and ".join(dict.fromkeys(one.text for one in news)), events)

@@ -11,16 +11,16 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator, FailureIsRunning
 
-from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
+from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, RequiredAction
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
-from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, Percepts, Verdict, World, built
-from missions.engine.runner import Controller, Listener
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, built
+from missions.engine.runner import Listener, MissionRun
 from missions.engine.settings import RunSettings
 from rosa_bt import TreeRunner
 
 if TYPE_CHECKING:
-    from rosa_pddl import PlanRecord, Step
+    from rosa_pddl import Domain, Planner, PlanRecord, Step
 
 OURS: Final = "ours"
 """The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
@@ -28,7 +28,7 @@ OURS: Final = "ours"
 TASK_KINDS: Final = ("bt", "pddl")
 
 
-class RosaController(Controller):
+class RosaRun(MissionRun):
     """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
 
     Args:
@@ -49,14 +49,14 @@ class RosaController(Controller):
         task: str,
         world: World,
         settings: RunSettings,
+        listeners: Sequence[Listener] = (),
         manager: str = OURS,
         planner: ConfigurationPlanner | None = None,
         hears: Callable[[Message], Message] = lambda message: message,
     ) -> None:
-        super().__init__(manager, task)
+        super().__init__(mission, world, settings, manager, task)
         self.percepts = Percepts()
-        self._mission, self._world = mission, world
-        self.kb = self._kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._kb = KnowledgeBase(mission.model(), clock=self._now)
         self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
         self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
@@ -70,8 +70,16 @@ class RosaController(Controller):
         self._rests_at: tuple[int, int] | None = None  # what was known and sensed when it began to rest
         self._is_told = False
         self._answered = -1
-        self._plans_checked = 0
         self._left = ""
+        self.listen(*listeners)
+
+    @property
+    def kb(self) -> KnowledgeBase:
+        return self._kb
+
+    @property
+    def model(self) -> Model:
+        return self._kb.model
 
     @property
     def due(self) -> float:
@@ -93,10 +101,10 @@ class RosaController(Controller):
     def plans(self) -> tuple["PlanRecord", ...]:
         return self._task.plans()
 
-    def attend(self, listeners: Sequence[Listener]) -> None:
+    def listen(self, *listeners: Listener) -> None:
         if listeners and not self.listeners:
             self._kb.subscribe(self._hear)
-        super().attend(listeners)
+        super().listen(*listeners)
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
@@ -106,7 +114,8 @@ class RosaController(Controller):
         message = self._hears(message)
         self._log.news(float(message["time"]))
         problems = self._kb.receive(message)
-        self._perceive(message)
+        for key in self.percepts.receive(message):
+            self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
         self._log.news(None)
         self.compute_s["knowledge base"] += perf_counter() - started
         return problems
@@ -131,9 +140,8 @@ class RosaController(Controller):
         spent["manager"] += managed - started + perf_counter() - decided
         spent["waiting for plans"] += caught_up - managed
         spent["task layer"] += decided - caught_up
-        self._check_plans()
-        if is_ticked and self._world.is_still and self._kb.pending_plan is None:
-            self.is_stuck = bool(self._mission.why_not(self._kb, self.percepts))
+        if is_ticked and self.world.is_still and self._kb.pending_plan is None:
+            self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
         if is_ticked and self._may_rest:
             self._consider_resting(before)
         return is_ticked
@@ -168,7 +176,7 @@ class RosaController(Controller):
             self._task.close()
 
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
-        verdict = self._mission.world.verdict(self.percepts, results, self._kb)
+        verdict = self.mission.world.verdict(self.percepts, results, self._kb)
         if verdict.success:
             return verdict
         plan = self.plans[-1] if self.plans and self._task.is_planned else None
@@ -184,31 +192,17 @@ class RosaController(Controller):
         return Verdict(verdict.outcome, f"{verdict.reason}; {more}", verdict.detail)
 
     def _now(self) -> float:
-        return self._world.now
-
-    def _perceive(self, message: Message) -> None:
-        """Pass on what the task layer alone perceives, and note what is not so any more, or only now."""
-        if MISSION_STATUS not in [str(status["message"]).casefold() for status in message["status"]]:
-            return
-        keys = [key for status in message["status"] for key in status["values"]]
-        held = {key: self.percepts.holds(key) for key in keys}
-        self.percepts.receive(message)
-        for key, before in held.items():
-            if self.percepts.holds(key) is not before:
-                self._log.sensed(f"{key} is {'false' if before else 'true'}")
+        return self.world.now
 
     def _manage(self) -> None:
         self._manager.update()
         self._log.settle()
         self._answered = self._kb.revision
 
-    def _check_plans(self) -> None:
-        """See whether the planner itself could not do its work; a tree may have something else to do then."""
-        plans = self.plans
-        checked, self._plans_checked = self._plans_checked, len(plans)
-        for plan in plans[checked:]:
-            if plan.outcome.is_trouble and self._task.is_planned:
-                self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
+    def hear_plan(self, plan: "PlanRecord") -> None:
+        super().hear_plan(plan)
+        if plan.outcome.is_trouble and self._task.is_planned:  # a tree may have something else to do then
+            self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
 
     def _hear(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:
@@ -242,7 +236,7 @@ class TaskLayer:
         is_planned: whether the actions are those of the plans, none of a tree's own.
     """
 
-    def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "_Made | None" = None) -> None:
+    def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "Made | None" = None) -> None:
         self.root, self.close, self._made = root, close, made
         self._planning: list[Any] = [one for one in root.iterate() if has_plans(one)]
         self._waiting = [one for one in self._planning if hasattr(one, "catch_up")]
@@ -298,14 +292,10 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
 
 def _planning(mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float) -> TaskLayer:
     from missions.engine.declared import mission_domain
-    from rosa_pddl import PlanExecutor, Planner
+    from rosa_pddl import PlanExecutor
 
     domain = mission_domain(mission)
-    planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
-    missing = planner.missing(domain)
-    if missing is not None:
-        raise MissionError(missing)
-    made = _Made(kb, percepts)
+    planner, made = planner_of(mission, domain), Made(kb, percepts)
     executor = PlanExecutor(
         f"plan for {mission.name}",
         kb=kb,
@@ -319,7 +309,17 @@ def _planning(mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: 
     return TaskLayer(FailureIsRunning("until the goal holds", executor), planner.close, made)
 
 
-class _Made:
+def planner_of(mission: Mission, domain: "Domain") -> "Planner":
+    """Return what plans for a mission; MissionError if it is not installed, or cannot plan in that domain."""
+    from rosa_pddl import Planner
+
+    planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
+    if (missing := planner.missing(domain)) is not None:
+        raise MissionError(missing)
+    return planner
+
+
+class Made:
     """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it."""
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:

@@ -49,14 +49,21 @@ class Percepts:
         self._times: Counter[str] = Counter()
         self.revision = 0
 
-    def receive(self, message: Mapping[str, Any]) -> None:
-        """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`."""
+    def receive(self, message: Mapping[str, Any]) -> Sequence[str]:
+        """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`.
+
+        Returns:
+            What holds now and did not before, or the other way round.
+        """
+        held: dict[str, bool] = {}
         for status in message["status"]:
             if str(status["message"]).casefold() == MISSION_STATUS:
                 self.revision += 1
                 for key, value in status["values"].items():
+                    held.setdefault(key, self.holds(key))
                     self._said[key] = str(value)
                     self._times[key] += 1
+        return [key for key, before in held.items() if self.holds(key) is not before]
 
     def holds(self, key: str) -> bool:
         """Tell whether the last word about something was "true"; what was never spoken of does not hold."""

@@ -1,6 +1,7 @@
-"""What there is by name, such as the missions; each is imported when it is asked for, and no other with it."""
+"""What is imported only when it is asked for: missions and the like, by name, and libraries that may be missing."""
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from traceback import extract_tb
@@ -93,3 +94,20 @@ def find_robot(name: str) -> tuple[Model, Mission | None]:
     if not (isinstance(found, Model) or callable(found)):
         raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
     return found if isinstance(found, Model) else built(name, Model, found), None
+
+
+@contextmanager
+def needs(extra: str, what: str) -> Iterator[None]:
+    """Say which extra is missing when an import inside fails.
+
+        with needs("live", "the live page"):
+            import websockets
+
+    Raises:
+        MissionError: a library is not installed.
+    """
+    try:
+        yield
+    except ImportError as error:
+        missing = f"{what} needs {error.name or error}, which is not installed"
+        raise MissionError(f"{missing}; pip install 'rosa-taca[{extra}]' brings it") from error

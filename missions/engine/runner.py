@@ -52,36 +52,68 @@ class Listener:
         """Hear of a task plan, or that there is none."""
 
     def tick(self, run: "MissionRun") -> None:
-        """Hear that the controller has decided."""
+        """Hear that something was decided."""
+
+    def sample(self, sample: Sample) -> None:
+        """Hear what there is to see of the world, twice a second at most."""
 
 
-class Controller(ABC):
-    """Who decides in a run: our knowledge base, manager and task layer, or a baseline.
+class MissionRun(ABC):
+    """One run of a mission, to its end: by our knowledge base, manager and task layer, or by a baseline.
 
-    A run asks for the time that it is due, passes on what was published by then, and has it decide.
+    It lets the world go on to the time that it is due, takes in what was published by then, and decides.
 
     Attributes:
-        manager: its name, as `rosa run --manager` takes it.
-        kb: its knowledge base; None if it has none.
+        manager: whose run it is, as `rosa run --manager` takes it.
+        problems: parts of messages that could not be used, with their times [s].
+        alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
         inputs: figures of results that were put in, by name.
         compute_s: seconds of this machine's time by part, not part of any decision.
-        listeners: who hears of actions and adaptations.
+        listeners: who hears of it.
         trouble: how the mission has to end at once; None if it may go on.
         findings: what may be an oversight in what was planned with, in sentences; known at the end.
         adaptations: every one so far, in the order in which they were decided.
         is_stuck: whether nothing can be done any more, whatever time passes: the mission ends, and is judged.
     """
 
-    def __init__(self, manager: str, task: str) -> None:
+    def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
+        self.mission, self.world, self.settings = mission, world, settings
         self.manager, self.task = manager, task
-        self.kb: KnowledgeBase | None = None
+        self.problems: list[tuple[float, DiagnosticProblem]] = []
+        self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
         self.inputs: Mapping[str, float] = {}
-        self.compute_s: defaultdict[str, float] = defaultdict(float)
+        self.compute_s = defaultdict[str, float](float, world=0.0)
         self.listeners: Sequence[Listener] = ()
         self.trouble: Verdict | None = None
         self.findings: Sequence[str] = ()
         self.adaptations: list[Adaptation] = []
         self.is_stuck = False
+        self._decided_s: list[tuple[float, float]] = []
+        self._sampled_at, self._plans_heard = -SAMPLE_PERIOD_S, 0
+        self._moved_s, self._turns = world.now, 0
+
+    def listen(self, *listeners: Listener) -> None:
+        """Have these hear of the run, too."""
+        self.listeners = (*self.listeners, *listeners)
+
+    @property
+    def kb(self) -> KnowledgeBase:
+        """The knowledge base.
+
+        Raises:
+            MissionError: it is the run of a baseline, which has none.
+        """
+        raise MissionError(f"manager {self.manager} has no knowledge base")
+
+    @property
+    def model(self) -> Model:
+        """The model of the mission, amended as far as it was."""
+        return self.mission.model()
+
+    @property
+    def plans(self) -> tuple["PlanRecord", ...]:
+        """The task plans so far, only added to; none for a tree in which nothing plans."""
+        return ()
 
     @property
     @abstractmethod
@@ -103,15 +135,6 @@ class Controller(ABC):
     def measured(self) -> Mapping[str, float | None]:
         """What was measured last, by attribute."""
 
-    @property
-    def plans(self) -> tuple["PlanRecord", ...]:
-        """The task plans so far; only added to."""
-        return ()
-
-    def attend(self, listeners: Sequence[Listener]) -> None:
-        """Have these hear of actions and adaptations, and nobody else."""
-        self.listeners = listeners
-
     @abstractmethod
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         """Take in what was published; return what of it cannot be used."""
@@ -127,84 +150,6 @@ class Controller(ABC):
     @abstractmethod
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
         """Say how the mission, which is over, has ended."""
-
-
-class MissionRun:
-    """Runs a mission to its end.
-
-    Attributes:
-        trace: what there was to see of the world while somebody listened, for pages and pictures.
-        problems: parts of messages that could not be used, with their times [s].
-        alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
-    """
-
-    def __init__(
-        self,
-        mission: Mission,
-        controller: Controller,
-        world: World,
-        settings: RunSettings | None = None,
-        listeners: Sequence[Listener] = (),
-    ) -> None:
-        self.mission, self.controller, self.world = mission, controller, world
-        self.settings = settings or RunSettings()
-        self.trace: list[Sample] = []
-        self.problems: list[tuple[float, DiagnosticProblem]] = []
-        self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
-        self._listeners = listeners
-        self._decided_s: list[tuple[float, float]] = []
-        self._world_s, self._sampled_at, self._plans_heard = 0.0, -SAMPLE_PERIOD_S, 0
-        self._moved_s, self._turns = world.now, 0
-        controller.attend(listeners)
-
-    def listen(self, listener: Listener) -> None:
-        self._listeners = (*self._listeners, listener)
-        self.controller.attend(self._listeners)
-
-    @property
-    def manager(self) -> str:
-        """Whose run it is, as `rosa run --manager` takes it."""
-        return self.controller.manager
-
-    @property
-    def task(self) -> str:
-        return self.controller.task
-
-    @property
-    def kb(self) -> KnowledgeBase:
-        """The knowledge base.
-
-        Raises:
-            MissionError: it is the run of a baseline, which has none.
-        """
-        if self.controller.kb is None:
-            raise MissionError(f"manager {self.manager} has no knowledge base")
-        return self.controller.kb
-
-    @property
-    def model(self) -> Model:
-        """The model of the mission, amended as far as it was."""
-        return self.mission.model() if self.controller.kb is None else self.controller.kb.model
-
-    @property
-    def actions(self) -> Sequence[RequiredAction]:
-        """Every action that was begun."""
-        return self.controller.actions
-
-    @property
-    def adaptations(self) -> list[Adaptation]:
-        """Every adaptation so far, in the order in which they were decided."""
-        return self.controller.adaptations
-
-    @property
-    def plans(self) -> tuple["PlanRecord", ...]:
-        """The task plans so far; none for a tree in which nothing plans."""
-        return self.controller.plans
-
-    @property
-    def compute_s(self) -> dict[str, float]:
-        """Seconds of this machine's time by part, not part of any decision."""
-        return {"world": self._world_s, **self.controller.compute_s}
 
     @property
     def reactions(self) -> Sequence[tuple[Reaction, float]]:
@@ -223,7 +168,7 @@ class MissionRun:
             if value is not None and not isinstance(value, Real):
                 wrong = f"{gives} {name!r} as {value!r:.80}"
                 raise MissionError(f"{wrong}; expected is a number, or None for what did not happen")
-        return {**figures, **self.controller.inputs}
+        return {**figures, **self.inputs}
 
     def run(self) -> Verdict:
         """Run until the mission is done, stuck or out of time; nothing is left running however this ends.
@@ -231,40 +176,47 @@ class MissionRun:
         Raises:
             MissionError: the world does not let time pass, or what is of the mission's own raises; names it.
         """
-        controller, world, duration_s = self.controller, self.world, self.settings.duration_s
+        world, duration_s = self.world, self.settings.duration_s
         with closing(world):
             try:
-                while not (controller.trouble or controller.is_stuck or controller.is_done or world.now >= duration_s):
+                while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
                     self._turn()
             finally:
-                controller.end()
-        if controller.trouble:
-            return controller.trouble
-        verdict = controller.verdict(self.results())
-        if controller.is_done and world.now < duration_s and verdict.outcome in (*NO_SUCCESS, TIME_LIMIT):
+                self.end()
+        if self.trouble:
+            return self.trouble
+        verdict = self.verdict(self.results())
+        if self.is_done and world.now < duration_s and verdict.outcome in (*NO_SUCCESS, TIME_LIMIT):
             # it was judged by a goal that is not reached, as if time had run out
             ended = f"the task ended after {world.now:.1f} s of {duration_s:g} s, short of the mission's goal"
             return Verdict("ended_early", ended)
         return verdict
 
     def _turn(self) -> None:
-        """Let the world go on to the next news, or to when the controller is due, and have it answered."""
-        controller, started = self.controller, perf_counter()
-        messages = self._advanced(min(controller.due, self.settings.duration_s))
-        self._world_s += perf_counter() - started
+        """Let the world go on to the next news, or to when something is due, and answer it."""
+        started = perf_counter()
+        messages = self._advanced(min(self.due, self.settings.duration_s))
+        self.compute_s["world"] += perf_counter() - started
         if self.alter is not None:
             messages = self.alter(messages, self.world.now)
         took_s = 0.0
         for message in messages:
             took_s += self._take_in(message)
         started = perf_counter()
-        is_decided = controller.decide()
+        is_decided = self.decide()
         self._decided_s.append((self.world.now, took_s + perf_counter() - started))
-        if is_decided and self._listeners:
+        if is_decided and self.listeners:
             self._sample()
-            for listener in self._listeners:
+            for listener in self.listeners:
                 listener.tick(self)
-        self._report_plans()
+        heard, self._plans_heard = self._plans_heard, len(self.plans)
+        for plan in self.plans[heard:]:
+            self.hear_plan(plan)
+
+    def hear_plan(self, plan: "PlanRecord") -> None:
+        """Pass on a task plan that was made."""
+        for listener in self.listeners:
+            listener.plan(plan, self.world.now)
 
     def _advanced(self, until: float) -> Sequence[Message]:
         world, before, name = self.world, self.world.now, self.mission.name
@@ -291,27 +243,22 @@ class MissionRun:
         return messages
 
     def _take_in(self, message: Message) -> float:
-        """Have a message heard; return how long that took the controller [s]."""
+        """Have a message heard; return how long it took to take it in [s]."""
         started = perf_counter()
-        problems = self.controller.receive(message)
+        problems = self.receive(message)
         took_s = perf_counter() - started
-        for listener in self._listeners:
+        for listener in self.listeners:
             listener.message(message)
         for problem in problems:
             self.problems.append((float(message["time"]), problem))
-            for listener in self._listeners:
+            for listener in self.listeners:
                 listener.problem(problem, float(message["time"]))
         return took_s
-
-    def _report_plans(self) -> None:
-        plans = self.plans
-        heard, self._plans_heard = self._plans_heard, len(plans)
-        for plan in plans[heard:]:
-            for listener in self._listeners:
-                listener.plan(plan, self.world.now)
 
     def _sample(self) -> None:
         if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
         self._sampled_at = self.world.now
-        self.trace.append(self.world.sample() or Sample.of(self.world.now, self.controller.measured))
+        sample = self.world.sample() or Sample.of(self.world.now, self.measured)
+        for listener in self.listeners:
+            listener.sample(sample)

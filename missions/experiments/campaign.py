@@ -1,12 +1,10 @@
 """What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
 
-import sqlite3
 import tomllib
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
-from itertools import product
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import asdict, dataclass, field
+from itertools import count, product
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +12,9 @@ from missions.baselines import MANAGERS, OURS, open_run
 from missions.engine.controller import check_task
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
+from missions.engine.runner import MissionRun
 from missions.engine.settings import near
+from missions.views.output import files_tried
 
 Settings = Mapping[str, str]
 
@@ -23,7 +23,8 @@ Settings = Mapping[str, str]
 class PlannedRun:
     """One run of a campaign; settings differ from the defaults, the task layer is None if the manager has its own.
 
-    The n-th run has the same seed under every manager, so that they meet the same world.
+    The n-th run has the same seed under every manager, so that they meet the same world. Its place is that among the
+    runs of the campaign.
     """
 
     mission: str
@@ -31,6 +32,7 @@ class PlannedRun:
     task: str | None
     seed: int
     settings: tuple[tuple[str, str], ...] = ()
+    place: int = field(default=0, compare=False)
 
     @property
     def name(self) -> str:
@@ -45,30 +47,10 @@ class PlannedRun:
         changed = "".join(f" --set {name}={value}" for name, value in self.settings)
         return f"rosa run {self.mission} --manager {self.manager}{task} --seed {self.seed}{changed}"
 
-
-@dataclass(frozen=True)
-class PlannedRuns(Sequence[PlannedRun]):
-    """Runs that are made as they are asked for, as there may be a million: each of the first ones, with every seed."""
-
-    firsts: Sequence[PlannedRun]
-    seeds: range
-
-    def __len__(self) -> int:
-        return len(self.firsts) * len(self.seeds)
-
-    def __getitem__(self, place: int) -> PlannedRun:  # type: ignore[override]  # nobody asks for a slice
-        first, seed = divmod(range(len(self))[place], len(self.seeds))
-        return replace(self.firsts[first], seed=self.seeds[seed])
-
-    @cached_property
-    def _begins(self) -> Mapping[str, int]:
-        return {one.name.rpartition("/")[0]: at * len(self.seeds) for at, one in enumerate(self.firsts)}
-
-    def place(self, name: str) -> int | None:
-        """Return the place of the run of a name; None if it is not among them."""
-        which, _, seed = name.rpartition("/")
-        is_one = which in self._begins and seed.isdecimal() and int(seed) in self.seeds
-        return self._begins[which] + self.seeds.index(int(seed)) if is_one else None
+    def open(self) -> MissionRun:
+        """Open the run; MissionError if it cannot be run so."""
+        mission, settings = find_mission(self.mission), dict(self.settings)
+        return open_run(mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +91,16 @@ class Campaign:
         """Every manager with each task layer that it can have."""
         return tuple((one, task) for one in self.managers for task in (self.tasks if one == OURS else (None,)))
 
-    def planned(self) -> PlannedRuns:
-        """Return every run, in the order in which results are listed."""
-        each = product(self.missions, self.variants, self.layers)
-        firsts = tuple(PlannedRun(mission, *layer, 0, settings) for mission, settings, layer in each)
-        return PlannedRuns(firsts, range(self.first_seed, self.first_seed + self.runs))
+    def planned(self) -> Iterator[PlannedRun]:
+        """Yield every run, in the order in which results are listed; there may be a million."""
+        places, seeds = count(), range(self.first_seed, self.first_seed + self.runs)
+        for mission, settings, layer, seed in product(self.missions, self.variants, self.layers, seeds):
+            yield PlannedRun(mission, *layer, seed, settings, next(places))
+
+    @property
+    def size(self) -> int:
+        """How many runs are planned."""
+        return len(self.missions) * len(self.variants) * len(self.layers) * self.runs
 
     @property
     def own_modules(self) -> tuple[str, ...]:
@@ -141,16 +128,6 @@ def read_campaign(path: Path) -> Campaign:
     except ValueError as error:
         raise MissionError(f"{path} is no TOML: {error}") from error
     return from_data({"name": path.stem} | data, str(path))
-
-
-@contextmanager
-def files_tried(what: str, advice: str = "") -> Iterator[None]:
-    """Raise MissionError instead if what is tried with files, such as "read x.toml", cannot be done."""
-    try:
-        yield
-    except (OSError, sqlite3.Error) as error:
-        why = getattr(error, "strerror", None) or error
-        raise MissionError(f"cannot {what}: {why}{advice}") from error
 
 
 def _is_value(value: object) -> bool:
@@ -233,10 +210,10 @@ def check_campaign(campaign: Campaign) -> None:
         check_task(task)
     if campaign.runs < 1:
         raise MissionError(f"a campaign of {campaign.runs} runs does nothing; ask for 1 at least")
-    for name, settings, (manager, layer) in product(campaign.missions, campaign.variants, campaign.layers):
-        run = open_run(find_mission(name), manager=manager, task=layer, settings=dict(settings))
+    for name, settings, layer in product(campaign.missions, campaign.variants, campaign.layers):
+        run = PlannedRun(name, *layer, campaign.first_seed, settings).open()
         with closing(run.world):
-            run.controller.end()
+            run.end()
 
 
 def _check_once(campaign: Campaign, source: str) -> None:

@@ -4,7 +4,6 @@ One rule gives the published counts of all four models: what in TypeDB is an ent
 a model has a statement for each.
 """
 
-import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -13,12 +12,11 @@ from typing import Any, Final
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
-from kb.elements import Attribute, Component, Function
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
 from missions.baselines.bt import TreeManager
-from missions.baselines.controller import BaselineController
-from missions.baselines.modes import MODES_FILE
+from missions.baselines.manager import BaselineRun
+from missions.baselines.modes import FUNCTIONS
 from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS, find_mission
@@ -91,24 +89,15 @@ def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
     quality = model.quality_attribute("quality")
     for one in range(1, actions + 1):
         function = model.function(f"function_{one}")
-        numbers = range(1, structural + 2)
-        first, *_ = [_design(model, function, quality, f"{one}_{number}", number) for number in numbers]
-        for number in range(2, parameter + 2):
-            _configuration(first, quality, number)
+        for design in range(1, structural + 2):
+            name = f"{one}_{design}"
+            component = model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
+            function.design(f"design_{name}", [component], priority=design, constraints=[quality >= 1 / design])
+            for number in range(1, parameter + 2 if design == 1 else 2):
+                as_ = f"node_{name}_as_{number}"
+                component.configuration(as_, {"value": number}, priority=number, constraints=[quality >= 1 / number])
         model.action(f"action_{one}", requires=[function])
     return model
-
-
-def _design(model: Model, function: Function, quality: Attribute, name: str, number: int) -> Component:
-    component = model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
-    _configuration(component, quality, 1)
-    function.design(f"design_{name}", [component], priority=number, constraints=[quality >= 1 / number])
-    return component
-
-
-def _configuration(component: Component, quality: Attribute, number: int) -> None:
-    name = f"{component.name}_as_{number}"
-    component.configuration(name, {"value": number}, priority=number, constraints=[quality >= 1 / number])
 
 
 def survey(names: Iterable[str] = ()) -> dict[str, Any]:
@@ -127,17 +116,13 @@ def survey(names: Iterable[str] = ()) -> dict[str, Any]:
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
     found = {name: None if Path(name).suffix.lower() in SUFFIXES else find_mission(name) for name in asked}
     made = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
-    models = [{"name": name, **count(model), **_published(MODELS, name, _MODEL)} for name, model in made.items()]
-    trees = [
-        {
-            "name": name,
-            **count_tree(one),
-            "published_task_nodes": TASK_NODES.get(name),
-            **_published(TREES, name, _TREE),
-        }
-        for name, one in found.items()
-        if one is not None and one.world is SEA
-    ]
+    models, trees = [], []
+    for name, one in found.items():
+        paper = _published(MODELS, name, "entities", "relations")
+        models.append({"name": name, **count(made[name]), "published": paper})
+        if one is not None and one.world is SEA:
+            paper, own = _published(TREES, name, "nodes", "modes"), TASK_NODES.get(name)
+            trees.append({"name": name, **count_tree(one), "published_task_nodes": own, "published": paper})
     points = [
         {"structural": one, "parameter": two, "total": count(generated_model(one, two))["total"], "law": law(one, two)}
         for one, two in product(range(MOST_ADAPTATIONS + 1), repeat=2)
@@ -145,13 +130,9 @@ def survey(names: Iterable[str] = ()) -> dict[str, Any]:
     return {"rule": RULE, "models": models, "trees": trees, "generated": points}
 
 
-_MODEL: Final = ("entities", "relations")
-_TREE: Final = ("nodes", "modes")
-
-
-def _published(table: Mapping[str, tuple[int, int]], name: str, keys: tuple[str, str]) -> dict[str, Any]:
+def _published(table: Mapping[str, tuple[int, int]], name: str, *keys: str) -> dict[str, int] | None:
     parts = table.get(name)
-    return {"published": parts and {**dict(zip(keys, parts, strict=True)), "total": sum(parts)}}
+    return parts and {**dict(zip(keys, parts, strict=True)), "total": sum(parts)}
 
 
 def count_tree(mission: Mission) -> dict[str, int]:
@@ -161,18 +142,16 @@ def count_tree(mission: Mission) -> dict[str, int]:
     modes and the values in them, of the functions whose component the mission has; `total` is all without the task.
     """
     run = open_run(mission, manager=TreeManager)
-    assert isinstance(run.controller, BaselineController)
+    assert isinstance(run, BaselineRun)
     try:
-        manager = TreeManager(run.controller.robot)
+        tree = TreeManager(run.robot).root
     finally:
         run.world.close()
-    tree = next(value for value in vars(manager).values() if isinstance(value, Behaviour))
     model = _model(mission.name, mission)
     given = KnowledgeBase(model), Percepts()
     task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only asked about; each of the sea has one
-    functions = tomllib.loads(MODES_FILE.read_text(encoding="utf-8")).values()
-    needed = [one for one in functions if one["component"] in model.components]
-    modes = sum(1 + len(values) for one in needed for values in one["modes"].values())
+    needed = [modes.values() for component, modes in FUNCTIONS.values() if component in model.components]
+    modes = sum(2 + len(mode.parameters) for means in needed for mode in means)  # itself, `active`, and each value
     nodes, task_nodes = (sum(1 for _ in root.iterate()) for root in (tree, task))
     return {"nodes": nodes, "task_nodes": task_nodes, "modes": modes, "total": nodes - task_nodes + modes}
 

@@ -16,10 +16,12 @@ from typing import Final, NamedTuple, Self
 from kb import Event, Model
 from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation, EstimationKind, Rate
 from kb.forecasts.extrapolation import Series, slope_of
+from missions.engine.controller import RosaRun
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
+from missions.engine.registry import needs
 from missions.engine.runner import MissionRun
 from missions.experiments.results import FILE, read_store
-from missions.extras import needs
+from missions.wires.mcap import read_bag
 
 LEVEL: Final = 0.95  # how often an interval holds the true value
 _ROUNDING: Final = 1e-6  # part of a value that no interval is narrower than, as times and values are rounded
@@ -32,8 +34,7 @@ _Slopes = dict[tuple[str, frozenset[str]], dict[int, float]]
 """How fast something changes while an action alone is done, as it is configured then: the mean of each run."""
 
 
-@dataclass(frozen=True, slots=True)
-class Experience:
+class Experience(NamedTuple):
     """A run as far as it can be learned from: its name, what was known and decided, and what was heard."""
 
     name: str
@@ -216,52 +217,47 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
     spans = [spans_of(one, model) for one in known]
     slopes = _slopes(spans, model)
     return [
-        *(one for attribute in model.attributes.values() for one in _rates(attribute, slopes[attribute.name])),
-        *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _worth(name, slopes[name])),
+        *(one for name, attribute in model.attributes.items() for one in _rates(name, slopes[name], attribute)),
+        *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _rates(name, slopes[name])),
         *_estimations(spans, model),
         *_durations(known, mission),
         *(one for last in _last_thresholds(model) for one in _threshold(*last, known)),
     ]
 
 
-def _rates(attribute: Attribute, slopes: _Slopes) -> Iterator[Suggestion]:
-    if attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
+def _rates(name: str, slopes: _Slopes, attribute: Attribute | None = None) -> Iterator[Suggestion]:
+    """Say how fast an attribute changes, or else what is counted grows: what a second of an action is worth."""
+    if attribute is not None and attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
         return  # what the robot does changes itself, not its surroundings
-    stated = {rate.while_: rate for rate in attribute.rates}
-    unit = f"[{attribute.unit or '1'}/s]"
+    kind, unit = ("worth", "[1/s]") if attribute is None else ("rate", f"[{attribute.unit or '1'}/s]")
     for action, found in _by_action(slopes).items() if slopes else ():
-        before = stated.get(action)
-        if before is None and not found.is_sure:
-            continue
-        about = f"{attribute.name}{f' while {action}' if action else ', always'} {unit}"
-        if found.observations == 1 or (before is not None and found.holds(before.per_s)):
-            yield Suggestion("rate", about, found, before and before.per_s)
-            continue
-        others = [one for one in attribute.rates if action and one.while_ not in ("", action)]
-        rates = [*others, Rate(found.value, action, before is not None and before.learns)]
-        change = f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
-        apply = partial(attribute.model.change, attribute, rates=rates)
-        yield Suggestion("rate", about, found, before and before.per_s, change, apply)
-    yield from _by_choice("rate", f"{attribute.name} while {{}} {unit}", slopes)
-
-
-def _worth(name: str, slopes: _Slopes) -> Iterator[Suggestion]:
-    """Say how fast what is counted grows: what a second of an action, and of a configuration, is worth."""
-    for action, found in _by_action(slopes).items():
-        if found.is_sure and found.value > 0:
-            yield Suggestion("worth", f"{name}{f' while {action}' if action else ', always'} [1/s]", found)
-    yield from _by_choice("worth", f"{name} while {{}} [1/s]", slopes)
-
-
-def _by_choice(kind: str, about: str, slopes: _Slopes) -> Iterator[Suggestion]:
-    """Tell configurations apart in which an action makes something change at rates that surely differ."""
+        about = f"{name}{f' while {action}' if action else ', always'} {unit}"
+        if attribute is not None:
+            yield from _rate(attribute, action, found, about)
+        elif found.is_sure and found.value > 0:
+            yield Suggestion(kind, about, found)
+    # configurations in which an action makes it change at rates that surely differ
     for action in sorted({action for action, _ in slopes}):
-        found = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
-        common, ends = frozenset.intersection(*found), [(one.low, one.high) for one in found.values() if one.is_sure]
-        if len(ends) == len(found) and any(high < low for low, _ in ends for _, high in ends):
-            for chosen, spread in found.items():
+        spreads = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
+        common, each = frozenset.intersection(*spreads), spreads.values()
+        if all(one.is_sure for one in each) and min(one.high for one in each) < max(one.low for one in each):
+            for chosen, spread in spreads.items():
                 what = ", ".join(sorted(chosen - common)) or "none of the others"
-                yield Suggestion(kind, about.format(f"{action} with {what}"), spread)
+                yield Suggestion(kind, f"{name} while {action} with {what} {unit}", spread)
+
+
+def _rate(attribute: Attribute, action: str, found: Spread, about: str) -> Iterator[Suggestion]:
+    before = next((one for one in attribute.rates if one.while_ == action), None)
+    stated = before and before.per_s
+    if stated is None and not found.is_sure:
+        return
+    if found.observations == 1 or (stated is not None and found.holds(stated)):
+        yield Suggestion("rate", about, found, stated)
+        return
+    others = [one for one in attribute.rates if action and one.while_ not in ("", action)]
+    rates = [*others, Rate(found.value, action, before is not None and before.learns)]
+    change = f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
+    yield Suggestion("rate", about, found, stated, change, partial(attribute.model.change, attribute, rates=rates))
 
 
 def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Suggestion]:
@@ -272,12 +268,11 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
             by_attribute[one.attribute].append(one)
     for name, estimations in by_attribute.items():
         rests: dict[int, list[tuple[frozenset[str], float]]] = defaultdict(list)
-        for number, run in enumerate(runs):
-            for span in run:
-                chosen = [one for one in estimations if one.causer.name in span.chosen]
-                estimated = math.fsum(_signed(one) for one in chosen)
-                slopes = [slope for of, slope in span.slopes(model) if of == name and chosen]
-                rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
+        for number, span in ((number, span) for number, run in enumerate(runs) for span in run):
+            chosen = [one for one in estimations if one.causer.name in span.chosen]
+            estimated = math.fsum(_signed(one) for one in chosen)
+            slopes = [slope for of, slope in span.slopes(model) if of == name and chosen]
+            rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
         for one in estimations:
             off, right = (_mean_rest(rests, one.causer.name, having) for having in (True, False))
             if off is None or off.observations == 1 or _is_right(off, one) or (right and not _is_right(right, one)):
@@ -376,27 +371,20 @@ def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
         MissionError: there is nothing to be learned from one of them; the message says why.
     """
     for path in paths:
-        found = list(_campaign(path) if (path / FILE).exists() else _recorded(path))
+        if (path / FILE).exists():
+            found = list(_campaign(path))
+        else:
+            bag = read_bag(path)
+            found = [Experience(path.name, bag.events, bag.messages)] if bag.events else []
         if not found:
             raise MissionError(f"{path} holds no run in which a knowledge base knew what was done")
         yield from found
 
 
-def _recorded(path: Path) -> Iterator[Experience]:
-    from missions.wires.bags import read_bag
-
-    bag = read_bag(path)
-    yield from [Experience(path.name, bag.events, bag.messages)] if bag.events else []
-
-
 def _campaign(path: Path) -> Iterator[Experience]:
-    from missions.baselines import open_run
-    from missions.engine.registry import find_mission
-
     kept = read_store(path)
-    planned = kept.campaign.planned()
-    for run in (planned[place] for place in sorted(kept.done(retry=True))):
-        how = {"manager": run.manager, "task": run.task or "bt", "settings": dict(run.settings)}
-        opened = open_run(find_mission(run.mission), seed=run.seed, **how)  # type: ignore[arg-type]  # each is of its own type
-        if opened.controller.kb is not None:
+    done = kept.done(retry=True)
+    for run in (one for one in kept.campaign.planned() if one.place in done):
+        opened = run.open()
+        if isinstance(opened, RosaRun):
             yield Experience.of(run.name, opened)

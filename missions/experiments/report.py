@@ -4,23 +4,28 @@ import base64
 import html
 import re
 from collections.abc import Mapping, Sequence
+from io import BytesIO
 from itertools import combinations, product
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
-import numpy
+import numpy as np
 
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import PlannedRun, files_tried
-from missions.experiments.comparison import SEARCH, Comparison, comparisons
-from missions.experiments.figures import distribution, reaction_histograms
+from missions.experiments.campaign import PlannedRun
+from missions.experiments.comparison import SEARCH, Comparison, Group, comparisons
 from missions.experiments.results import Kept
 from missions.experiments.statistics import Array, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
-from missions.views.output import OutputFile
+from missions.views.output import OutputFile, files_tried
 
-STYLE = """
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+CSS = """
 body { font: 15px/1.45 sans-serif; color: #222; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
 th, td { border-bottom: 1px solid #ddd; padding: .25rem .7rem; text-align: right; }
@@ -69,7 +74,7 @@ class Document:
         for name in [one for one in self.pictures if one.endswith(".svg")]:
             data = f"data:image/svg+xml;base64,{base64.b64encode(self.pictures[name]).decode()}"
             body = body.replace(f'src="{name.removesuffix(".svg")}.png"', f'src="{data}"')
-        head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{STYLE}</style>'
+        head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{CSS}</style>'
         return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
 
 
@@ -116,7 +121,7 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
 
 
 def _introduce(document: Document, kept: Kept, crashed: int) -> None:
-    total, done = len(kept.campaign.planned()), len(kept.done())
+    total, done = kept.campaign.size, len(kept.done())
     document.text(
         f"{done} of {total} runs are done, {crashed} of them crashed. "
         f"Made by {', '.join(f'{name} {version}' for name, version in kept.provenance.items())}."
@@ -197,7 +202,7 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
             thought = group.of("thought", uncertainty)
             published = group.published.reactions_s.get(uncertainty)
             shown = NONE if published is None else f"{published:.2f}"
-            found = _mean(delays, ".3f"), f"{numpy.median(delays):.3f}", f"{delays.max():.3f}"
+            found = _mean(delays, ".3f"), f"{np.median(delays):.3f}", f"{delays.max():.3f}"
             computing = f"{1000 * fmean(thought):.2f}" if thought.size else NONE
             rows.append([f"{uncertainty}, {group.label}", str(len(delays)), shown, *found, computing])
     head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
@@ -212,12 +217,12 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
     for name, label in headlines.items():
         for one, other in pairs:
             (seeds, first), (others, second) = one.values(name), other.values(name)
-            both, ours, theirs = numpy.intersect1d(seeds, others, assume_unique=True, return_indices=True)
+            both, ours, theirs = np.intersect1d(seeds, others, assume_unique=True, return_indices=True)
             if not both.size:
                 continue
-            found = contrast(first, second)
-            ps.append(found.p)
-            shown = _mean(first[ours] - second[theirs], "+.2f"), f"{found.superiority:.2f}"
+            p, superiority = contrast(first, second)
+            ps.append(p)
+            shown = _mean(first[ours] - second[theirs], "+.2f"), f"{superiority:.2f}"
             rows.append([f"{label}: {one.label} - {other.label}", str(len(both)), *shown])
     if not rows:
         return
@@ -238,21 +243,23 @@ def _add_all(document: Document, comparison: Comparison) -> None:
 
 def _add_standouts(document: Document, parts: Sequence[Comparison], figures: Sequence[str]) -> None:
     """Add pages of the runs with the lowest and the highest figure of each group, and links to them."""
+    from missions.views.recorder import RunRecorder
     from missions.views.report import report
-    from missions.views.run_recorder import record
 
     document.heading("Runs that stand out")
     links = []
     for comparison, group in [(one, group) for one in parts for group in one.groups]:
         figure = next((name for name in _headlines(comparison, figures) if group.values(name)[1].size), "")
         seeds, values = group.values(figure)
-        for word, choose in (("lowest", numpy.argmin), ("highest", numpy.argmax)) if values.size else ():
+        for word, choose in (("lowest", np.argmin), ("highest", np.argmax)) if values.size else ():
             at, settings = choose(values), comparison.settings
-            run = PlannedRun(comparison.mission, group.manager, group.task, int(seeds[at]), (*settings.items(),)).name
-            name = re.sub(r"\W+", "_", run) + ".html"
-            shown = record(comparison.mission, group.manager, group.task or "bt", int(seeds[at]), settings)
-            document.pictures[name] = report(shown).encode()
-            links.append(f"[{run}]({name}): {figure} {values[at]:.2f}, the {word} of {group.label}")
+            run = PlannedRun(comparison.mission, group.manager, group.task, int(seeds[at]), (*settings.items(),))
+            opened = run.open()
+            page = RunRecorder(opened, run.seed, settings)
+            page.end(opened.run())
+            name = re.sub(r"\W+", "_", run.name) + ".html"
+            document.pictures[name] = report(page.recorder.recorded).encode()
+            links.append(f"[{run.name}]({name}): {figure} {values[at]:.2f}, the {word} of {group.label}")
     document.items(list(dict.fromkeys(links)))
 
 
@@ -296,6 +303,117 @@ def _mean_sd(values: Array, runs: int) -> str:
     return f"{values.mean():.2f}" + (f" ± {values.std(ddof=1):.2f}" if n > 1 else "") + f" ({n})" * (n < runs)
 
 
-def _chance() -> numpy.random.Generator:
+def _chance() -> np.random.Generator:
     """Return the chance of one estimate: always the same, so that a report is the same to the byte."""
-    return numpy.random.default_rng(0)
+    return np.random.default_rng(0)
+
+
+WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
+INK, MUTED, FAINT = "#222222", "#666666", "#b5b5b5"
+EARLY, LATE, PLAIN, PAPER = "#0072b2", "#e69f00", "#7d8790", "#d55e00"
+CLUSTERS: Final = {"earlier cluster": EARLY, "later cluster": LATE, "never found": PLAIN}
+BINS, LOG_BINS = 40, 36
+STYLE: Final[dict[Any, Any]] = {
+    **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
+    **{"axes.edgecolor": FAINT, "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
+    **{"axes.titlesize": 9, "axes.titlelocation": "left", "hatch.linewidth": 0.6},
+    **{"figure.constrained_layout.w_pad": 0.1},
+    **{"svg.hashsalt": "rosa", "legend.frameon": False, "legend.handlelength": 1.2, "legend.borderaxespad": 0},
+}
+
+Rows = Mapping[Group, Sequence[tuple[Array, tuple[float, float] | None]]]
+"""Of each manager what the cells of its row show: values, and published mean and standard deviation."""
+
+
+def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> dict[str, bytes]:
+    """Draw a histogram of a figure for each manager, one above the other; returns it by suffix: "png", "svg".
+
+    Of search times two clusters are shown, and apart those that never succeeded.
+    """
+    rows = {one: [(one.values(figure)[1], one.published.figures.get(figure))] for one in comparison.groups}
+    found = np.concatenate([values for cells in rows.values() for values, _ in cells])
+    low, high = (found.min(), found.max()) if found.size else (0.0, 0.0)
+    bins = np.linspace(low, high + (high == low), BINS + 1).tolist()
+    return _drawn(rows, [label], bins, CLUSTERS if clusters else {}, "published mean ± sd")
+
+
+def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
+    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s]; returns it by suffix."""
+    names, rows = comparison.uncertainties, {}
+    for group in comparison.groups:
+        means = (group.published.reactions_s.get(name) for name in names)
+        paper = [None if mean is None else (mean, 0.0) for mean in means]
+        delays = [np.maximum(group.of("delay", name), 1e-3) for name in names]
+        if any(one.size for one in delays):
+            rows[group] = list(zip(delays, paper, strict=True))
+    found = np.concatenate([delays for cells in rows.values() for delays, _ in cells])
+    bins = np.geomspace(found.min() * 0.9, found.max() * 1.1, LOG_BINS + 1).tolist()
+    return _drawn(rows, [f"reaction to {name} [s]" for name in names], bins, {}, "published mean", scale="log")
+
+
+def _drawn(
+    rows: Rows, labels: Sequence[str], bins: list[float], clusters: Mapping[str, str], mark: str, scale: str = "linear"
+) -> dict[str, bytes]:
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context(STYLE):
+        size = WIDTH, len(rows) * ROW + EDGES
+        drawing = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
+        axes = drawing.subplots(len(rows), len(labels), sharex=True, squeeze=False)
+        for row, (group, cells) in zip(axes, rows.items(), strict=True):
+            row[0].set_ylabel(group.label, rotation=0, ha="right", va="center")
+            for cell, (values, published) in zip(row, cells, strict=True):
+                cell.set(xscale=scale, yticks=[])
+                cell.spines["left"].set_visible(False)
+                count = {"ha": "right", "va": "bottom", "color": MUTED, "fontsize": 7.5}
+                cell.text(1, 1, f"n = {len(values)}", transform=cell.transAxes, **count)
+                if not (clusters and _stack(cell, values, group.searches, bins)):
+                    cell.hist(values, bins=bins, color=PLAIN, histtype="stepfilled")
+                if published is not None:
+                    bar = {"fmt": "D", "color": PAPER, "markersize": 4.5, "capsize": 3}
+                    point, *_ = cell.errorbar(published[0], 0, xerr=published[1] or None, **bar)
+                    point.set(clip_on=False, zorder=6)
+                if scale == "log":
+                    cell.xaxis.set_major_formatter("{x:g}")
+                    cell.xaxis.set_minor_formatter("")
+        for cell, label in zip(axes[-1], labels, strict=True):
+            cell.set_xlabel(label)
+        _explain(drawing, list(rows), clusters, mark)
+        png = _written(drawing, "png", Software=None)
+        drawing.set_layout_engine("none")  # it stays as it has been laid out
+        return {"png": png, "svg": _written(drawing, "svg", Date=None)}
+
+
+def _written(drawing: "Figure", suffix: str, **metadata: None) -> bytes:
+    """Return a picture as a file, without the time and the versions that made it."""
+    content = BytesIO()
+    drawing.savefig(content, format=suffix, metadata=metadata)
+    return content.getvalue()
+
+
+def _stack(axes: "Axes", values: Array, searches: Array, bins: list[float]) -> bool:
+    """Draw two clusters of the searches that succeeded, and the others apart; False if there are not two."""
+    found = two_clusters(searches)
+    if found is None:
+        return False
+    parts = [searches[searches < found.cut], searches[searches > found.cut]]
+    others = np.full(len(values) - len(searches), values.max())
+    axes.hist([*parts, others], bins=bins, color=[EARLY, LATE, PLAIN], stacked=True, histtype="stepfilled")
+    axes.margins(y=0.35)
+    for mean, share, color in ((found.low, found.share_low, EARLY), (found.high, 1 - found.share_low, LATE)):
+        text = axes.text(mean, 0.99, f"{share:.0%} around {mean:.0f}", transform=axes.get_xaxis_transform())
+        text.set(ha="center", va="top", color=color, fontsize=7.5, fontweight="bold")
+    return True
+
+
+def _explain(drawing: "Figure", groups: Sequence[Group], clusters: Mapping[str, str], mark: str) -> None:
+    from matplotlib.lines import Line2D
+
+    entries = [Line2D([], [], color=color, linewidth=5, label=name) for name, color in clusters.items()]
+    if any(group.published.figures for group in groups):
+        entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=mark))
+    if any(group.inputs for group in groups):
+        entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))
+    if entries:
+        drawing.legend(handles=entries, loc="outside upper left", ncols=len(entries), columnspacing=1.4)

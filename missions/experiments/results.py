@@ -18,8 +18,8 @@ from time import monotonic
 from typing import Any, Final, NamedTuple, Self
 
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun, files_tried, from_data
-from missions.views.output import OutputFile
+from missions.experiments.campaign import Campaign, PlannedRun, from_data
+from missions.views.output import OutputFile, files_tried
 
 FORMAT: Final = 2
 FILE: Final = "campaign.sqlite3"
@@ -63,7 +63,7 @@ def provenance() -> Mapping[str, str]:
     root = Path(__file__).parents[2]
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*")):
-            if path.is_file() and path.suffix not in (".pyc", ""):
+            if path.is_file() and path.suffix not in (".pyc", "") and "node_modules" not in path.parts:
                 digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     code, python = digest.hexdigest()[:12], ".".join(platform.python_version_tuple()[:2])
     return {"code": code, "python": python, **{name: _version(name) for name in DISTRIBUTIONS}}
@@ -121,7 +121,6 @@ class Store:
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
         self._folder, self._synced_s = folder, monotonic()
         self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
-        self._planned = self.campaign.planned()
         if campaign is None and (own := ", ".join(self.campaign.own_modules)):
             advice = f"if it is yours, say so by its file: rosa campaign FILE.toml --resume --out {folder}"
             raise MissionError(
@@ -158,7 +157,7 @@ class Store:
                 "install the same on every worker, then go on with --resume"
             )
         told = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
-        row = self._planned.place(outcome.run.name), outcome.record["outcome"], *told, outcome.traceback
+        row = outcome.run.place, outcome.record["outcome"], *told, outcome.traceback
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             self._file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", row)
         if monotonic() >= self._synced_s + SYNC_S:

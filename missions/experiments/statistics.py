@@ -30,31 +30,12 @@ class Interval(NamedTuple):
         return f"{self.estimate:{format_}} [{self.low:{format_}}, {self.high:{format_}}]"
 
 
-class Contrast(NamedTuple):
-    """How two samples differ.
-
-    Attributes:
-        p: of the two-sided Mann-Whitney test: how likely ranks as different as these are if both samples come from the
-            same distribution.
-        superiority: how often a value of the first is larger than one of the second, ties counted half: 0.5 for no
-            difference (Vargha and Delaney's A).
-    """
-
-    p: float
-    superiority: float
-
-
 class Clusters(NamedTuple):
     """A sample cut in two where that leaves the least variance within the parts.
 
-    Attributes:
-        cut: between the two.
-        low: mean of the part below the cut.
-        high: mean of the part above it.
-        share_low: which part of the sample is below the cut.
-        separation: between the means, in units of the spread within the parts (the root of the mean of their
-            variances; infinite if there is none). The halves of an even spread have 3.5, those of a bell curve 2.6:
-            what is above that is two clusters.
+    The separation is that of the means, in units of the spread within the parts (the root of the mean of their
+    variances; infinite if there is none). The halves of an even spread have 3.5, those of a bell curve 2.6: what is
+    above that is two clusters.
     """
 
     cut: float
@@ -70,10 +51,7 @@ def interval_of_mean(values: Values, rng: Generator) -> Interval:
     Of more than 10,000 values it is that of a normal distribution, which differs by less than what chance leaves.
     """
     sample = _sample(values)
-    mean = float(sample.mean())
-    if sample.size > MOST_RESAMPLED:
-        return _normal(mean, float(sample.var()) / sample.size)
-    return Interval(mean, *_percentiles(sample, rng, lambda drawn: drawn.mean(axis=1)))
+    return _interval(sample, sample.mean(), sample.std(), lambda drawn: drawn.mean(axis=1), rng)
 
 
 def interval_of_sd(values: Values, rng: Generator) -> Interval:
@@ -81,51 +59,46 @@ def interval_of_sd(values: Values, rng: Generator) -> Interval:
     sample = _sample(values)
     if sample.size < 2:
         return Interval(math.nan, math.nan, math.nan)
-    sd = float(sample.std(ddof=1))
-    if sample.size > MOST_RESAMPLED:
-        squares = np.square(sample - sample.mean())
-        return _normal(sd, float(squares.var()) / sample.size / (2.0 * sd) ** 2 if sd else 0.0)
-    return Interval(sd, *_percentiles(sample, rng, lambda drawn: drawn.std(axis=1, ddof=1)))
+    sd = sample.std(ddof=1)
+    spread = np.square(sample - sample.mean()).std() / (2 * sd) if sd else 0.0  # the variance's, by the delta method
+    return _interval(sample, sd, spread, lambda drawn: drawn.std(axis=1, ddof=1), rng)
 
 
-def contrast(first: Values, second: Values) -> Contrast:
-    """Compare two independent samples by their ranks; exact if one has 8 values at most and there are no ties."""
+def contrast(first: Values, second: Values) -> tuple[float, float]:
+    """Compare two independent samples by their ranks.
+
+    Returns:
+        p of the two-sided Mann-Whitney test, exact if one has 8 values at most and there are no ties: how likely ranks
+        as different as these are if both samples come from the same distribution; and how often a value of the first is
+        larger than one of the second, ties counted half: 0.5 for no difference (Vargha and Delaney's A).
+    """
     from scipy.stats import mannwhitneyu
 
     one, other = _sample(first), _sample(second)
     if np.ptp(np.concatenate([one, other])) == 0:
-        return Contrast(1.0, 0.5)
+        return 1.0, 0.5
     found = mannwhitneyu(one, other, alternative="two-sided", method="auto")
-    return Contrast(float(found.pvalue), float(found.statistic) / (one.size * other.size))
+    return float(found.pvalue), float(found.statistic) / (one.size * other.size)
 
 
 def holm(ps: Sequence[float]) -> list[float]:
     """Correct p-values for how many tests there were (Holm 1979); the order is kept."""
-    order = sorted(range(len(ps)), key=lambda index: ps[index])
-    corrected, least = [0.0] * len(ps), 0.0
-    for rank, index in enumerate(order):
-        least = max(least, min(1.0, ps[index] * (len(ps) - rank)))
-        corrected[index] = least
-    return corrected
+    order = np.argsort(ps)
+    corrected = np.minimum(np.maximum.accumulate(np.take(ps, order) * np.arange(len(ps), 0, -1)), 1.0)
+    return [float(one) for one in corrected[np.argsort(order)]]
 
 
 def two_clusters(values: Values) -> Clusters | None:
     """Cut a sample in two so that the variance within the parts is least; None if all values are the same."""
     sample = np.sort(np.asarray(values, dtype=float))
-    if sample.size < 2 or sample[0] == sample[-1]:
+    parts = [np.split(sample, [cut]) for cut in np.flatnonzero(np.diff(sample)) + 1]
+    if not parts:
         return None
-    cuts = np.flatnonzero(np.diff(sample)) + 1
-    within = [sample[:cut].var() * cut + sample[cut:].var() * (sample.size - cut) for cut in cuts]
-    best = int(np.argmin(within))
-    low, high = sample[: cuts[best]], sample[cuts[best] :]
+    low, high = min(parts, key=lambda part: part[0].var() * part[0].size + part[1].var() * part[1].size)
     spread, apart = math.sqrt((low.var() + high.var()) / 2), float(high.mean() - low.mean())
-    return Clusters(
-        (float(low[-1]) + float(high[0])) / 2,
-        float(low.mean()),
-        float(high.mean()),
-        low.size / sample.size,
-        apart / spread if spread else math.inf,
-    )
+    cut = (float(low[-1]) + float(high[0])) / 2
+    separation = apart / spread if spread else math.inf
+    return Clusters(cut, float(low.mean()), float(high.mean()), low.size / sample.size, separation)
 
 
 def _sample(values: Values) -> Array:
@@ -135,16 +108,18 @@ def _sample(values: Values) -> Array:
     return sample
 
 
-def _normal(estimate: float, variance: float) -> Interval:
-    """Return an estimate with the interval of one that is normally distributed, with this variance."""
-    off = NormalDist().inv_cdf((1 + LEVEL) / 2) * math.sqrt(variance)
-    return Interval(estimate, estimate - off, estimate + off)
+def _interval(
+    sample: Array, estimate: float, spread: float, statistic: Callable[[Array], Array], rng: Generator
+) -> Interval:
+    """Return an estimate that is as good as a mean of values with this spread, with its interval.
 
-
-def _percentiles(sample: Array, rng: Generator, statistic: Callable[[Array], Array]) -> tuple[float, float]:
-    """Return the ends of the interval of a statistic, which maps resamples (k, n) to estimates (k,)."""
+    The statistic maps resamples (k, n) to estimates (k,).
+    """
+    if sample.size > MOST_RESAMPLED:
+        off = NormalDist().inv_cdf((1 + LEVEL) / 2) * spread / math.sqrt(sample.size)
+        return Interval(float(estimate), float(estimate - off), float(estimate + off))
     at_once = max(1, MOST_DRAWN // sample.size)
     counts = [min(at_once, DRAWS - start) for start in range(0, DRAWS, at_once)]
     estimates = [statistic(sample[rng.integers(sample.size, size=(count, sample.size))]) for count in counts]
     low, high = np.percentile(np.concatenate(estimates), [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
-    return float(low), float(high)
+    return Interval(float(estimate), float(low), float(high))

@@ -6,19 +6,16 @@ import signal
 import threading
 import time
 import traceback
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from missions.baselines import open_run
 from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.registry import needs
 from missions.experiments.campaign import PlannedRun
 from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
-from missions.extras import needs
 from missions.views.output import as_json, summary
 
 if TYPE_CHECKING:
@@ -56,68 +53,48 @@ def _head(run: PlannedRun) -> dict[str, Any]:
 
 
 def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
-    settings = dict(run.settings)
-    opened = open_run(find_mission(run.mission), manager=run.manager, task=run.task, seed=run.seed, settings=settings)
+    opened = run.open()
     verdict = opened.run()
-    data = json.loads(as_json(summary(opened, verdict, run.seed, settings)))
+    data = json.loads(as_json(summary(opened, verdict, run.seed, dict(run.settings))))
     figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
     reactions = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in opened.reactions]
     thought = [[one.uncertainty, took_s] for one, took_s in opened.reactions]
-    record = {**figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
-    return {**_head(run), **record}, {"compute_s": opened.compute_s, "reactions": thought}
+    record = {**_head(run), **figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
+    return record, {"compute_s": opened.compute_s, "reactions": thought}
 
 
-class Workers(ABC):
-    """Where runs are done; `killed` is what is raised for runs that were under way when a process died."""
+class Processes:
+    """Processes of this machine, by default as many as it has processors; each imports what it needs once.
 
-    killed: tuple[type[Exception], ...]
+    Attributes:
+        count: how many runs are done at once.
+        killed: what is raised for runs that were under way when a process died.
+    """
 
-    @property
-    @abstractmethod
-    def count(self) -> int:
-        """How many runs are done at once."""
-
-    @abstractmethod
-    def executor(self) -> Executor:
-        """Return what runs are handed to."""
-
-    def renew(self) -> None:  # noqa: B027  # a cluster's workers are started anew by whoever started them
-        """Start what has died anew."""
-
-    def look(self) -> str:
-        """Return what is to be said of the workers while nothing is heard of them; empty if all is well."""
-        return ""
-
-    @abstractmethod
-    def close(self) -> None:
-        """End or leave the workers."""
-
-
-class Processes(Workers):
-    """Processes of this machine, by default as many as it has processors; each imports what it needs once."""
-
-    killed = (BrokenExecutor,)
+    killed: tuple[type[Exception], ...] = (BrokenExecutor,)
 
     def __init__(self, count: int | None = None) -> None:
         from joblib import cpu_count
 
-        self._count = count or int(cpu_count())
+        self.count = count or int(cpu_count())
         self._executor: Any = None
 
-    @property
-    def count(self) -> int:
-        return self._count
-
     def executor(self) -> Executor:
+        """Return what runs are handed to."""
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(self._count, initializer=_end_with, initargs=(os.getpid(),))
+            self._executor = ProcessPoolExecutor(self.count, initializer=_end_with, initargs=(os.getpid(),))
         started: Executor = self._executor
         return started
 
     def renew(self) -> None:
+        """Have new processes started when they are needed, in place of those that have died."""
         self.close()
+
+    def look(self) -> str:
+        """Return what is to be said of the workers while nothing is heard of them; empty if all is well."""
+        return ""
 
     def close(self) -> None:
         if self._executor is not None:
@@ -125,8 +102,10 @@ class Processes(Workers):
             self._executor = None
 
 
-class Cluster(Workers):
+class Cluster:
     """Workers of a dask cluster; a run during which several workers died is given up, one death repeats it.
+
+    They are used as `Processes` are.
 
     Raises:
         MissionError: there is no scheduler, no worker, or one that lacks a module or has other versions.
@@ -135,8 +114,7 @@ class Cluster(Workers):
     def __init__(self, address: str, modules: Sequence[str] = ()) -> None:
         with needs("cluster", "--cluster"):
             from distributed import Client, KilledWorker
-        self._address = address
-        self.killed = (KilledWorker,)
+        self._address, self.killed = address, (KilledWorker,)
         try:
             self._client = Client(address, timeout=TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError, TypeError) as error:
@@ -156,6 +134,9 @@ class Cluster(Workers):
         executor: Executor = self._client.get_executor(pure=False)  # a run that is done again is another one
         return executor
 
+    def renew(self) -> None:
+        """Do nothing: whoever has started the workers starts them anew."""
+
     def look(self) -> str:
         return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
 
@@ -173,6 +154,9 @@ class Cluster(Workers):
             for name, here in provenance().items():
                 if (there := answer.get(name)) != here:
                     raise MissionError(f"worker {worker} has {name} {there}, here is {here}; install the same")
+
+
+Workers = Processes | Cluster
 
 
 def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None]) -> Iterator[Outcome]:
@@ -260,10 +244,9 @@ def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progre
     Raises:
         MissionError: the folder cannot be written, or the workers are out of reach.
     """
-    planned, done = store.campaign.planned(), read_store(folder).done(retry=retry)
-    left = [run for place, run in enumerate(planned) if place not in done]
-    left.sort(key=lambda run: run.seed)
-    progress.begin(len(planned) - len(left), len(planned))
+    done = read_store(folder).done(retry=retry)
+    left = sorted((run for run in store.campaign.planned() if run.place not in done), key=lambda run: run.seed)
+    progress.begin(len(done), len(done) + len(left))
     for outcome in outcomes(left, workers, progress.note):
         store.keep(outcome)
         progress.done(outcome.record)

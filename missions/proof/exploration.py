@@ -8,15 +8,31 @@ import os
 import pickle
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
 from missions.proof.rig import Predicate, Rig, Setup
-from missions.proof.rounds import Changed, Doing, Known, Rounds, Situation, Step, Ticked
+from missions.proof.rounds import (
+    CAN_COPY,
+    Changed,
+    Doing,
+    Job,
+    Known,
+    Rounds,
+    Situation,
+    Step,
+    Ticked,
+    Way,
+    Workers,
+    answered,
+    bring,
+    megabytes,
+)
 from missions.proof.surroundings import Change
-from missions.proof.workers import CAN_COPY, Alone, Job, Way, Workers, bring, megabytes
 
 _AT_A_TIME: Final = 32
 """So many situations each of several processes goes on from before it is looked whether there is time for more."""
@@ -25,39 +41,48 @@ _ALONE_S: Final = 1.0
 """For so long one process explores: most missions are known then [s]."""
 
 _PARTS: Final = (Situation, Step, Change, Changed, Ticked, Known, Doing, frozenset)
-_APART: Final = {"rig", "known", "doing", "holds", "_rounds"}
-"""What an exploration does not leave as it is, but as what its rounds have noted."""
+
+Wrong = tuple[str, Sequence[Step] | None]
+"""What is wrong, in words, and the rounds that lead there, if a story shows it."""
 
 
 class Exploration:
-    """All situations that can be reached, as far as they were found.
+    """All situations that can be reached, as far as they were found, with the questions that properties ask of them.
+
+    Args:
+        setup: what is explored.
+        predicates: of which it is noted where they hold.
+        goal: what the mission is to reach; by default that its root succeeds.
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number, that in the beginning first, then by the fewest rounds that lead there.
+        states: by number, what matters of its tree and of its knowledge base.
         count: how many of them it is known of what follows, the first ones.
         ticks: by moment, what may follow.
         known, doing: what matters of states, by their keys.
         faults: of the manager, in words, with the rounds that lead there first.
         holds: by predicate, in which situations it does.
-        is_finished: whether nothing is left to be found.
         transitions: how many changes and ticks were found.
         seconds: how long it took [s].
         megabytes: the most memory that was held when it ended, by all processes together [MB].
     """
 
-    def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
+    def __init__(self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None) -> None:
+        predicates, self._goal = [*predicates, *filter(None, [goal])], goal
         self._rounds = rounds = Rounds(setup, predicates)
         self.rig, self.known, self.doing = rounds.rig, rounds.known, rounds.doing
         self.faults = {fault: list[Step]() for fault in rounds.faults}
         self.situations: list[Situation] = []
+        self.states: list[tuple[Doing, Known]] = []
         self.count = 0
         self.ticks: dict[Situation, list[Ticked]] = {}
         self._steps: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
         self._changed: dict[int, list[Changed]] = {}
-        self.is_finished, self.transitions, self.seconds, self.megabytes = False, 0, 0.0, 0.0
+        self._ticked: set[Situation] = set()
+        self.transitions, self.seconds, self.megabytes = 0, 0.0, 0.0
         self._is_stopped = False
         sources = [Path(getattr(one, "__file__", None) or "") for one in [*sys.modules.values()]]
         self._newest = max(one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file())
@@ -73,22 +98,20 @@ class Exploration:
         """
         begun, self._is_stopped = time.perf_counter(), False
         cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
-        crew: Alone | Workers = Alone(self._rounds, self._way)
+        crew: Workers | None = None
         collected = gc.get_threshold()
         gc.set_threshold(100_000, *collected[1:])  # what is found is kept: to look for garbage took a sixth
         try:
             while self.unexplored and len(self.situations) < most and time.perf_counter() < begun + seconds:
                 if self._is_stopped:
                     break
-                if isinstance(crew, Alone) and cores > 1 and time.perf_counter() > begun + _ALONE_S:
+                if crew is None and cores > 1 and time.perf_counter() > begun + _ALONE_S:
                     crew = Workers(self._rounds, self._way, cores)
-                self._round(self.unexplored[: 1 if isinstance(crew, Alone) else _AT_A_TIME * cores], crew)
+                self._round(self.unexplored[: 1 if crew is None else _AT_A_TIME * cores], crew)
         finally:
             gc.set_threshold(*collected)
-            crew.close()
-            self.is_finished = not self.unexplored
             self.seconds += time.perf_counter() - begun
-            self.megabytes = megabytes() + crew.megabytes
+            self.megabytes = megabytes() + (0.0 if crew is None else crew.close())
         return self
 
     def stop(self) -> None:
@@ -100,14 +123,61 @@ class Exploration:
         """The situations of which it is not known yet what follows."""
         return range(self.count, len(self.situations))
 
-    def following(self, number: int) -> Iterator[tuple[Step, Situation, int]]:
-        """Yield each round that may follow a situation, the moment of its tick, and where it leads."""
+    @property
+    def is_finished(self) -> bool:
+        """Whether nothing is left to be found."""
+        return not self.unexplored
+
+    @property
+    def every(self) -> range:
+        """The numbers of all situations."""
+        return range(len(self.situations))
+
+    @property
+    def goals(self) -> set[int]:
+        """The situations in which the goal is reached."""
+        if self._goal is not None:
+            return self.holds[self._goal]
+        return {number for number, (doing, _) in enumerate(self.states) if doing.status == "SUCCESS"}
+
+    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Situation, int]]:
+        """Yield each round that may follow, its moment and where it leads; if still, those in which nothing happens."""
         tree, known = self.situations[number]
         is_over = number >= self.count or self.doing[tree].is_over
         for after_changes, changes, was_late, _ in () if is_over else self._changed[known]:
             moment = Situation(tree, after_changes)
-            for after, answers, is_late, _ in self.ticks[moment]:
-                yield Step(changes, answers, (was_late, is_late)), moment, self._numbers[after]
+            for after, answers, is_late, _ in () if still and (changes or was_late) else self.ticks[moment]:
+                if not (still and is_late):
+                    yield Step(changes, answers, (was_late, is_late)), moment, self._numbers[after]
+
+    def first(self, bad: Iterable[int], what: str) -> Wrong | None:
+        """Return what is wrong in situations, with the way to the nearest of them; None if there are none."""
+        number = min(bad, default=None)
+        return None if number is None else (what, self.path(number))
+
+    def reaching(
+        self, wanted: Collection[int], *, still: bool = False, within: Collection[int] | None = None
+    ) -> set[int]:
+        """Return the situations from which one of those that are wanted can be reached, those included."""
+        before: defaultdict[int, list[int]] = defaultdict(list)
+        for number in self.every if within is None else within:
+            for _, _, after in self.following(number, still=still):
+                if within is None or after in within:
+                    before[after].append(number)
+        reached, pending = set(wanted), list(wanted)
+        while pending:
+            new = [one for one in before[pending.pop()] if one not in reached]
+            reached.update(new)
+            pending += new
+        return reached
+
+    def avoiding(self, number: int, wanted: Collection[int], rounds: int) -> list[Step] | None:
+        """Return rounds after which nothing that is wanted was reached; None if there are no such."""
+        layer: dict[int, list[Step]] = {} if number in wanted else {number: []}
+        for _ in range(rounds):
+            onward = [(trail, *one) for number, trail in layer.items() for one in self.following(number)]
+            layer = {after: [*trail, step] for trail, step, _, after in reversed(onward) if after not in wanted}
+        return next(iter(layer.values()), None)
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
@@ -122,9 +192,9 @@ class Exploration:
 
     def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: what led where, not what states hold."""
-        own = {name: value for name, value in vars(self).items() if name not in _APART}
-        told = pickle.dumps((self._mark(), own, [*self.holds.values()], self._rounds.news(of_all=True)))
-        return gzip.compress(told, mtime=0)  # which says whether it is whole
+        size, done = len(self.situations) + self.is_finished, (self.count, self.seconds)
+        told = self._mark(), size, done, self.ticks, self._changed, self._rounds.news(of_all=True)
+        return gzip.compress(pickle.dumps(told), mtime=0)  # which says whether it is whole
 
     def go_on_from(self, kept: bytes) -> None:
         """Take over what an earlier exploration of the same mission has found.
@@ -135,18 +205,19 @@ class Exploration:
             MissionError: it is not what one has left, or one of another mission, or the mission does otherwise now.
         """
         try:
-            mark, own, holds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
+            mark, size, (count, seconds), ticks, changed, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
         except Exception as error:  # whatever gzip and pickle make of what is none
             raise MissionError(f"it is not what an exploration has left: {error!r}") from error
         if mark == self._mark():
-            self.explore(len(own["situations"]) + own["is_finished"], _ALONE_S, cores=1)
+            self.explore(size, _ALONE_S, cores=1)
         found: list[dict[Any, Any]] = [self.ticks, self._changed, *self._rounds.news(of_all=True)[0]]
-        kept_of = [own["ticks"], own["_changed"], *news[0]]
+        kept_of = [ticks, changed, *news[0]]
         if mark != self._mark() or any(not one.items() <= of.items() for one, of in zip(found, kept_of, strict=True)):
             raise MissionError("it is of another mission, of other options, or the mission has been changed since")
-        vars(self).update(own)
-        self.holds.update(zip(self.holds, holds, strict=True))
+        self.ticks, self._changed, self.seconds = ticks, changed, seconds
         self._rounds.hear(news)
+        while self.count < count:  # what follows is known, and found once more
+            self._round([self.count], None)
 
     def _mark(self) -> str:
         """Return what tells explorations apart."""
@@ -162,30 +233,31 @@ class Exploration:
             number = before
         return found[::-1]
 
-    def _round(self, batch: Sequence[int], crew: Alone | Workers) -> None:
-        """Find what follows situations."""
+    def _round(self, batch: Sequence[int], crew: Workers | None) -> None:
+        """Find what follows situations, by others or alone."""
+        ask: Callable[[Iterable[Job]], list[list[Any]]] = partial(answered, self._rounds, self._way)
+        ask = ask if crew is None else crew.ask
         open_ = [(one, self.situations[one]) for one in batch if not self.doing[self.situations[one].tree].is_over]
         unknown = {one.known: Job(number, one) for number, one in open_ if one.known not in self._changed}
-        self._changed.update(zip(unknown, crew.ask(unknown.values()), strict=True))
+        self._changed.update(zip(unknown, ask(unknown.values()), strict=True))
         jobs: dict[Situation, Job] = {}
         for number, one in open_:
             for change in self._changed[one.known]:
                 job = Job(number, one, change)
                 if job.moment not in self.ticks:
                     jobs.setdefault(job.moment, job)
-        ticked = dict(zip(jobs, crew.ask(jobs.values()), strict=True))
+        self.ticks.update(zip(jobs, ask(jobs.values()), strict=True))
         for number, one in open_:
             for change in self._changed[one.known]:
                 moment = Situation(one.tree, change.known)
                 self._note(change.faults, number, Step(change.changes))
                 self.transitions += 1
-                if moment not in self.ticks:
-                    for tick in ticked[moment]:
-                        step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
-                        self._note(tick.faults, number, step)
-                        self._reach(tick.after, number, step)
-                        self.transitions += 1
-                    self.ticks[moment] = ticked[moment]
+                for tick in () if moment in self._ticked else self.ticks[moment]:
+                    step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
+                    self._note(tick.faults, number, step)
+                    self._reach(tick.after, number, step)
+                    self.transitions += 1
+                self._ticked.add(moment)
         self.count += len(batch)
 
     def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
@@ -196,6 +268,7 @@ class Exploration:
         number = self._numbers.setdefault(situation, len(self.situations))
         if number == len(self.situations):
             self.situations.append(situation)
+            self.states.append((self.doing[situation.tree], self.known[situation.known]))
             self._steps.append((before, step))
             for holds, is_so in zip(self.holds.values(), self._rounds.holds.get(situation, ()), strict=True):
                 if is_so:

@@ -1,9 +1,9 @@
 """What leaves may answer: each in turn, while all that stands above them, and what asks the knowledge base, is real."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
-from math import nan
 from typing import Any, Final, NamedTuple
 
 import py_trees
@@ -11,11 +11,10 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import KnowledgeBase, UnknownName
-from kb.status import OPERATORS
-from kb.views import ConstraintView
 from missions.engine.mission import Condition
 from missions.proof.planned import nodes
-from missions.testing.scripted import LETTERS
+from missions.proof.surroundings import satisfied
+from missions.testing.scripted import LETTERS, replace_work
 from rosa_bt import RosaAction
 from rosa_bt.behaviours import KbBehaviour
 from rosa_pddl import PlanExecutor
@@ -94,20 +93,6 @@ class Choices:
         return letter
 
 
-class Played(Choices):
-    """Answers as in a story, of which each tick has its own time."""
-
-    def __init__(self, scripts: Mapping[float, tuple[Answer, ...]], clock: Callable[[], float]) -> None:
-        super().__init__()
-        self._scripts, self._clock, self._at = scripts, clock, nan
-
-    def choose(self, leaf: Behaviour, letters: str) -> str:
-        if self._clock() != self._at:
-            self._at = self._clock()
-            self.begin(self._scripts.get(self._at, ()))
-        return super().choose(leaf, letters)
-
-
 def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
     """Return what a leaf may return that nothing is declared of; what its schema promises comes true."""
     is_ours = isinstance(leaf, KbBehaviour) and not isinstance(leaf, RosaAction)
@@ -115,13 +100,11 @@ def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
     if is_ours or (is_known and not isinstance(leaf, _CHANCE)):
         return Leaf("")
     promised = getattr(getattr(leaf, "schema", None), "makes_feasible", ())
-    needed = [one for action in promised for one in kb.actions[action].constraints]
-    met = {one.attribute: max(values[one.attribute], key=partial(_met, needed, one.attribute)) for one in needed}
+    asked = defaultdict[str, list[tuple[str, float]]](list)
+    for one in (needed for action in promised for needed in kb.actions[action].constraints):
+        asked[one.attribute].append((one.operator, one.value))
+    met = {name: max(values[name], key=partial(satisfied, those)) for name, those in asked.items()}
     return Leaf("FS") if isinstance(leaf, Condition) else Leaf(effects={"S": met} if met else {})
-
-
-def _met(needed: Iterable[ConstraintView], name: str, value: float) -> int:
-    return sum(OPERATORS[one.operator](value, one.value) for one in needed if one.attribute == name)
 
 
 def take_over(
@@ -140,23 +123,13 @@ def take_over(
     for leaf in leaves:
         said = declared.get(leaf.name) or usual(leaf, kb, values)
         if said.answers:
-            vars(leaf).update(_own(leaf, said, kb, choices))
+            replace_work(leaf, partial(_answered, leaf, said, kb, choices))
             letters[leaf.name] = said.answers
     return letters
 
 
-def _own(leaf: Behaviour, said: Leaf, kb: KnowledgeBase, choices: Choices) -> dict[str, Callable[..., object]]:
-    def update() -> Status:
-        letter = choices.choose(leaf, said.answers)
-        for attribute, value in said.effects.get(letter, {}).items():
-            kb.measure(attribute, value)
-        return LETTERS[letter]
-
-    own: dict[str, Callable[..., object]] = {
-        "update": update,
-        "initialise": lambda: None,
-        "terminate": lambda new_status: None,
-    }
-    if isinstance(leaf, RosaAction):
-        own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
-    return own
+def _answered(leaf: Behaviour, said: Leaf, kb: KnowledgeBase, choices: Choices) -> Status:
+    letter = choices.choose(leaf, said.answers)
+    for attribute, value in said.effects.get(letter, {}).items():
+        kb.measure(attribute, value)
+    return LETTERS[letter]

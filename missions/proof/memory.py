@@ -5,6 +5,7 @@ knowledge base and manager need not know that they are explored, and nothing is 
 """
 
 import functools
+import json
 import logging
 import types
 import weakref
@@ -38,7 +39,7 @@ from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_pddl import Domain, Planner
 from rosa_pddl.belief import FeasibilityEvents
 from rosa_pddl.executor import RunningStep
-from rosa_pddl.goals import Goals, PlanningTask, Relevance
+from rosa_pddl.goals import Goals, Relevance, SoftGoals
 from rosa_pddl.plan_monitor import PlanMonitor
 from rosa_pddl.resource_usage import ResourceUsage
 
@@ -51,7 +52,7 @@ _FIXED: Final = (Model, Network, Node, Element, Domain)
 _LEFT: Final = (
     *(*_FIXED, Log, Publisher, HistoryView, Views, logging.Logger, types.ModuleType),
     *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
-    *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, PlanningTask, Relevance, ResourceUsage),
+    *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, SoftGoals, Relevance, ResourceUsage),
     *(FeasibilityEvents, Asked),
 )
 """What is left as it is: it does not change, or what it holds decides nothing."""
@@ -64,7 +65,6 @@ _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasi
 _KINDS: Final[Mapping[str, Any]] = {
     kind.__name__: kind for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
 }
-_PLAIN: Final = {int, float, str, bytes, bool, type(None)}
 _ABSENT: Final = object()
 
 
@@ -260,22 +260,22 @@ class Memory:
 
 def said(content: Any) -> str:  # noqa: ANN401  # what was encoded
     """Return what is held as a text, the same in every process: sets are in order, and no object says where it is."""
+    return json.dumps(content, default=_plain)
+
+
+def _plain(content: Any) -> object:  # noqa: ANN401  # what JSON does not know
     kind = type(content)
-    if issubclass(kind, tuple):
-        is_plain = _PLAIN.issuperset(map(type, content))
-        return repr(tuple(content)) if is_plain else f"({','.join(map(said, content))})"
-    if issubclass(kind, frozenset):
-        return f"{{{','.join(sorted(map(said, content)))}}}"
+    if issubclass(kind, set | frozenset):
+        return sorted(map(said, content))
+    if kind is Asked:
+        return repr(content)
     if hasattr(content, "__qualname__"):
         return f"{content.__module__}.{content.__qualname__}"
-    if kind in _PLAIN or kind is Asked or issubclass(kind, Enum):
-        return repr(content)
     if issubclass(kind, _FIXED):
         return f"{kind.__name__} {getattr(content, 'name', content)}"
     if not is_dataclass(kind):
         return repr(content)
-    compared = [(one.name, getattr(content, one.name)) for one in fields(kind) if one.compare]
-    return f"{kind.__name__}({','.join(f'{name}={said(one)}' for name, one in compared)})"
+    return [kind.__name__, *(getattr(content, one.name) for one in fields(kind) if one.compare)]
 
 
 def _attributes(what: object) -> dict[str, Any]:
@@ -349,6 +349,7 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
     tables: tuple[dict[Any, Any], ...] = (measurements.recent, measurements.since, records.progress)
 
     def read() -> _Facts:
+        known.settled()
         requests = [(one.action, memory.of(one.preference)) for one in records.required.values()]
         given = frozenset(memory.held(state.parameters) if memory.with_parameters else ())
         others = tuple(requests), *(frozenset(one.items()) for one in tables), given
@@ -361,6 +362,7 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         return found
 
     def write(content: _Facts) -> None:
+        known.settled()  # else what was interrupted would be undone later, in this state
         known.log.last += 1  # who keeps what was so at a revision asks anew
         known.revision = known.log.last
         for column, values in (*zip(facts, content, strict=False), *zip(inferred, content.columns, strict=True)):
@@ -379,6 +381,6 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         for place, nodes in content.marks:
             marked = state.users.of(place) if place >= 0 else (state.lacking, state.obsolete, state.adaptable)[place]
             for index in nodes:
-                marked.mark(state.network.nodes[index], True)
+                marked[state.network.nodes[index]] = True
 
     return _Cell(read, write)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
-from inspect import signature
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -10,6 +9,7 @@ from py_trees.composites import Sequence
 from py_trees.decorators import Decorator, FailureIsRunning
 
 from kb import KnowledgeBase
+from missions.engine.controller import Made, planner_of
 from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, Percepts
 from rosa_pddl import Domain, PlanExecutor, Planner, PlanningResult, Step
@@ -71,11 +71,11 @@ def stage_of(root: Behaviour) -> tuple[object, ...]:
 def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
     """Return what makes the plan executor of a mission; what its steps bring about is believed, nothing is sensed."""
     domain = mission_domain(mission)
-    made = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
-    planner, steps = _AtOnce(made), _steps(domain)
+    planner, steps = _AtOnce(planner_of(mission, domain)), _steps(domain)
 
     def build(kb: KnowledgeBase) -> Behaviour:
-        behaviours = {step: _behaviour(mission, kb, step) for step in steps}
+        made = Made(kb, Percepts())
+        behaviours = {step: made.by(step.schema, mission.actions[step.schema])(step) for step in steps}
         executor = PlanExecutor(
             f"plan for {mission.name}",
             kb=kb,
@@ -97,8 +97,3 @@ def _steps(domain: Domain) -> list[Step]:
     first = initial_state(domain).union(feasible)
     task = Grounded(domain, first, (first,), lambda instances: None)
     return [task.step(number) for number in range(task.size)]
-
-
-def _behaviour(mission: Mission, kb: KnowledgeBase, step: Step) -> Behaviour:
-    action = mission.actions[step.schema]
-    return action(kb, Percepts(), **({"step": step} if "step" in signature(action).parameters else {}))

@@ -89,14 +89,14 @@ class Rig(VisitorBase):
         ticked: the behaviours that were ever ticked.
     """
 
-    def __init__(self, setup: Setup, choices: Choices | None = None) -> None:
+    def __init__(self, setup: Setup) -> None:
         super().__init__(full=False)
         self.clock, self._start = 0.0, setup.start
         self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
         self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
         self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
         self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
-        self.choices = Choices() if choices is None else choices
+        self.choices = Choices()
         self.tape = Tape(self.kb, self.choices, is_on=setup.planner is None)  # a tree may know another planner
         self.root = setup.tree(self.tape.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)

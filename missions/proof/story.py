@@ -6,15 +6,11 @@ from pathlib import Path
 from pprint import pformat
 from typing import Any
 
-from py_trees.behaviour import Behaviour
-
-from kb import KnowledgeBase
-from missions.proof.leaves import Played, take_over
 from missions.proof.rig import Rig, Setup
 from missions.proof.rounds import Step
-from missions.proof.surroundings import Change, Surroundings
+from missions.proof.surroundings import Change
 from missions.testing.scripted import LETTERS
-from rosa_bt import Trace, TraceVisitor, replay_trace
+from rosa_bt import Trace, TraceVisitor
 
 Rounds = tuple[Any, Any, Any]
 """A `Step`, or the same as plain tuples."""
@@ -81,19 +77,6 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
 
 
 _TOLD = ("request_action", "cancel_action")
-
-
-def replayed(setup: Setup, story: Story, trail: Sequence[Step]) -> Trace:
-    """Return the trace of a story decided once more, by `rosa_bt.replay_trace`; it equals the story's own."""
-    scripts = {float(number): step.answers for number, step in enumerate(trail, start=1)}
-
-    def build(kb: KnowledgeBase) -> Behaviour:
-        root = setup.tree(kb)
-        values = Surroundings(kb, root, **setup.surroundings).values
-        take_over(root, kb, setup.leaves, values, Played(scripts, lambda: kb.now))
-        return root
-
-    return replay_trace(story.trace, setup.model(), build)
 
 
 def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:

@@ -75,7 +75,7 @@ class Surroundings:
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
         known = kb.model.attributes
         self.values = {name: _distinct(asked[name], known[name]) for name in kb.attributes if asked[name]}
-        self.worst = {name: min(found, key=partial(_satisfied, asked[name])) for name, found in self.values.items()}
+        self.worst = {name: min(found, key=partial(satisfied, asked[name])) for name, found in self.values.items()}
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
         asking = [one.port_arguments.get("element") for one in nodes(root) if isinstance(one, HasStatus)]
         named = {str(getattr(one, "name", one)) for one in asking}
@@ -90,16 +90,13 @@ class Surroundings:
         """Yield what can happen next, none of it first; the knowledge base says how it is now."""
         single = [one for name in self.values for one in self._measured(name)]
         down = self.failed()
-        single += [Change(next(one for one in reversed(alike) if one in down), False) for alike in self._broken(down)]
+        single += [Change(broken[-1], False) for alike in self.alike if (broken := [o for o in alike if o in down])]
         single += [Change(working[0], True) for alike in self.alike if (working := [o for o in alike if o not in down])]
         for count in range(self.at_once + 1):
             for chosen in combinations(single, count):
                 more = sum(1 if one.to else -1 for one in chosen if isinstance(one.to, bool))
                 if len({one.name for one in chosen}) == count and (more <= 0 or len(down) + more <= self.failures):
                     yield chosen
-
-    def _broken(self, down: tuple[str, ...]) -> list[tuple[str, ...]]:
-        return [alike for alike in self.alike if any(one in down for one in alike)]
 
     def _measured(self, name: str) -> Iterator[Change]:
         view = self._kb.attributes[name]
@@ -111,7 +108,8 @@ class Surroundings:
             yield Change(name, STALE)
 
 
-def _satisfied(asked: Iterable[tuple[str, float]], value: float) -> int:
+def satisfied(asked: Iterable[tuple[str, float]], value: float) -> int:
+    """Return how many comparisons, each an operator and what is compared with, hold of a value."""
     return sum(OPERATORS[sign](value, of) for sign, of in asked)
 
 

@@ -42,6 +42,11 @@ class _Reached(NamedTuple):
     at: int | None = None
 
 
+def _asking(does: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the method by which this is asked of what is stood for."""
+    return lambda self, *given: _how(self).tape.ask(self, does, *given)
+
+
 class Asked:
     """Stands for a knowledge base, or what was reached from it, and notes what it is asked and told.
 
@@ -69,24 +74,9 @@ class Asked:
     def __call__(self, *given: object, **named: object) -> Any:  # noqa: ANN401  # whatever there is
         return self._how.tape.ask(self, _call, given, tuple(named.items()))
 
-    def __getitem__(self, key: object) -> Any:  # noqa: ANN401  # whatever there is
-        return self._how.tape.ask(self, operator.getitem, key)
-
-    def __contains__(self, key: object) -> bool:
-        return bool(self._how.tape.ask(self, operator.contains, key))
-
     def __iter__(self) -> Iterator[Any]:
         found = self._how.tape.ask(self, tuple)
         return iter(found if type(found) is tuple else [found[place] for place in range(len(found))])
-
-    def __len__(self) -> int:
-        return int(self._how.tape.ask(self, len))
-
-    def __bool__(self) -> bool:
-        return bool(self._how.tape.ask(self, bool))
-
-    def __str__(self) -> str:
-        return str(self._how.tape.ask(self, str))
 
     def __repr__(self) -> str:
         steps = [f"{does.__name__}{given}" for does, given in self._how.path or ()]
@@ -97,6 +87,12 @@ class Asked:
 
     def __hash__(self) -> int:
         return hash(self._how.real)
+
+    __getitem__ = _asking(operator.getitem)
+    __contains__ = _asking(operator.contains)
+    __len__ = _asking(len)
+    __bool__ = _asking(bool)
+    __str__ = _asking(str)
 
 
 def settled(asked: Asked) -> object:

@@ -14,7 +14,7 @@ from missions.engine.controller import build_task, check_task
 from missions.engine.mission import Mission, Percepts
 from missions.proof.exploration import Exploration
 from missions.proof.planned import planned
-from missions.proof.properties import Finding, Graph, Property, check
+from missions.proof.properties import Finding, Property, check
 from missions.proof.rig import Predicate, Setup
 from missions.proof.story import Story, play
 from missions.proof.surroundings import Change
@@ -34,11 +34,6 @@ class Consequence:
     reaches: str
     actions: tuple[str, ...] = ()
 
-    @property
-    def then(self) -> str:
-        """What is reached, and what is done meanwhile."""
-        return f"{self.reaches}; does {', '.join(self.actions)}" if self.actions else self.reaches
-
 
 @dataclass(frozen=True)
 class Proof:
@@ -46,7 +41,7 @@ class Proof:
 
     Attributes:
         setup: what was verified.
-        found: what was explored.
+        found: what was explored, with what can be asked of that.
         findings: what holds and what does not.
         consequences: what single failures, and pairs of those that do not end the mission, lead to.
     """
@@ -72,14 +67,15 @@ class Proof:
 
     def report(self, path: str | Path) -> None:
         """Write a page of the first story of what does not hold, or of how the goal is reached; with all findings."""
-        goals = Graph(self.found).goals if self.shown is None else set()
-        way = self.found.path(min(goals)) if goals else ()
+        way = self.shown.trail if self.shown is not None else self.found.path(min(self.found.goals, default=0))
         outcome = "something is broken" if self.broken else "all holds" if self.found.is_finished else "not finished"
-        figures = [[" and ".join(one.facts), "", one.then] for one in self.consequences]
-        figures[:0] = [["if for good", "", "it reaches"]]
+        figures = [["if for good", "", "it reaches"]]
+        for one in self.consequences:
+            does = f"; does {', '.join(one.actions)}" if one.actions else ""
+            figures.append([" and ".join(one.facts), "", f"{one.reaches}{does}"])
         result = {"outcome": outcome, "success": outcome == "all holds", "reason": self.count, "figures": figures}
         rows = [("problem", number, f"{one.name}: {one.what}") for number, one in enumerate(self.broken)]
-        play(self.setup, (self.shown and self.shown.trail) or way, path, [("result", 0, result), *rows])
+        play(self.setup, way or (), path, [("result", 0, result), *rows])
 
     @property
     def count(self) -> str:
@@ -94,27 +90,26 @@ class Proof:
         for one in self.findings:
             verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
             lines.append(f"{verdict} {one.name}{f': {one.what}' if one.what else ''}")
-            story = self.story(one) if one.holds is False else None
-            lines += story.lines if story is not None else ()
+            lines += self._told(one)
         return "\n".join(lines)
+
+    def _told(self, finding: Finding) -> tuple[str, ...]:
+        story = self.story(finding)
+        return story.lines if story is not None else ()
 
     def as_data(self) -> dict[str, Any]:
         """Return all of it as values that JSON can hold."""
+        findings = [
+            {"name": one.name, "holds": one.holds, "what": one.what, "story": [*map(str.strip, self._told(one))]}
+            for one in self.findings
+        ]
         return {
             "finished": self.found.is_finished,
             "situations": len(self.found.situations),
             "transitions": self.found.transitions,
             "seconds": round(self.found.seconds, 3),
             "megabytes": round(self.found.megabytes),
-            "findings": [
-                {
-                    "name": one.name,
-                    "holds": one.holds,
-                    "what": one.what,
-                    "story": [*map(str.strip, told.lines if told else ())],
-                }
-                for one, told in ((one, self.story(one)) for one in self.findings)
-            ],
+            "findings": findings,
             "consequences": [vars(one) for one in self.consequences],
         }
 
@@ -187,37 +182,35 @@ def prove(
     reaction: int = 1,
 ) -> Proof:
     """Explore and check; what is asked is as `verify` has it."""
-    predicates = [*(one for each in wanted for one in each.predicates), *((goal,) if goal is not None else ())]
-    found = Exploration(setup, predicates)
+    found = Exploration(setup, [one for each in wanted for one in each.predicates], goal)
     actions = found.rig.kb.actions
     groups = [[actions[name].name for name in group] for group in exclusive]
     explore(found)
-    findings = check(found, reaction=reaction, exclusive=groups, goal=goal, wanted=wanted)
-    return Proof(setup, found, tuple(findings), tuple(consequences(Graph(found, goal))))
+    findings = check(found, reaction=reaction, exclusive=groups, wanted=wanted)
+    return Proof(setup, found, tuple(findings), tuple(consequences(found)))
 
 
-def consequences(graph: Graph) -> list[Consequence]:
+def consequences(found: Exploration) -> list[Consequence]:
     """Return what each single bad fact leads to, and each pair of those that do not end the mission."""
-    surroundings = graph.found.rig.surroundings
+    surroundings = found.rig.surroundings
     bad = [Change(alike[0], True) for alike in surroundings.alike]
     bad += [Change(name, value) for name, value in surroundings.worst.items()]
-    single = {one: _consequence(graph, (one,)) for one in bad}
+    single = {one: _consequence(found, (one,)) for one in bad}
     lasting = [one for one in bad if single[one].reaches.startswith("the goal")]
-    pairs = [_consequence(graph, pair) for pair in combinations(lasting, 2) if pair[0].name != pair[1].name]
+    pairs = [_consequence(found, pair) for pair in combinations(lasting, 2) if pair[0].name != pair[1].name]
     return [*single.values(), *(one for one in pairs if one.reaches == "nothing")]
 
 
-def _consequence(graph: Graph, facts: Sequence[Change]) -> Consequence:
-    found = graph.found
+def _consequence(found: Exploration, facts: Sequence[Change]) -> Consequence:
     failed = sorted(one.name for one in facts if one.to is True)
     measured = {(one.name, one.to) for one in facts if one.to is not True}
     within = {
         number
-        for number, one in enumerate(found.situations)
-        if sorted(found.known[one.known].failed) == failed and measured <= set(found.known[one.known].values)
+        for number, (_, known) in enumerate(found.states)
+        if sorted(known.failed) == failed and measured <= set(known.values)
     }
-    reached = graph.reaching(graph.goals & within, within=within)
-    actions = sorted({one for number in within for one in found.known[found.situations[number].known].required})
+    reached = found.reaching(found.goals & within, within=within)
+    actions = sorted({one for number in within for one in found.states[number][1].required})
     reaches = "nothing" if not reached else "the goal" if reached >= within else "the goal from some situations"
     is_known = within and (reached or found.is_finished)
     return Consequence(tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions))

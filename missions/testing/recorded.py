@@ -16,7 +16,7 @@ from py_trees.behaviour import Behaviour
 
 from kb import Event, KnowledgeBase, Model
 from missions.engine.components import VERBS
-from missions.engine.controller import RosaController
+from missions.engine.controller import RosaRun
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, built
 from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
@@ -29,7 +29,7 @@ from rosa_bt import Trace, TraceVisitor
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from missions.wires.bags import Bag
+    from missions.wires.mcap import Bag
 
 
 TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
@@ -141,6 +141,8 @@ def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: Task
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
         raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
     wanted = find_mission(mission) if isinstance(mission, str) else mission
+    if not isinstance(wanted, Mission | Model) and not callable(wanted):
+        raise MissionError(f"what is replayed to is a mission, its name, a model or what makes one, not {wanted!r}")
     if not isinstance(wanted, Mission):
         model = wanted if isinstance(wanted, Model) else built("the model to replay to", Model, wanted)
         if behaviour is None:
@@ -150,7 +152,7 @@ def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: Task
 
 
 def _messages_of(source: "str | Path | Bag | Iterable[Message]") -> list[Message]:
-    from missions.wires.bags import Bag, is_bag, read_bag
+    from missions.wires.mcap import Bag, is_bag, read_bag
 
     if isinstance(source, str | Path) and is_bag(source):
         source = read_bag(source)
@@ -166,8 +168,7 @@ def _decide(
     *,
     traced: bool,
 ) -> Decisions:
-    controller = RosaController(mission, task, world, limits)
-    run = MissionRun(mission, controller, world, limits)
+    run = RosaRun(mission, task, world, limits)
     if watch is not None:
         watch(run)
     for component in world.managed.scripted:
@@ -176,7 +177,7 @@ def _decide(
     run.kb.log.witnesses += (events.append,)
     with TraceVisitor(run.kb) if traced else nullcontext() as visitor:
         if visitor is not None:
-            controller.tree.add_visitor(visitor)
+            run.tree.add_visitor(visitor)
         verdict = run.run()
         trace = Trace(run.kb.model.name, ()) if visitor is None else visitor.trace
     moments = list(timeline(events, run.adaptations))

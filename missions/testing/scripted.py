@@ -1,7 +1,7 @@
 """Robots and leaves of trees that do as they are scripted, and the clock that a test moves."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final
 
 from py_trees.behaviour import Behaviour
@@ -58,11 +58,21 @@ def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> L
     if not found:
         raise UnknownName("leaf", name, dict.fromkeys(leaf.name for leaf in leaves))
     for leaf in found:
-        own = {"initialise": mock.initialise, "update": mock.update, "terminate": mock.terminate}
-        if isinstance(leaf, RosaAction):
-            own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
-        vars(leaf).update(own)
+        replace_work(leaf, mock.update, mock.initialise, mock.terminate)
     return mock
+
+
+def replace_work(
+    leaf: Behaviour,
+    update: Callable[[], Status],
+    initialise: Callable[[], object] = lambda: None,
+    terminate: Callable[[Status], object] = lambda new_status: None,
+) -> None:
+    """Have a leaf do this instead of its own work; a `RosaAction` still requests its action and releases it."""
+    own: dict[str, Callable[..., object]] = {"update": update, "initialise": initialise, "terminate": terminate}
+    if isinstance(leaf, RosaAction):
+        own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
+    vars(leaf).update(own)
 
 
 def _read(outcomes: str | Iterable[Status]) -> tuple[Status, ...]:

@@ -1,27 +1,36 @@
-"""The field in which samples lie, and the components of the vehicle; each acts while it is active, 10 times a second.
+"""The field in which samples lie as a world of missions, and the components of the vehicle that flies over it.
 
-What moves the vehicle leaves it hovering where it is when it is stopped: that is the safe state between two actions.
+Each component acts while it is active, 10 times a second. What moves the vehicle leaves it hovering where it is when it
+is stopped: that is the safe state between two actions.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from math import dist, hypot, inf, tan
-from typing import ClassVar, Final
+from math import cos, dist, hypot, inf, pi, sin, tan
+from typing import Any, Final
 
 from numpy.random import Generator
 
 from kb.elements import Parameters
-from missions.engine.components import NamedComponents
-from missions.engine.mission import MissionError
+from missions.engine import mission
+from missions.engine.components import NamedComponents, SimulatedComponents
+from missions.engine.mission import MISSION_STATUS, Message, MissionError
+from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.settings import PERIOD_S, Settings
-from missions.uav.vehicle import ON_GROUND_M, Quadrotor
+from missions.uav.vehicle import ON_GROUND_M, SUBSTEPS, Quadrotor
 
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
 FOLDED_RAD: Final = 0.15  # out of the view; it has folded at half of that, so that a gust does not bring it back
 FULL: Final = 0.99
+MOVERS: Final = ("search_planner", "pick_up_planner", "hover_planner", "return_planner", "landing_planner")
 OFF_LANE_M: Final = 2.0  # how far from the middle of its lane a sample may lie
+LEVELS: Final = {
+    PICK_UP_LEVEL: "picking up a sample needs",
+    SEARCH_LEVEL: "searching needs",
+    ANALYSE_LEVEL: "analysing on site needs",
+}
 
 
 @dataclass(slots=True)
@@ -31,50 +40,76 @@ class Sample:
     name: str  # "sample_1" and so on
     place: tuple[float, float]  # (x, y) [m], world frame
     wanted_s: float = 0.0  # from when on it is wanted [s]
-    is_reported: bool = False  # an operator reported it; it goes before those that were found
+    is_reported: bool = False  # an operator reports it; it goes before those that were found
+    is_wanted: bool = False
     is_found: bool = False  # it is known where it is
     quality: float | None = None  # worth of its analysis, up to 1; None before
 
 
-class Robot:
-    """What the components share: the vehicle, the field, and what is known and held.
+class UavWorld(mission.World):
+    """The vehicle over its field: what the components share, what is known and held, and what is said of it.
 
-    The field is lanes along the x axis; samples lie in two patches, and between them is a third of the lanes without
-    any. `publish` takes the text of the message, key and value, `disturb` notes what truly happened.
+    Time moves only in `advance`; the same settings and seed give the same floats. Chance is where the samples lie, the
+    wind, the phase of the battery monitor, and the jam. The field is lanes along the x axis; samples lie in two
+    patches, and between them is a third of the lanes without any.
 
     Attributes:
-        now: [s].
         level: charge of the battery, 0 to 1.
         samples: all of them, those included that nobody wants yet.
         target: the one to be analysed next; None while none is waiting.
-        held: by the gripper.
         jams_s: when the gripper jams [s].
         pick_ups: how many samples were lifted.
         recharges: how often the battery was charged until it was full.
         qualities: worth of each analysis that was done.
+        messages: what was published, until it is taken away.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        vehicle: Quadrotor,
-        rng: Generator,
-        publish: Callable[[str, str, str], None],
-        disturb: Callable[[str], None],
-    ) -> None:
-        self.settings, self.vehicle, self.rng, self.publish, self.disturb = settings, vehicle, rng, publish, disturb
-        self.now, self.level, self.jams_s = 0.0, 1.0, inf
+    now = 0.0
+
+    def __init__(self, settings: Settings, rng: Generator) -> None:
+        self.settings, self.rng = settings, rng
+        bearing, self._battery_due = rng.uniform(0, 2 * pi), float(rng.uniform(0, settings.battery_period_s))
+        self.vehicle = Quadrotor(settings, (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing)))
+        self._steps, self._step_s, self._nodes_due = 0, SUBSTEPS * settings.physics_step_s, 0.0
+        self._flown_m, self._least, self._between = 0.0, 1.0, (1.0, 1.0)
+        self.level, self.jams_s = 1.0, inf
         self.target: Sample | None = None
         self.held: Sample | None = None
         self.is_jammed = self.is_charging = False
         self.pick_ups = self.recharges = 0
         self.qualities: list[float] = []
+        self.messages: list[Message] = []
+        self._happened: list[tuple[float, str]] = []
         every, count = int(settings.lanes), int(settings.samples)
         lanes = [one for one in range(every) if not every // 3 <= one < every - every // 3]
         places = [self._place(lanes[number * len(lanes) // count]) for number in range(count)]
         self.samples = [Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)]
         added = Sample(f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True)
         self.samples += [added] if settings.added_s > 0 else []
+        self._places = {one.name: [one.place] for one in self.samples}
+        self._nodes = Nodes(self)
+        takes = {"activate": settings.activation_s, "deactivate": settings.deactivation_s}
+        self._managed = SimulatedComponents(lambda: self.now, self._nodes, takes)
+        self.want()
+        self.say("gripper_folded")
+        self.publish("QA measurement", "battery_level", "1.0")
+
+    @property
+    def managed(self) -> SimulatedComponents:
+        return self._managed
+
+    def publish(self, message: str, key: str, value: str) -> None:
+        """Publish a value by its key, in a message of this text."""
+        status = {"name": "uav", "message": message, "values": {key: value}}
+        self.messages.append({"time": self.now, "status": [status]})
+
+    def say(self, key: str, holds: bool = True) -> None:
+        """Publish that something holds, or does not."""
+        self.publish(MISSION_STATUS, key, str(holds).lower())
+
+    def disturb(self, text: str) -> None:
+        """Note what truly happened."""
+        self._happened.append((self.now, text))
 
     def _lane_y(self, lane: int) -> float:
         return (lane + 0.5) * self.settings.lane_m
@@ -90,6 +125,16 @@ class Robot:
         lanes = range(int(self.settings.lanes))
         return [(x, self._lane_y(lane)) for lane in lanes for x in (ends if lane % 2 == 0 else ends[::-1])]
 
+    def want(self) -> None:
+        """Have samples wanted whose time has come."""
+        for one in [one for one in self.samples if not one.is_wanted and one.wanted_s <= self.now]:
+            one.is_wanted = True
+            self.say(f"{one.name}_wanted")
+            if one.is_reported:
+                one.is_found = True
+                self.disturb(f"an operator reports {one.name}")
+                self.say(f"{one.name}_found")
+
     def aim(self) -> None:
         """Choose the next target if there is none: reported ones first, then the nearest."""
         if self.target is not None:
@@ -98,7 +143,12 @@ class Robot:
         waiting = [one for one in self.samples if one.is_found and one.quality is None]
         if waiting:
             self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
-            self.publish("mission status", f"{self.target.name}_target", "true")
+            self.say(f"{self.target.name}_target")
+
+    def approach(self, height: float) -> None:
+        """Fly to the place with the legs that high above the target [m], if there is one."""
+        if self.target is not None:
+            self.vehicle.go_to(self.over(self.target, height))
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
         """Return the place with the legs that high above a sample [m], world frame."""
@@ -111,100 +161,194 @@ class Robot:
             self.vehicle.carry(0.0)
 
     def analysed(self, quality: float) -> None:
-        target = self.target
-        if target is not None:
-            target.quality, self.target = quality, None
+        """Take the target as analysed, with that worth."""
+        if self.target is not None:
+            self.target.quality = quality
             self.qualities.append(quality)
-            self.publish("mission status", f"{target.name}_analysed", "true")
-            self.publish("mission status", f"{target.name}_target", "false")
+            self.say(f"{self.target.name}_analysed")
+            self.say(f"{self.target.name}_target", False)
+            self.target = None
+
+    def advance(self, until: float) -> list[Message]:
+        """Simulate until something is published or switched, at most to the time `until` [s]."""
+        is_changed = bool(self.messages)
+        while not is_changed and (self._steps + 1) * self._step_s <= until + 1e-9:
+            self._steps += 1
+            self.now = self._steps * self._step_s
+            self._step()
+            is_changed = self._managed.catch_up() or bool(self.messages)
+        if not is_changed:
+            self.now = until
+        said, self.messages = self.messages, []
+        return said
+
+    def _step(self) -> None:
+        before = self.vehicle.position
+        self.vehicle.step()
+        self._flown_m += dist(before, self.vehicle.position)
+        self._drain()
+        if self.now >= self._nodes_due - 1e-9:
+            self._nodes_due += PERIOD_S
+            self.want()
+            for act in self._nodes.acting:
+                act()
+            self.aim()
+        if self.now >= self._battery_due - 1e-9:
+            self._battery_due += self.settings.battery_period_s
+            self.publish("QA measurement", "battery_level", repr(self.level))
+
+    def _drain(self) -> None:
+        settings, before, step_s = self.settings, self.level, self._step_s
+        watts = self.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
+        gained = step_s / settings.charge_s if self.is_charging else 0.0
+        after = before + gained - watts * step_s / settings.capacity_j
+        if self._between[0] < after < self._between[1]:  # mostly
+            self.level = after
+            self._least = after if after < self._least else self._least
+        else:
+            self._cross(before, max(0.0, min(1.0, after)))
+
+    def _cross(self, before: float, after: float) -> None:
+        """Take in a charge on the other side of a level, and note what that means."""
+        levels = 0.0, *LEVELS, 1.0
+        self._between = max(one for one in levels if one <= after), min(one for one in levels if one >= after)
+        self.level, self._least = after, min(self._least, after)
+        for level, what in LEVELS.items():
+            if before >= level > after:
+                self.disturb(f"the battery fell below {level:g}, which {what}")
+        if after == 0.0 and before > 0.0:
+            self.vehicle.has_power = False
+            self.disturb("the battery is empty")
+            self.say("battery_empty")
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the battery has run empty, after which it does not fly again, and nobody wants anything more."""
+        return not (self.vehicle.has_power or self.is_charging) and all(one.is_wanted for one in self.samples)
+
+    def results(self) -> dict[str, float | None]:
+        return {
+            "analysed_samples": float(len(self.qualities)),
+            "quality_points": sum(self.qualities),
+            "wanted_samples": float(sum(one.is_wanted for one in self.samples)),
+            "lifted_samples": float(self.pick_ups),
+            "recharged_times": float(self.recharges),
+            "flown_m": self._flown_m,
+            "least_charge_percent": 100 * self._least,
+        }
+
+    def sample(self) -> mission.Sample:
+        signals = {
+            "battery level [-]": self.level,
+            "height [m]": self.vehicle.altitude,
+            "rotors [W]": self.vehicle.rotor_w,
+            "gripper [deg]": self.vehicle.arm_rad * 180 / pi,
+        }
+        return mission.Sample(self.now, self.vehicle.position, signals)
+
+    def disturbances(self) -> list[tuple[float, str]]:
+        return list(self._happened)
+
+    def scenery(self) -> Mapping[str, Any]:
+        return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._places.items()}}
 
 
-class Node:
-    """A component that can be active or inactive; it `moves` if it steers the vehicle."""
+class Nodes(NamedComponents):
+    """What each component does while it is active; a change is carried out at once, see `missions.engine.components`.
 
-    name: ClassVar[str]
-    moves: ClassVar[bool] = False
+    Attributes:
+        acting: what those do that are active, once a period.
+        watts: that they draw.
+    """
 
-    def __init__(self, robot: Robot) -> None:
-        self.robot = robot
-        self._worked_s = 0.0
+    def __init__(self, robot: UavWorld) -> None:
+        super().__init__()
+        self._robot, self._ahead, half_w = robot, robot.path, robot.settings.pick_up_w / 2
+        self._acts: dict[str, Callable[[], None]] = {
+            "search_planner": self._search,
+            "sample_camera": self._see_samples,
+            "pick_up_planner": self._pick_up,
+            "gripper": self._grip,
+            "analyser": self._analyse,
+            "hover_planner": lambda: robot.approach(LOOK_M),
+            "infrared_camera": self._look,
+            "return_planner": self._return,
+            "landing_planner": lambda: None,
+            "folding_servo": self._fold,
+        }
+        self._powers_w = {"gripper": half_w, "analyser": half_w, "infrared_camera": robot.settings.infrared_w}
+        self._worked_s = dict.fromkeys(self._acts, 0.0)
+        self._done: set[str] = set()  # components that have reported, since they became active, that they are
+        self.acting: tuple[Callable[[], None], ...] = ()
+        self.watts = 0.0
 
-    def worked_s(self, works: bool) -> float:
-        """Return for how long it has worked without a break [s], this period included if it works in it."""
-        self._worked_s = self._worked_s + PERIOD_S if works else 0.0
-        return self._worked_s
+    def check(self, component: str, parameters: Parameters, /) -> None:
+        """Raise MissionError unless there is that component; none has parameters."""
+        if component not in self._acts or parameters:
+            known = f"there are {', '.join(self._acts)}, which have no parameters"
+            raise MissionError(f"{component} with {dict(parameters)} cannot be; {known}")
 
-    def begin(self) -> None:
-        """Begin; called when it has become active."""
+    def activate(self, component: str, /) -> None:
+        if component in self.active:
+            return
+        super().activate(component)
+        self._note()
+        self._done.discard(component)
+        robot = self._robot
+        if component == "gripper":
+            self._worked(component, False)
+            robot.vehicle.fold(False)
+            robot.say("gripper_folded", False)
+        elif component == "landing_planner":
+            robot.vehicle.land()
 
-    def end(self) -> None:
-        """End; called when it has become inactive."""
+    def deactivate(self, component: str, /) -> None:
+        if component not in self.active:
+            return
+        super().deactivate(component)
+        self._note()
+        robot = self._robot
+        if component == "search_planner":
+            self._ahead = [robot.vehicle.position[:2], *self._ahead]  # it goes on where it was stopped
+        elif component == "gripper":
+            robot.let_go()
+        elif component == "return_planner":
+            robot.is_charging = False
+        if component in MOVERS and not self.active.intersection(MOVERS):
+            robot.vehicle.hold()
 
-    def update(self) -> None:
-        """Act; called while it is active."""
+    def _note(self) -> None:
+        self.acting = tuple(act for name, act in self._acts.items() if name in self.active)
+        self.watts = sum(watts for name, watts in self._powers_w.items() if name in self.active)
 
+    def _worked(self, component: str, works: bool) -> float:
+        """Return for how long a component has worked without a break [s], this period included if it works in it."""
+        self._worked_s[component] = self._worked_s[component] + PERIOD_S if works else 0.0
+        return self._worked_s[component]
 
-class SearchPlanner(Node):
-    """Flies along the lanes, and goes on where it was stopped."""
-
-    name, moves = "search_planner", True
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__(robot)
-        self._ahead = robot.path
-
-    def end(self) -> None:
-        x, y, _ = self.robot.vehicle.position
-        self._ahead = [(x, y), *self._ahead]
-
-    def update(self) -> None:
-        robot = self.robot
-        x, y = self._ahead[0]
+    def _search(self) -> None:
+        """Fly along the lanes."""
+        robot, (x, y) = self._robot, self._ahead[0]
         robot.vehicle.go_to((x, y, ON_GROUND_M + robot.settings.cruise_m))
         if dist((x, y), robot.vehicle.position[:2]) < 1.0:
             self._ahead = self._ahead[1:] or robot.path
 
-
-class SampleCamera(Node):
-    """Sees the samples below, in a circle as wide as the vehicle is high."""
-
-    name = "sample_camera"
-
-    def update(self) -> None:
-        robot, vehicle = self.robot, self.robot.vehicle
+    def _see_samples(self) -> None:
+        """See the samples below, in a circle as wide as the vehicle is high."""
+        robot, vehicle = self._robot, self._robot.vehicle
         radius = vehicle.altitude * tan(robot.settings.half_view_rad)
         for one in robot.samples:
             if not (one.is_found or one.is_reported) and dist(one.place, vehicle.position[:2]) <= radius:
                 one.is_found = True
-                robot.publish("mission status", f"{one.name}_found", "true")
+                robot.say(f"{one.name}_found")
 
+    def _pick_up(self) -> None:
+        """Fly down to the target, and up again when it is held."""
+        self._robot.approach(GRIP_M if self._robot.held is None else LIFT_M)
 
-class PickUpPlanner(Node):
-    """Flies down to the target, and up again when it is held."""
-
-    name, moves = "pick_up_planner", True
-
-    def update(self) -> None:
-        robot, target = self.robot, self.robot.target
-        if target is not None:
-            robot.vehicle.go_to(robot.over(target, GRIP_M if robot.held is None else LIFT_M))
-
-
-class Gripper(Node):
-    """Unfolds, and grips the target when it is within reach; a worn one jams while it lifts, and drops the sample."""
-
-    name = "gripper"
-
-    def begin(self) -> None:
-        self.worked_s(False)
-        self.robot.vehicle.fold(False)
-        self.robot.publish("mission status", "gripper_folded", "false")
-
-    def end(self) -> None:
-        self.robot.let_go()
-
-    def update(self) -> None:
-        robot, target = self.robot, self.robot.target
+    def _grip(self) -> None:
+        """Grip the target when it is within reach; a worn gripper jams while it lifts, and drops the sample."""
+        robot, target, settings = self._robot, self._robot.target, self._robot.settings
         if robot.held is not None and robot.now >= robot.jams_s:
             robot.is_jammed, robot.jams_s = True, inf
             robot.let_go()
@@ -213,141 +357,50 @@ class Gripper(Node):
         if robot.is_jammed or robot.held is not None or target is None:
             return
         reached = robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
-        if self.worked_s(reached) >= robot.settings.grip_s:
-            self._close(target)
+        if self._worked("gripper", reached) >= settings.grip_s:
+            robot.held = target
+            robot.pick_ups += 1
+            robot.vehicle.carry(settings.sample_kg)
+            if 0 < settings.gripper_worn_s <= robot.now:
+                robot.jams_s = robot.now + float(robot.rng.uniform(0.1, settings.jam_delay_s))
 
-    def _close(self, target: Sample) -> None:
-        robot, settings = self.robot, self.robot.settings
-        robot.held = target
-        robot.pick_ups += 1
-        robot.vehicle.carry(settings.sample_kg)
-        if 0 < settings.gripper_worn_s <= robot.now:
-            robot.jams_s = robot.now + float(robot.rng.uniform(0.1, settings.jam_delay_s))
-
-
-class Analyser(Node):
-    """Analyses what is held, once it is lifted."""
-
-    name = "analyser"
-
-    def update(self) -> None:
-        robot = self.robot
+    def _analyse(self) -> None:
+        """Analyse what is held, once it is lifted."""
+        robot = self._robot
         is_lifted = robot.held is not None and robot.vehicle.altitude > LIFT_M - 0.5
-        if self.worked_s(is_lifted) >= robot.settings.analysis_s:
+        if self._worked("analyser", is_lifted) >= robot.settings.analysis_s:
             robot.analysed(1.0)
             robot.let_go()
 
-
-class HoverPlanner(Node):
-    """Hovers above the target."""
-
-    name, moves = "hover_planner", True
-
-    def update(self) -> None:
-        robot, target = self.robot, self.robot.target
-        if target is not None:
-            robot.vehicle.go_to(robot.over(target, LOOK_M))
-
-
-class InfraredCamera(Node):
-    """Analyses the target from above; an unfolded gripper would be in its view."""
-
-    name = "infrared_camera"
-
-    def update(self) -> None:
-        robot, target = self.robot, self.robot.target
+    def _look(self) -> None:
+        """Analyse the target from above; an unfolded gripper would be in the view."""
+        robot, target, settings = self._robot, self._robot.target, self._robot.settings
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
-        if self.worked_s(sees and robot.vehicle.arm_rad < FOLDED_RAD) >= robot.settings.infrared_s:
-            robot.analysed(robot.settings.infrared_quality)
+        if self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD) >= settings.infrared_s:
+            robot.analysed(settings.infrared_quality)
 
+    def _return(self) -> None:
+        """Land at the base, which is the origin, and charge there; report that it is full as long as it stays.
 
-class ReturnPlanner(Node):
-    """Lands at the base, which is the origin, and charges there; reports that it is full as long as it stays.
-
-    Whoever begins to listen when the battery is full already hears it, too; and what else depends on the battery is
-    not decided by a measurement of before.
-    """
-
-    name, moves = "return_planner", True
-
-    def begin(self) -> None:
-        self._is_full = False
-
-    def end(self) -> None:
-        self.robot.is_charging = False
-
-    def update(self) -> None:
-        robot = self.robot
-        x, y, _ = robot.vehicle.position
-        if not (robot.vehicle.is_landed and hypot(x, y) < 1.0):
-            robot.vehicle.land((0.0, 0.0))
+        Whoever begins to listen when the battery is full already hears it, too; and what else depends on the battery
+        is not decided by a measurement of before.
+        """
+        robot, vehicle = self._robot, self._robot.vehicle
+        if not (vehicle.is_landed and hypot(*vehicle.position[:2]) < 1.0):
+            vehicle.land((0.0, 0.0))
             return
         robot.is_charging = True
         if robot.level >= FULL:
-            robot.recharges += not self._is_full
-            self._is_full = True
+            robot.recharges += "return_planner" not in self._done
+            self._done.add("return_planner")
             robot.publish("QA measurement", "battery_level", repr(robot.level))
-            robot.publish("mission status", "battery_recharged", "true")
+            robot.say("battery_recharged")
 
-
-class LandingPlanner(Node):
-    """Lands right below."""
-
-    name, moves = "landing_planner", True
-
-    def begin(self) -> None:
-        self.robot.vehicle.land()
-
-
-class FoldingServo(Node):
-    """Folds the gripper once the vehicle stands."""
-
-    name = "folding_servo"
-
-    def begin(self) -> None:
-        self._is_told = False
-
-    def update(self) -> None:
-        vehicle = self.robot.vehicle
+    def _fold(self) -> None:
+        """Fold the gripper once the vehicle stands."""
+        vehicle = self._robot.vehicle
         if vehicle.is_landed:
             vehicle.fold(True)
-            if vehicle.arm_rad < FOLDED_RAD / 2 and not self._is_told:
-                self._is_told = True
-                self.robot.publish("mission status", "gripper_folded", "true")
-
-
-class Nodes(NamedComponents):
-    """All of them; a change is carried out at once, see `missions.engine.components`."""
-
-    def __init__(self, robot: Robot) -> None:
-        super().__init__()
-        kinds = (SearchPlanner, SampleCamera, PickUpPlanner, Gripper, Analyser, HoverPlanner, InfraredCamera)
-        self._nodes = {one.name: one(robot) for one in (*kinds, ReturnPlanner, LandingPlanner, FoldingServo)}
-        self._hold, half_w = robot.vehicle.hold, robot.settings.pick_up_w / 2
-        self._powers_w = {"gripper": half_w, "analyser": half_w, "infrared_camera": robot.settings.infrared_w}
-        self.acting: tuple[Node, ...] = ()
-        self.watts = 0.0  # of those that act
-
-    def _note(self) -> None:
-        self.acting = tuple(one for name, one in self._nodes.items() if name in self.active)
-        self.watts = sum(self._powers_w.get(one.name, 0.0) for one in self.acting)
-
-    def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise MissionError unless there is that component; none has parameters."""
-        if component not in self._nodes or parameters:
-            known = f"there are {', '.join(self._nodes)}, which have no parameters"
-            raise MissionError(f"{component} with {dict(parameters)} cannot be; {known}")
-
-    def activate(self, component: str, /) -> None:
-        if component not in self.active:
-            super().activate(component)
-            self._note()
-            self._nodes[component].begin()
-
-    def deactivate(self, component: str, /) -> None:
-        if component in self.active:
-            super().deactivate(component)
-            self._note()
-            self._nodes[component].end()
-            if self._nodes[component].moves and not any(other.moves for other in self.acting):
-                self._hold()
+            if vehicle.arm_rad < FOLDED_RAD / 2 and "folding_servo" not in self._done:
+                self._done.add("folding_servo")
+                self._robot.say("gripper_folded")

@@ -55,7 +55,7 @@ class Narrator(Listener):
         if self.progress.disable:
             return
         doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
-        measured = run.controller.measured.items()
+        measured = run.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
         self.progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
 
@@ -110,7 +110,7 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
         _, first = run.problems[0]
         text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
         console.print(f"[yellow]{escape(text)}[/]")
-    for finding in run.controller.findings:
+    for finding in run.findings:
         console.print(f"[yellow]{escape(finding)}[/]")
     colour = "green" if verdict.success else "red"
     console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}")

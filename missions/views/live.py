@@ -19,7 +19,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 
 from kb import KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
 from missions.views.report import page_of
@@ -102,7 +102,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
         shown_host = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         query = f"?token={quote(self._token)}" if self._token else ""
-        self.url = f"http://{shown_host}:{port}/{query}"
+        self._place = f"http://{shown_host}:{port}/"
+        self.url = f"{self._place}{query}"
         self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
         self.recorder.header["live"] = True
         live = {"socket": f"/ws{query}"}
@@ -167,7 +168,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         """Return why somebody may not look; empty if nothing is in the way."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
-            return f"a page from {origin} may not look at this robot; open {self.url.partition('?')[0]} itself"
+            return f"a page from {origin} may not look at this robot; open {self._place} itself"
         if self._token is None:
             return "" if host in self._hosts else f"this is not {host}; open {self.url}"
         if hmac.compare_digest(token.encode(), self._token.encode()):
@@ -176,10 +177,13 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
         """Answer who asks for the page, or who may not look; None to whom its socket is given."""
-        path = urlsplit(request.path)
-        refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
-        if refusal:
-            return connection.respond(403, refusal + "\n")
+        try:
+            path = urlsplit(request.path)
+            refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
+            if refusal:
+                return connection.respond(403, refusal + "\n")
+        except (LookupError, ValueError):  # a header twice, an address or a text that is none
+            return connection.respond(400, f"the address, host or origin is malformed; open {self._place}\n")
         if len(self._pages) >= _MOST_PAGES:
             return connection.respond(503, f"{_MOST_PAGES} pages look already\n")
         if path.path == "/ws":

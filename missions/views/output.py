@@ -6,8 +6,9 @@ A file is tried before the run, and complete or not there at all after it.
 import json
 import math
 import os
-from collections.abc import Mapping
-from contextlib import AbstractContextManager, ExitStack, suppress
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,15 +26,28 @@ UNITS: Final = {
 """How a unit is written that is the end of a figure's name."""
 
 
+@contextmanager
+def files_tried(what: str, advice: str = "") -> Iterator[None]:
+    """Raise MissionError instead if what is tried with files, such as "read x.toml", cannot be done."""
+    try:
+        yield
+    except (OSError, sqlite3.Error) as error:
+        why = getattr(error, "strerror", None) or error
+        raise MissionError(f"cannot {what}: {why}{advice}") from error
+
+
 class OutputFile(AbstractContextManager["OutputFile"]):
     """A file that appears under its name, in the place of another one, only when it is complete; used as a context.
 
-    A device such as /dev/stdout is written directly. A MissionError says at once that it cannot be written there.
+    A device such as /dev/stdout is written directly.
+
+    Raises:
+        MissionError: it cannot be written there, which is said at once, or there is no room for it.
     """
 
     def __init__(self, path: Path) -> None:
-        self._path, self._stack = path, ExitStack()
-        try:
+        self._what, self._stack = f"write {path}", ExitStack()
+        with files_tried(self._what):
             self._direct = path.exists() and not path.is_file()
             # a link is followed, not replaced; that to a pipe leads to no path
             self._target = path if self._direct else path.resolve()
@@ -43,8 +57,6 @@ class OutputFile(AbstractContextManager["OutputFile"]):
                 raise PermissionError("the file there is read-only")
             self._draft = self._target if self._direct else self._stack.enter_context(draft(self._target))
             self._file = self._draft.open("wb")
-        except OSError as error:
-            raise self._failure(error) from error
 
     def __exit__(self, *reason: object) -> None:
         with suppress(OSError):  # what could not be written is for finish to say
@@ -52,32 +64,21 @@ class OutputFile(AbstractContextManager["OutputFile"]):
         self._stack.close()
 
     def write(self, content: str | bytes) -> None:
-        """Append text or bytes; MissionError if there is no room for it."""
-        try:
+        """Append text or bytes."""
+        with files_tried(self._what):
             self._file.write(content.encode() if isinstance(content, str) else content)
-        except OSError as error:
-            raise self._failure(error) from error
 
     def finish(self, content: str | bytes = b"") -> None:
         """Append the last text or bytes, and put the file, which is complete now, in its place."""
         self.write(content)
-        try:
+        with files_tried(self._what):
             self._file.close()
             if not self._direct:
                 put(self._draft, self._target)
-        except OSError as error:
-            raise self._failure(error) from error
-
-    def _failure(self, error: OSError) -> MissionError:
-        return MissionError(f"cannot write {self._path}: {error.strerror or error}")
 
 
 def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, OutputFile]:
-    """Open every file that an option asks for, so that it is found out before the work begins if one cannot be written.
-
-    Raises:
-        MissionError: one cannot be written.
-    """
+    """Open every file that an option asks for, so that it is found out first if one cannot be written."""
     return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items() if path is not None}
 
 

@@ -17,13 +17,14 @@ from py_trees.decorators import Decorator
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
-from kb import Attempt, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
+from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
-from missions.engine.controller import has_plans
-from missions.engine.mission import MissionError
-from missions.views.chain import chain_of
-from missions.views.facts import CHOSEN, cases, choice_of, described, plain
+from missions.engine.controller import RosaRun, has_plans
+from missions.engine.mission import Message, MissionError, Sample, Verdict
+from missions.engine.runner import Listener, MissionRun
+from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described, plain
+from missions.views.output import figure_in_words
 from missions.views.rows import VERSION, Recorded, Rows
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
@@ -207,7 +208,7 @@ class Recorder:
             self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
 
     def _note_records(self, event: Event) -> None:
-        """Write down what became of actions, plans and commands."""
+        """Write down what became of actions, plans and parameters."""
         time, rows, names = event.time, self.rows, self._nodes
         if event.verb in ("request_action", "cancel_action"):
             one = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
@@ -221,13 +222,6 @@ class Recorder:
                 rows.put(time, "plan", plan.number, shown)
                 if plan.end is not None and plan.end < time:
                     break
-        elif event.verb in ("record_attempt", "finish_attempt"):
-            serial = event.arguments[0] if event.verb == "finish_attempt" else None
-            attempts = reversed(self.kb.history.attempts)
-            made = next((one for one in attempts if serial in (None, one.serial)), None)
-            if made is not None:
-                shown = {"plan": made.plan.number, "component": names["component", made.component]}
-                rows.put(time, "attempt", made.serial, {**shown, "operation": made.operation, **_ending(made)})
         if event.verb in ("finish_attempt", "component_configured", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
@@ -391,5 +385,87 @@ def _program() -> str:
         return "rosa-taca"
 
 
-def _ending(one: RequiredAction | ReconfigurationPlan | Attempt) -> dict[str, Any]:
+def _ending(one: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
     return {name: getattr(one, name) for name in ("start", "end", "result", "reason")}
+
+
+class RunRecorder(Listener):
+    """Listens to a run that is open, and writes down what there is to see; `end` after it.
+
+    Under a manager without a knowledge base one of our own hears the same messages and says what they mean.
+
+    Args:
+        keep: how many rows to keep, the newest; None for all.
+        what_if: whether to work out what would have been if something else had been measured.
+    """
+
+    def __init__(
+        self, run: MissionRun, seed: int, settings: Mapping[str, str], keep: int | None = None, *, what_if: bool = True
+    ) -> None:
+        self._run = run
+        self._scene: tuple[str, ...] | None = None
+        self._disturbed = self._failed = 0
+        is_ours = isinstance(run, RosaRun)
+        kb = run.kb if is_ours else KnowledgeBase(run.model, clock=lambda: run.world.now)
+        self._own = None if is_ours else kb
+        self._sample = sample = run.world.sample()
+        self._measured = frozenset(kb.attributes)
+        header = {
+            **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
+            **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
+            "signals": [name for name, _ in map(_split, sample.signals if sample else ())],
+            "units": {name: unit for name, unit in map(_split, sample.signals if sample else ()) if unit},
+        }
+        tree = getattr(run, "tree", None)
+        self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)
+        self._show()
+        run.listen(self)
+
+    def end(self, verdict: Verdict) -> None:
+        run = self._run
+        self._show()
+        figures = [list(figure_in_words(name, value, run.model)) for name, value in run.results().items()]
+        shown = {"outcome": verdict.outcome, "success": verdict.success, "reason": verdict.reason, "figures": figures}
+        self.recorder.put("result", 0, shown)
+        self.recorder.close()
+
+    def message(self, message: Message) -> None:
+        if self._own is not None:
+            self._own.receive(message)
+
+    def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
+        self._failed += 1
+        self.recorder.put("problem", self._failed, str(problem))
+
+    def adaptation(self, adaptation: Adaptation) -> None:
+        self.recorder.adapted(adaptation)
+
+    def sample(self, sample: Sample) -> None:
+        self._sample = sample
+        self._show()
+
+    def _show(self) -> None:
+        """Write down what the world shows now, and what has happened in it."""
+        recorder, run, sample = self.recorder, self._run, self._sample
+        if sample is not None:
+            recorder.posed(sample.time, sample.position)
+            for signal, value in sample.signals.items():
+                if _split(signal)[0] not in self._measured:
+                    recorder.put("signal", signal, round(value, 4))
+        scenery = run.world.scenery()
+        if tuple(scenery) != self._scene:  # what is special in a place is in its name
+            self._scene = tuple(scenery)
+            recorder.show(scenery)
+        for time, text in run.world.disturbances()[self._disturbed :]:
+            self._disturbed += 1
+            recorder.put("disturbance", self._disturbed, {"t": time, "words": text})
+        if self._own is not None:
+            for number, one in enumerate(run.actions, start=1):
+                recorder.acted(number, one)
+
+
+def _split(signal: str) -> tuple[str, str]:
+    """Return the name of the attribute that a signal is called after, and the unit."""
+    name, _, unit = signal.partition(" [")
+    unit = unit.rstrip("]")
+    return name.replace(" ", "_"), "" if unit == "-" else unit

@@ -12,9 +12,7 @@ from threading import Lock
 from typing import Any, Final
 
 VERSION: Final = 1
-NUMBERED: Final = frozenset(
-    {"event", "action", "plan", "attempt", "taskplan", "adaptation", "whatif", "disturbance", "problem"}
-)
+NUMBERED: Final = frozenset({"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"})
 """The tracks whose keys are numbers of what happened: only more come, and what is too old to be kept is let go."""
 
 VERBATIM: Final = frozenset(

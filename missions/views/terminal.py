@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Final
 from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from missions.views.recorder import Recorder
 
 with needs("tui", "the view in a terminal"):
@@ -68,14 +68,12 @@ class SocketFeed:
         if not place.hostname or port is None:
             raise MissionError(f"{address!r} is no address of a live view; write HOST:PORT, or the link it printed")
         query = f"token={token}" if token else place.query
-        self._url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
+        url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
         self.title = f"{place.hostname}:{port}"
-        self._connect = connect
         self._heard: SimpleQueue[list[Any]] = SimpleQueue()
         self._wrong = ""
         try:
-            with self._connect(self._url, max_size=None, open_timeout=5):
-                pass
+            self._socket = connect(url, max_size=None, open_timeout=5)
         except Exception as error:  # nobody, no WebSocket, a token that is refused
             raise MissionError(f"no live view at {self.title}: {error}") from None
         Thread(target=self._hear, name="watch", daemon=True).start()
@@ -91,7 +89,7 @@ class SocketFeed:
 
     def _hear(self) -> None:
         try:
-            with self._connect(self._url, max_size=None) as socket:
+            with self._socket as socket:
                 for text in socket:
                     told = json.loads(text)
                     self._heard.put(told.get("rows") or [])

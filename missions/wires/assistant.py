@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from kb import Event, EventKind, KnowledgeBase, KnowledgeBaseError
 from missions.engine.mission import Mission, MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from rosa_pddl import RosaPddlError
 
 if TYPE_CHECKING:

@@ -243,10 +243,12 @@ class RosComponents:
         return self._names[component]
 
     def _follow(self, calls: Calls) -> "Future[None]":
-        """Make calls one after the other, each when the one before is answered; nobody waits."""
+        """Make calls one after the other, each when the one before is answered, until it is cancelled; nobody waits."""
         done: Future[None] = Future()
 
         def go_on(answered: "Future[Message] | None" = None) -> None:
+            if done.cancelled():
+                return
             try:
                 error = None if answered is None else answered.exception()
                 if error is not None:

@@ -10,10 +10,9 @@ from time import monotonic
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.extras import needs
-from missions.wires.node import LOOPBACK, QUEUED, Message, Outbox, RosError
+from missions.engine.registry import needs
+from missions.wires.node import LOOPBACK, QUEUED, Client, Ear, Field, Message, Outbox, RosError, TypedNode, made
 from missions.wires.ros import NOTHING, Types, types
-from missions.wires.typed import Client, Ear, Field, TypedNode, made
 
 _LOOK_S: Final = 0.05
 """How often it is looked who is there [s]."""
@@ -103,9 +102,9 @@ class DdsNode(TypedNode):
         self._thread.start()
 
     def close(self) -> None:
+        self._outbox.close()
         self._closing.set()
         self._thread.join()
-        self._outbox.close()
         super().close()
         self._participant.__del__()  # with all that it has, now; its own way to be closed
 

@@ -23,7 +23,7 @@ from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from missions.engine.mission import MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from rosa_bt.xml import NumberedTree
 
 PORT: Final = 1667

@@ -1,36 +1,60 @@
-"""A run as an MCAP file, written as it happens, in ROS 2's own messages; docs/recordings.md has its topics."""
+"""Recordings: a run written as MCAP as it happens, and those of ours and of ROS 2 (rosbag2, MCAP or sqlite3) read.
 
+All is in ROS 2's own messages; docs/recordings.md has the topics.
+"""
+
+import json
 import logging
-from collections.abc import Callable, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from os.path import exists, isdir
 from pathlib import Path
 from queue import SimpleQueue
+from tempfile import TemporaryDirectory
 from threading import Thread
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
-from kb import Event, EventKind, KnowledgeBase
+from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
 from kb.typeql.writer import typeql_text
-from missions.engine.controller import RosaController
+from missions.engine.controller import RosaRun
 from missions.engine.mission import Message, MissionError
 from missions.engine.recording import header
+from missions.engine.registry import needs
 from missions.engine.runner import Listener, MissionRun
-from missions.extras import needs
 from missions.views.recorder import Recorder
-from missions.views.rows import VERBATIM, Row
+from missions.views.rows import VERBATIM, Recorded, Row
 from missions.wires import ros
 from rosa_bt.xml import NumberedTree
 
-EVENTS, RUN, ROWS, LOG = "/rosa/events", "/rosa/run", "/rosa/rows", "/rosa/log"
-DIAGNOSTICS, TREE, TREE_LOG = "/diagnostics", "/behavior_tree", "/behavior_tree_log"
-CHUNK_BYTES: Final = 2**16
+DIAGNOSTICS, TREE, TREE_LOG, LOG = "/diagnostics", "/behavior_tree", "/behavior_tree_log", "/rosa/log"
+EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
+"""Topics of ours: what is known and decided, how it was run, and what a report shows beside that."""
 VERSION: Final = 1
+"""Of recordings of ours."""
+_COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
+"""What a component is told, by the operation of an attempt."""
+_LARGEST_RECORD: Final = 2**30
+"""Of an MCAP file [bytes]."""
+CHUNK_BYTES: Final = 2**16
 _NAMES: Final = {Status.INVALID: "IDLE"}
 _STOP: Final = None
 _log = logging.getLogger(__name__)
+
+
+class Raw(NamedTuple):
+    """A message as it stands in a recording: its topic, type and the type's definition, time [ns] and bytes."""
+
+    topic: str
+    kind: str
+    definition: str
+    stamp: int
+    data: bytes
 
 
 class McapFile(AbstractContextManager["McapFile"]):
@@ -46,16 +70,18 @@ class McapFile(AbstractContextManager["McapFile"]):
         MissionError: it cannot be written there, or the extra `mcap` is missing.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
         self.types = ros.types()
+        with needs("mcap", "recordings as MCAP"):
+            import mcap.writer  # noqa: F401  # found out before a file that is there is emptied
         try:
-            self._file: BinaryIO = path.open("wb")
-        except OSError as error:
-            raise MissionError(f"cannot write {path}: {error.strerror or error}") from error
-        self._writer = _writer(self._file, use_chunking=False)
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+            if self.path.exists() and not self.path.is_file():
+                raise OSError("it is no file; name one that is there, or a new one")
+            self._file: BinaryIO = self.path.open("wb")
+        except (OSError, ValueError) as error:
+            raise self._unwritten(error) from error
+        self._records = _Records(self._file, self.types, use_chunking=False)
         self._error: Exception | None = None
         self._queue: SimpleQueue[tuple[str, str, float, Callable[..., dict[str, Any]], Any] | None] = SimpleQueue()
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
@@ -65,14 +91,9 @@ class McapFile(AbstractContextManager["McapFile"]):
         """Have a message written: what `make(*arguments)` returns, as a type of ROS 2, at a time [s]."""
         self._queue.put((topic, kind, time_s, make, arguments))
 
-    def copy(self, topic: str, kind: str, definition: str, stamp: int, data: bytes) -> None:
-        """Write a message as it stands in another recording, at its time [ns]."""
-        if topic not in self._channels:
-            if kind not in self._schemas:
-                text = definition or self.types.definition(kind)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+    def copy(self, one: Raw) -> None:
+        """Write a message as it stands in another recording; raises OSError if that cannot be done."""
+        self._records.add(one)
 
     def close(self) -> None:
         """Write what there is, and put the file in its final form.
@@ -85,57 +106,63 @@ class McapFile(AbstractContextManager["McapFile"]):
         self._queue.put(_STOP)
         self._thread.join()
         try:
-            if self._error is not None:
-                raise self._error
-            self._writer.finish()
-            self._file.close()
-            _in_chunks(self.path)
-        except OSError as error:
-            raise MissionError(f"cannot write {self.path}: {error.strerror or error}") from error
-        finally:
-            self._file.close()
+            with self._file:
+                if self._error is not None:
+                    raise self._error
+                self._records.finish()
+            self._put_in_chunks()
+        except Exception as error:  # also one of what makes a message
+            raise self._unwritten(error) from error
+
+    def _put_in_chunks(self) -> None:
+        """Replace the file by one in chunks with an index, when that is complete."""
+        with draft(self.path) as part:
+            with part.open("wb") as target:
+                records = _Records(target, self.types, use_chunking=True)
+                for one in messages(self.path, Counter()):
+                    records.add(one)
+                records.finish()
+            part.replace(self.path)
 
     def _write_all(self) -> None:
         while (item := self._queue.get()) is not _STOP:
             try:
                 if self._error is None:
                     topic, kind, time_s, make, arguments = item
-                    self.copy(topic, kind, "", ros.nanoseconds(time_s), self.types.encode(kind, make(*arguments)))
+                    data = self.types.encode(kind, make(*arguments))
+                    self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
                     if self._queue.empty():
                         self._file.flush()
             except Exception as error:  # told when it is closed; the mission goes on
                 self._error = error
                 _log.warning("%s is recorded no further: %s", self.path, error)
 
+    def _unwritten(self, error: Exception) -> MissionError:
+        return MissionError(f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}")
+
     def __exit__(self, *reason: object) -> None:
         self.close()
 
 
-def _writer(file: BinaryIO, *, use_chunking: bool) -> Any:  # noqa: ANN401  # the library states no types
-    with needs("mcap", "recordings as MCAP"):
+class _Records:
+    """What an MCAP file consists of, written one by one; each type and topic when it first occurs."""
+
+    def __init__(self, file: BinaryIO, types: ros.Types, *, use_chunking: bool) -> None:
         from mcap.writer import Writer
-    writer = Writer(file, chunk_size=CHUNK_BYTES, use_chunking=use_chunking)
-    writer.start(profile="ros2", library="rosa-taca")
-    return writer
 
+        self._types, self._channels, self._schemas = types, dict[str, int](), dict[str, int]()
+        self._writer: Any = Writer(file, chunk_size=CHUNK_BYTES, use_chunking=use_chunking)
+        self._writer.start(profile="ros2", library="rosa-taca")
+        self.finish: Callable[[], object] = self._writer.finish
 
-def _in_chunks(path: Path) -> None:
-    """Put a file in chunks with an index; it is replaced when that is complete."""
-    from mcap import records
-    from mcap.stream_reader import StreamReader
-
-    with draft(path) as part:
-        with path.open("rb") as source, part.open("wb") as target:
-            writer = _writer(target, use_chunking=True)
-            for record in StreamReader(source).records:
-                if isinstance(record, records.Schema):
-                    writer.register_schema(record.name, record.encoding, record.data)
-                elif isinstance(record, records.Channel):
-                    writer.register_channel(record.topic, record.message_encoding, record.schema_id)
-                elif isinstance(record, records.Message):
-                    writer.add_message(record.channel_id, record.log_time, record.data, record.publish_time)
-            writer.finish()
-        part.replace(path)
+    def add(self, one: Raw) -> None:
+        topic, kind, definition, stamp, data = one
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                text = definition or self._types.definition(kind)
+                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+        self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
 
 class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
@@ -166,7 +193,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         page: Recorder | None = None,
         run: Mapping[str, object] | None = None,
     ) -> None:
-        self._file, self._kb, self._tree = McapFile(Path(path)), kb, tree
+        self._file, self._kb, self._tree = McapFile(path), kb, tree
         self._numbered: NumberedTree | None = None
         self._statuses: dict[int, str] = {}
         self._own_page = Recorder(kb, tree, what_if=False) if page is None else None
@@ -243,5 +270,223 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
 
 def record_run(path: Path, run: MissionRun, seed: int, page: Recorder) -> McapRecorder:
     """Return the recorder of a run that is opened, to be told its messages."""
-    tree = run.controller.tree if isinstance(run.controller, RosaController) else None
+    tree = run.tree if isinstance(run, RosaRun) else None
     return McapRecorder(path, run.kb, tree, page=page, run=header(run, seed)["run"])
+
+
+@dataclass(slots=True)
+class Bag:
+    """What a recording holds for us.
+
+    Attributes:
+        messages: what was heard, in order of time; times [s], from the beginning of somebody else's recording.
+        run: how it was run; empty for somebody else's.
+        events: what was known and decided; empty for somebody else's.
+        rows: what the report shows beside that, each at its place among the events: (number of the event before, row).
+        topics: of every topic, its type and how many messages there are.
+        cut: why it is not whole, in words; empty if it is.
+        problems: what could not be read, in words.
+    """
+
+    messages: list[Message] = field(default_factory=list)
+    run: dict[str, Any] = field(default_factory=dict)
+    events: list[Event] = field(default_factory=list)
+    rows: list[tuple[int, list[Any]]] = field(default_factory=list)
+    topics: dict[str, tuple[str, int]] = field(default_factory=dict)
+    cut: str = ""
+    problems: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the last message or event [s]."""
+        heard = (float(one["time"]) for one in self.messages[-1:])
+        return max(0.0, *heard, *(one.time for one in self.events[-1:]), 0.0)
+
+    def header(self) -> Message:
+        """Return the message that a replay begins with: how it was run, and how commands went then."""
+        return {"time": 0.0, "status": [], **({"run": {**self.run, "commands": self._commands()}} if self.run else {})}
+
+    def _commands(self) -> list[tuple[str, str, float, bool]]:
+        """Return the commands in order: what was told to which component, how long it took [s], and if it went well."""
+        given: dict[int, tuple[str, str, float]] = {}
+        ended: dict[int, tuple[float, bool]] = {}
+        for event in self.events:
+            if event.verb == "record_attempt":
+                _, component, operation, *_ = event.arguments
+                given[len(given) + 1] = _COMMANDS[operation], component, event.time
+            elif event.verb == "finish_attempt":
+                ended[event.arguments[0]] = event.time, event.arguments[1] == "completed"
+        return [
+            (verb, component, ended[number][0] - start, ended[number][1])
+            for number, (verb, component, start) in given.items()
+            if number in ended
+        ]
+
+
+def is_bag(path: str | Path) -> bool:
+    """Tell whether a path is a recording of ROS 2, or of ours as MCAP, by its name: `.mcap`, `.db3`, or a folder."""
+    return isdir(path) or Path(path).suffix in (".mcap", ".db3")  # noqa: PTH112  # a name that none can have is no folder
+
+
+def read_bag(path: str | Path) -> Bag:
+    """Read a recording; one that is cut off is read up to there.
+
+    Raises:
+        MissionError: there is none, or nothing of it can be read; or the extra `mcap` is missing.
+    """
+    place, bag, types = Reader(path), Bag(), ros.types()
+    found: list[tuple[int, list[dict[str, Any]]]] = []
+    exact: dict[int, float] = {}
+    counts: Counter[tuple[str, str]] = Counter()
+    for raw in place:
+        counts[raw.topic, raw.kind] += 1
+        try:
+            if raw.kind == ros.DIAGNOSTICS:
+                found.append((raw.stamp, ros.statuses_of(raw.data)))
+            elif raw.topic == EVENTS:
+                event = Event.from_json(json.loads(types.decode(ros.STRING, raw.data).data))
+                bag.events.append(event)
+                exact[raw.stamp] = event.time
+            elif raw.topic == ROWS:
+                row = json.loads(types.decode(ros.STRING, raw.data).data)
+                bag.rows.append((bag.events[-1].number if bag.events else 0, row))
+                exact.setdefault(raw.stamp, row[0])
+            elif raw.topic == RUN:
+                bag.run = _run_of(json.loads(types.decode(ros.STRING, raw.data).data), path)
+        except MissionError:
+            raise
+        except Exception as error:  # whatever a message that is none, or a damaged one, may raise
+            bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
+    bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
+    bag.cut = place.cut
+    bag.problems += place.problems
+    found.sort(key=lambda one: one[0])
+    start = 0 if bag.run or not found else found[0][0]
+    for stamp, statuses in found:  # a time in nanoseconds may miss the one that it was by a rounding
+        bag.messages.append({"time": exact.get(stamp, (stamp - start) / 1e9), "status": statuses})
+    return bag
+
+
+def read_page(path: str | Path) -> Recorded:
+    """Read a recording of ours as what a report shows: what it knows is told once more, all else is as it was.
+
+    Raises:
+        MissionError: it cannot be read, or is somebody else's, which `rosa replay --report` decides and shows.
+    """
+    bag = read_bag(path)
+    if not bag.run:
+        raise MissionError(f"{path} is none of ours; rosa replay {path} --mission NAME --report FILE.html shows it")
+    now = [0.0]
+    kb = KnowledgeBase(model_of(bag, path), clock=lambda: now[0])
+    recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)
+    row = next(rows, None)
+    for event in [*bag.events, None]:
+        while row is not None and (event is None or row[0] < event.number):
+            now[0] = max(now[0], row[1][0])
+            time, track, key, value = row[1]
+            recorder.put(track, key, value, time)
+            row = next(rows, None)
+        if event is not None and event.number > kb.log.last:
+            now[0] = max(now[0], event.time)
+            kb.tell(event)
+    recorder.close()
+    return replace(recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else "")
+
+
+def model_of(bag: Bag, path: str | Path) -> Model:
+    """Return the model that a recording of ours was made with.
+
+    Raises:
+        kb.ModelError: it cannot be read.
+    """
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"{Path(path).stem}.tql"
+        file.write_text(bag.run["typeql"], encoding="utf-8")
+        return Model.load(file, name=bag.run["model"])
+
+
+def _run_of(run: object, place: str | Path) -> dict[str, Any]:
+    if not isinstance(run, dict) or run.get("rosa") != VERSION:
+        version = run.get("rosa") if isinstance(run, Mapping) else run
+        raise MissionError(f"{place} is a recording of version {version!r}; this program reads version {VERSION}")
+    if missing := {"model", "typeql", "page"} - run.keys():
+        raise MissionError(f"{place} is damaged: how it was run lacks {', '.join(sorted(missing))}")
+    return run
+
+
+def messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
+    """Yield the messages of an MCAP file from the first byte on, without the index, which one that is cut off lacks.
+
+    Problems that are no end of it are counted; raises what the library and its compression do.
+    """
+    from mcap import records
+    from mcap.stream_reader import StreamReader
+
+    schemas: dict[int, tuple[str, str]] = {}
+    channels: dict[int, tuple[str, str, str]] = {}
+    with place.open("rb") as file:
+        for record in StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD).records:
+            if isinstance(record, records.Schema):
+                schemas[record.id] = record.name, record.data.decode()
+            elif isinstance(record, records.Channel):
+                channels[record.id] = (record.topic, *schemas.get(record.schema_id, ("", "")))
+                if record.message_encoding != "cdr":
+                    problems[f"{record.topic} is encoded as {record.message_encoding}, not as cdr"] += 1
+            elif isinstance(record, records.Message):
+                yield Raw(*channels[record.channel_id], record.log_time, record.data)
+
+
+class Reader:
+    """Yields the messages of a recording as they stand there, in order; up to where it is cut off or damaged.
+
+    Raises:
+        MissionError: there is no such file or folder, or nothing of it can be read; or the extra `mcap` is missing.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self._path = Path(path)
+        if not exists(path):  # noqa: PTH110  # nor is there a file of a name that none can have
+            raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
+        if not is_bag(path):
+            is_heard = "holds what was heard only, for `rosa replay` and tests" if self._path.suffix == ".jsonl" else ""
+            holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
+            raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
+        self.cut = ""
+        self.problems: Counter[str] = Counter()
+        self._types = ros.types()
+
+    def __iter__(self) -> Iterator[Raw]:
+        place, is_any = self._path, False
+        files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
+        if (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap":
+            for raw in self._rosbag2():
+                is_any = True
+                yield raw
+            if is_any or not self.cut or not place.is_dir():
+                files = []
+        elif not files:
+            self.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
+        for file in files:  # `rosbags` takes none that has lost its end
+            try:
+                for raw in messages(file, self.problems):
+                    is_any = True
+                    yield raw
+            except Exception as error:  # of the reader and its compression: each has its own
+                self._stop(file, error)
+        if self.cut and not is_any:
+            raise MissionError(f"cannot read the recording {place}: {self.cut}")
+
+    def _rosbag2(self) -> Iterator[Raw]:
+        from rosbags.highlevel import AnyReader
+
+        try:
+            with AnyReader([self._path], default_typestore=self._types.store) as reader:
+                kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
+                for connection, stamp, data in reader.messages():
+                    yield Raw(*kinds[connection.id], stamp, data)
+        except Exception as error:
+            self._stop(self._path, error)
+
+    def _stop(self, place: Path, error: Exception) -> None:
+        said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
+        self.cut = f"{place.name} is cut off or damaged ({said})"

@@ -1,18 +1,26 @@
 """What talks ROS 2, whatever the wire: a `Node`; messages are dicts in the shape of ROS 2's JSON.
 
+A `TypedNode` has messages that are objects of a library with ROS 2's types (rclpy; cyclonedds with those of rosbags).
+
 Nothing here waits for the network: what is heard is handed on in the thread of the connection, what is sent goes
 through a queue with an end.
 """
 
 import logging
+import math
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
-from threading import Condition, Thread
-from typing import Any, Final
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from threading import Condition, RLock, Thread
+from time import monotonic
+from typing import Any, Final, NamedTuple, Protocol
 
 from missions.engine.mission import MissionError
+from missions.views.facts import plain
 
 Message = dict[str, Any]
 Heard = Callable[[Message], object]
@@ -20,7 +28,19 @@ Answer = Callable[[Message], Message]
 
 QUEUED: Final = 10_000
 """Messages that wait to be sent, at most."""
+_FLUSH_S: Final = 1.0
+"""How long what is queued may take when it is closed [s]."""
 _KINDS: Final = 100
+_FIND_S: Final = 3.0
+"""How long a service is sought before a call fails [s]."""
+_FLOATS: Final = ("float32", "float64")
+_INTEGERS: Final = {
+    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    "byte": (0, 255),
+    "char": (0, 255),
+}
+"""The integers of ROS 2, and the range of each."""
 LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _log = logging.getLogger(__name__)
 
@@ -99,43 +119,278 @@ class Node(ABC):
                 changed(is_connected, text)
 
 
-class Outbox:
-    """Sends in a thread of its own, so that who is slow or gone holds up nobody; a full queue drops its oldest.
+def begun() -> "Future[Message]":
+    """Return the answer to a call that is under way: its caller may not wait for it, but not cancel it."""
+    future = Future[Message]()
+    future.set_running_or_notify_cancel()
+    return future
 
-    Attributes:
-        dropped: how many messages were pushed out.
-    """
+
+class Outbox:
+    """Sends in a thread of its own, so that who is slow or gone holds up nobody; a full queue drops its oldest."""
 
     def __init__(self, write: Callable[[Any], object]) -> None:
-        self.dropped = 0
         self._write = write
-        self._queue: deque[Any] = deque()
+        self._queue = deque[Any](maxlen=QUEUED)
         self._news, self._is_closed = Condition(), False
         self._thread = Thread(target=self._send_all, name="ros-send", daemon=True)
         self._thread.start()
 
     def put(self, one: object) -> None:
         with self._news:
-            if len(self._queue) >= QUEUED:
-                self._queue.popleft()
-                self.dropped += 1
             self._queue.append(one)
             self._news.notify()
 
-    def close(self) -> None:
+    def close(self) -> list[Any]:
+        """Send what there is, for a second at most, and then no more; return what was not sent."""
         with self._news:
             self._is_closed = True
             self._news.notify()
+        self._thread.join(_FLUSH_S)
+        with self._news:
+            left = list(self._queue)
+            self._queue.clear()
+        return left
 
     def _send_all(self) -> None:
         while True:
             with self._news:
                 self._news.wait_for(lambda: self._queue or self._is_closed)
-                if self._is_closed:
+                if not self._queue:
                     return
-                one = self._queue.popleft()
+                one = self._queue[0]
             try:
                 self._write(one)
             except Exception as error:  # who reads of the same connection finds out too, and ends it
                 _log.info("nothing more is sent: %s", error)
                 return
+            with self._news:
+                if self._queue and self._queue[0] is one:  # else it was pushed out meanwhile
+                    self._queue.popleft()
+
+
+class Field(NamedTuple):
+    """The type of a field; `length` is None for one, 0 for a sequence, else how many an array has."""
+
+    kind: str
+    length: int | None = None
+
+
+class Library(Protocol):
+    """What has types of ROS 2."""
+
+    def fields(self, kind: str) -> Mapping[str, Field]:
+        """Return the fields of a message; `RosError` if it is not known."""
+
+    def find(self, kind: str) -> Any:  # noqa: ANN401  # of the library
+        """Return the class of a message; `RosError` if it is not known."""
+
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
+        """Return a message with these values; the other fields are empty."""
+
+
+def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # an object of the library
+    """Return a message that was written as a dict.
+
+    Raises:
+        RosError: the type is not known, or a field of it; or a value is none of its field's type.
+    """
+    if not isinstance(message, dict):
+        raise RosError(f"{kind} is written as an object, not as {message!r:.60}")
+    fields = library.fields(kind)
+    for name in message:
+        if name not in fields:
+            raise RosError(f"{kind} has no field {name!r}; it has {', '.join(fields) or 'none'}")
+    given = {name: _made(library, *fields[name], value, f"{name} of {kind}") for name, value in message.items()}
+    return library.new(kind, given)
+
+
+def _made(library: Library, kind: str, length: int | None, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
+    if length is not None:
+        if not isinstance(value, list | tuple) or (length and len(value) != length):
+            raise RosError(f"{place} is a list of {length or 'any number'} {kind}, not {value!r:.60}")
+        return [_made(library, kind, None, one, place) for one in value]
+    if kind in _FLOATS and (value is None or (isinstance(value, int | float) and not isinstance(value, bool))):
+        return math.nan if value is None else float(value)
+    if kind in _INTEGERS and isinstance(value, int) and not isinstance(value, bool):
+        low, high = _INTEGERS[kind]
+        if low <= value <= high:
+            return value
+    if (kind == "bool" and isinstance(value, bool)) or (kind == "string" and isinstance(value, str)):
+        return value
+    if "/" in kind:
+        return made(library, kind, value)
+    raise RosError(f"{place} is a {kind}, not {value!r:.60}")
+
+
+def told(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
+    return {name: _told(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
+
+
+def _told(library: Library, kind: str, length: int | None, value: Any) -> object:  # noqa: ANN401  # of a field
+    if length is not None:
+        return [_told(library, kind, None, one) for one in value]
+    if "/" in kind:
+        return told(library, kind, value)
+    if isinstance(value, bytes):  # rclpy's byte
+        return value[0]
+    return plain(float(value)) if kind in _FLOATS else value
+
+
+@dataclass(eq=False)
+class Ear:
+    """A reader, made anew if somebody publishes who does not repeat what is lost; and who is given what it hears."""
+
+    topic: str
+    kind: Any
+    take: Callable[[Any], object]
+    reader: Any = None
+    is_reliable: bool = True
+
+
+class Client(NamedTuple):
+    """What calls a service: whether that is there (`RosError` if it cannot be called), and sends a numbered request."""
+
+    is_served: Callable[[], bool]
+    send: Callable[[int, Any], object]
+
+
+@dataclass(eq=False)
+class _Call:
+    """A call that is to be answered, and sent when its service is there."""
+
+    service: str
+    kind: str
+    request: Any
+    future: "Future[Message]"
+    until_s: float
+    is_sent: bool = False
+
+
+class TypedNode(Node):
+    """What all nodes of a library have in common; a subclass says how the library does it."""
+
+    topics = ""
+    """What topics begin with on the wire."""
+
+    def __init__(self, name: str, library: Library) -> None:
+        super().__init__()
+        self._name, self._types, self._lock, self._numbers = name, library, RLock(), count(1)
+        self._ears: list[Ear] = []
+        self._writers: dict[str, Callable[[Any], object]] = {}
+        self._clients: dict[str, Client] = {}
+        self._open: dict[int, _Call] = {}
+        self._tell(False, f"{name}: nobody else is there")
+
+    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
+        found = self._types.find(kind)
+        self._hear(f"{self.topics}{topic}", found, lambda thing: heard(told(self._types, kind, thing)))
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        thing = made(self._types, kind, message)
+        with self._lock:
+            if topic not in self._writers:
+                self._writers[topic] = self._writer(f"{self.topics}{topic}", self._types.find(kind))
+        self._writers[topic](thing)
+
+    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
+        thing, future = made(self._types, f"{kind}_Request", request), begun()
+        with self._lock:
+            if service not in self._clients:
+                self._clients[service] = self._client(service, kind)
+            number = next(self._numbers)
+            self._open[number] = _Call(service, kind, thing, future, monotonic() + _FIND_S)
+            self._send_call(number)
+        return future
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        self._serve(service, kind, partial(self._response, kind, answer))
+
+    def close(self) -> None:
+        """End what is open; a subclass lets go of its library first."""
+        for call in self._open.values():
+            call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
+        self._ears, self._writers, self._clients, self._open = [], {}, {}, {}
+
+    @abstractmethod
+    def _listen(self, ear: Ear) -> None:
+        """Give an ear a reader, in place of the one that it has."""
+
+    @abstractmethod
+    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
+        """Tell whether anybody publishes what an ear hears, and one of them not so that a reliable reader hears it."""
+
+    @abstractmethod
+    def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of the library
+        """Return what publishes on a topic."""
+
+    @abstractmethod
+    def _client(self, service: str, kind: str) -> Client:
+        """Return what calls a service; `_finish` is told the number of a request, and what came of it."""
+
+    @abstractmethod
+    def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
+        """Have each request of a service responded to."""
+
+    def _hear(self, topic: str, kind: Any, take: Callable[[Any], object]) -> Ear:  # noqa: ANN401  # of the library
+        ear = Ear(topic, kind, take)
+        with self._lock:
+            self._listen(ear)
+            self._ears.append(ear)
+        return ear
+
+    def _take(self, ear: Ear, thing: Any) -> None:  # noqa: ANN401  # of the library
+        try:
+            ear.take(thing)
+        except Exception as error:  # of what was sent, or of who hears it; the next may be better
+            self.refused.add(error)
+
+    def _look(self) -> None:
+        """See who is there; send calls that waited for that, and end those that nobody answers."""
+        with self._lock:
+            found = [(ear, *self._heeds(ear)) for ear in self._ears]
+            for ear, _, is_missed in found:
+                if ear.is_reliable and is_missed:
+                    ear.is_reliable = False
+                    self._listen(ear)
+            for number in list(self._open):
+                self._send_call(number)
+        is_there = any(is_published for _, is_published, _ in found)
+        if is_there != self.is_connected:
+            self._tell(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
+
+    def _send_call(self, number: int) -> None:
+        call = self._open[number]
+        client = self._clients[call.service]
+        try:
+            is_there = client.is_served()
+        except RosError as error:
+            self._finish(number, error)
+            return
+        if is_there and not call.is_sent:
+            call.is_sent = True
+            client.send(number, call.request)
+        elif not is_there and (call.is_sent or monotonic() > call.until_s):
+            why = f"who served {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
+            self._finish(number, RosError(why))
+
+    def _finish(self, number: int, answer: Any) -> None:  # noqa: ANN401  # of the library, or what was raised
+        with self._lock:
+            call = self._open.pop(number, None)
+        if call is None:
+            return
+        if isinstance(answer, BaseException):
+            failed = answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
+            call.future.set_exception(failed)
+        else:
+            call.future.set_result(told(self._types, f"{call.kind}_Response", answer))
+
+    def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of the library
+        """Return the answer to a call; refused, or failed, it is an empty one, as ROS 2 has no other word."""
+        try:
+            return made(self._types, f"{kind}_Response", answer(told(self._types, f"{kind}_Request", request)))
+        except RosError as error:
+            _log.warning("a call of %s is refused: %s", kind, error)
+        except Exception as error:  # ours is not the caller's to suffer
+            _log.warning("a call of %s could not be answered: %s: %s", kind, type(error).__name__, error, exc_info=True)
+        return self._types.new(f"{kind}_Response", {})

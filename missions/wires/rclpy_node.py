@@ -8,8 +8,7 @@ from threading import Thread
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.wires.node import Message, RosError
-from missions.wires.typed import Client, Ear, Field, TypedNode
+from missions.wires.node import Client, Ear, Field, Message, RosError, TypedNode
 
 _LOOK_S: Final = 0.2
 """How often it is looked who is there [s]."""

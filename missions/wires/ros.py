@@ -6,9 +6,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from missions.extras import needs
-from missions.wires.node import Message, RosError
-from missions.wires.typed import Field, made
+from missions.engine.registry import needs
+from missions.wires.node import Field, Message, RosError, made
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

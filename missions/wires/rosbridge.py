@@ -12,9 +12,9 @@ from typing import Any, Final
 from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from missions.views.facts import plain
-from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError
+from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
 
 PORT: Final = 9090
 LARGEST: Final = 2**20
@@ -27,16 +27,17 @@ class Peer(Outbox):
     """One connection."""
 
     def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        super().__init__(socket.send)
+        super().__init__(lambda message: socket.send(json.dumps(message)))
         self.socket = socket
 
     def send(self, message: Message) -> None:
-        self.put(json.dumps(plain(message)))
+        self.put(plain(message))
 
-    def close(self) -> None:
-        super().close()
+    def close(self) -> list[Message]:
+        left = super().close()
         with suppress(Exception):  # it may be gone
             self.socket.close()
+        return left
 
 
 class Wire(Node):
@@ -68,8 +69,7 @@ class Wire(Node):
             self._send({"op": "publish", "topic": topic, "msg": message})
 
     def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        future: Future[Message] = Future()
-        number = f"call_service:{next(self._ids)}"
+        future, number = begun(), f"call_service:{next(self._ids)}"
         made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
         with self._sending:
             self._open[number] = future  # before it is sent: the answer may be there at once
@@ -132,8 +132,8 @@ class Rosbridge(Wire):
 
     def close(self) -> None:
         self._closing.set()
-        if self._peer is not None:
-            self._peer.close()
+        if (peer := self._peer) is not None:  # read once: the connection may end meanwhile
+            peer.close()
         self._thread.join()
 
     def _send(self, message: Message) -> bool:
@@ -142,7 +142,7 @@ class Rosbridge(Wire):
         if peer is not None:
             peer.send(message)
         elif message["op"] == "publish":
-            self._unsent.append(message)
+            self._unsent.append(plain(message))
         return peer is not None
 
     def _run(self) -> None:
@@ -164,6 +164,8 @@ class Rosbridge(Wire):
         why = ""
         self._begin(Peer(socket), time.monotonic() - self._away_since)
         try:
+            if self._closing.is_set():  # closed while it was being connected: nobody else ends it
+                socket.close()
             for text in socket:
                 try:
                     self._hear(read(text))
@@ -178,19 +180,22 @@ class Rosbridge(Wire):
         with self._sending:
             for message in self._declared:
                 peer.send(message)
-            late = len(self._unsent)
-            while self._unsent:
-                peer.send(self._unsent.popleft())
+            late = deque(self._unsent, maxlen=QUEUED - len(self._declared))  # more would push out what is declared
+            for message in late:
+                peer.put(message)
+            self._unsent.clear()
             self._peer = peer
-        missed = f" after {away_s:.1f} s; what was published there meanwhile is missed, {late} of ours are sent now"
-        self._tell(True, f"connected to {self._url}{missed}")
+        missed = f"what was published there meanwhile is missed, {len(late)} of ours are sent now"
+        self._tell(True, f"connected to {self._url} after {away_s:.1f} s; {missed}")
 
     def _end(self, why: str) -> None:
         with self._sending:
             peer, self._peer = self._peer, None
             failed, self._open = self._open, {}
         if peer is not None:
-            peer.close()
+            left = [one for one in peer.close() if one["op"] == "publish"]
+            with self._sending:
+                self._unsent = deque([*left, *self._unsent], maxlen=QUEUED)
         for future in failed.values():
             future.set_exception(RosError(why))
         if not self._closing.is_set():

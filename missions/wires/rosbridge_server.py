@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple, cast
 from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
-from missions.extras import needs
+from missions.engine.registry import needs
 from missions.views.facts import plain
 from missions.wires.node import LOOPBACK, NONSENSE, Answer, Message
 from missions.wires.rosbridge import LARGEST, PORT, Peer, Wire, dict_of, read, text_of
@@ -24,11 +24,12 @@ _log = logging.getLogger(__name__)
 
 
 class _Client:
-    """Who takes part, with what it subscribes to and what it serves; `send` hands it a message."""
+    """Who takes part: what it subscribes to, which types its topics have, what it serves; `send` hands it a message."""
 
     def __init__(self, send: Callable[[Message], object]) -> None:
         self.send = send
         self.topics: set[str] = set()
+        self.types: dict[str, str] = {}
         self.services: dict[str, str] = {}
         self.refusals = 0
 
@@ -63,7 +64,6 @@ class RosbridgeServer(Wire):
         self._token, self._lock, self._numbers = token, RLock(), count(1)
         self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
         self._clients: dict[_Client, Peer | None] = {self._own: None}
-        self._types: dict[str, str] = {}
         self._forwarded: dict[str, _Call] = {}
         try:
             limits: Any = {"max_size": LARGEST, "close_timeout": 1, "compression": None}
@@ -89,7 +89,7 @@ class RosbridgeServer(Wire):
         if self._token:
             if not compare_digest(given.encode(), self._token.encode()):
                 return connection.respond(401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n")
-        elif (urlsplit(request.headers.get("Origin", "")).hostname or LOOPBACK[0]) not in LOOPBACK:
+        elif not _is_of_this_machine(request.headers.get("Origin", "file:")):
             return connection.respond(403, "pages of other sites are let in with a token only\n")
         return None
 
@@ -106,7 +106,7 @@ class RosbridgeServer(Wire):
         finally:
             with self._lock:
                 del self._clients[client]
-                left = [number for number, call in self._forwarded.items() if call.server is client]
+                left = [number for number, call in self._forwarded.items() if client in (call.server, call.caller)]
             for number in left:
                 self._respond(number, {"values": "who served it is gone", "result": False})
             peer.close()
@@ -131,15 +131,15 @@ class RosbridgeServer(Wire):
         raise ValueError(f"op {message['op']!r:.40} is not served")
 
     def _op_advertise(self, client: _Client, message: Message) -> None:
-        self._types.setdefault(text_of(message, "topic"), str(message.get("type", "")))
+        client.types.setdefault(text_of(message, "topic"), str(message.get("type", "")))
 
     def _op_unadvertise(self, client: _Client, message: Message) -> None:
-        text_of(message, "topic")
+        client.types.pop(text_of(message, "topic"), None)
 
     def _op_subscribe(self, client: _Client, message: Message) -> None:
         client.topics.add(text_of(message, "topic"))
         if message.get("type"):
-            self._types.setdefault(message["topic"], str(message["type"]))
+            client.types.setdefault(message["topic"], str(message["type"]))
 
     def _op_unsubscribe(self, client: _Client, message: Message) -> None:
         client.topics.discard(text_of(message, "topic"))
@@ -185,23 +185,33 @@ class RosbridgeServer(Wire):
 
     def _respond(self, own: str, answer: Message) -> None:
         with self._lock:
-            call = self._forwarded.pop(own)
+            call = self._forwarded.pop(own, None)
+        if call is None:  # it was answered while who had asked, or who served it, was going
+            return
         made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
         made |= {"result": answer.get("result", True)} | ({} if call.number is None else {"id": call.number})
         call.caller.send(made)
 
     def _introspect(self) -> None:
         told: dict[str, Answer] = {
-            "Topics": lambda _: {"topics": list(self._types), "types": list(self._types.values())},
-            "TopicType": lambda one: {"type": self._types.get(str(one.get("topic")), "")},
+            "Topics": lambda _: {"topics": list(known := self._known("types")), "types": list(known.values())},
+            "TopicType": lambda one: {"type": self._known("types").get(str(one.get("topic")), "")},
             "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
-            "Services": lambda _: {"services": list(self._services())},
-            "ServiceType": lambda one: {"type": self._services().get(str(one.get("service")), "")},
+            "Services": lambda _: {"services": list(self._known("services"))},
+            "ServiceType": lambda one: {"type": self._known("services").get(str(one.get("service")), "")},
         }
         for kind, answer in told.items():
             name = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind).lstrip("_")
             self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
 
-    def _services(self) -> dict[str, str]:
+    def _known(self, what: str) -> dict[str, str]:
+        """Return the topics ("types") or services of all who take part, with their types; who came first counts."""
         with self._lock:
-            return {name: kind for one in self._clients for name, kind in one.services.items()}
+            found = [one for client in self._clients for one in list(getattr(client, what).items())]
+        return {**dict(found), **dict(reversed(found))}
+
+
+def _is_of_this_machine(origin: str) -> bool:
+    """Tell whether a page comes from this machine; "null" is what frames of other sites can call themselves."""
+    place = urlsplit(origin)
+    return place.scheme == "file" or place.hostname in LOOPBACK

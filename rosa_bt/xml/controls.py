@@ -1,11 +1,9 @@
 """The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
 import sys
-from collections.abc import Generator
 from contextlib import suppress
 from typing import Any, ClassVar, Final
 
-from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
@@ -92,10 +90,6 @@ class Together(Control):
             raise NodeError(f"{self.name!r} has {len(self.children)} children; {port} cannot be more")
         return number
 
-    def _go_on(self, slot: Slot) -> Generator[Behaviour, None, bool]:
-        """Tick a child unless it has finished; return whether it was skipped."""
-        return slot.status not in DONE and (yield from slot.tick()) is SKIPPED
-
     def _ended_with(self, verdict: Status) -> int:
         return sum(slot.status is verdict for slot in self.slots)
 
@@ -113,7 +107,7 @@ class Parallel(Together):
         counts_skipped = self.ports.get("success_count") < 0
         skipped = 0
         for slot in self.slots:
-            skipped += yield from self._go_on(slot)
+            skipped += slot.status not in DONE and (yield from slot.tick()) is SKIPPED
             succeeded, failed = self._ended_with(SUCCESS), self._ended_with(FAILURE)
             if succeeded + skipped * counts_skipped >= successes:
                 return self.end(SUCCESS)
@@ -131,7 +125,7 @@ class ParallelAll(Together):
         failures = self._number("max_failures")
         skipped = 0
         for slot in self.slots:
-            skipped += yield from self._go_on(slot)
+            skipped += slot.status not in DONE and (yield from slot.tick()) is SKIPPED
         failed = self._ended_with(FAILURE)
         if skipped == len(self.children):
             return SKIPPED

@@ -1,6 +1,5 @@
 """The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
 
-from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, ClassVar, Final
 
@@ -8,8 +7,7 @@ from py_trees.common import Status
 from py_trees.ports import PortInformation
 
 from rosa_bt.xml.blackboard import Outcome, PortError, converted, truth
-from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Slot, Ticking
-from rosa_bt.xml.ports import Ports
+from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Ticking
 from rosa_bt.xml.scripts import parse_script
 
 
@@ -53,27 +51,7 @@ def _again(once_more: Status, port: str) -> dict[str, Any]:
     return {"once_more": once_more, "port": port, "PORTS": {port: PortInformation(int)}}
 
 
-class Gate(OneChild):
-    """The child when it is due, otherwise something instead of it."""
-
-    def is_due(self) -> bool:
-        return True
-
-    def instead(self) -> Status:
-        return RUNNING
-
-    def note(self, verdict: Status) -> None:
-        """Hear what the child returned."""
-
-    def decide(self) -> Ticking:
-        if not self.is_due():
-            return self.instead()
-        verdict = yield from self.child.tick()
-        self.note(verdict)
-        return verdict
-
-
-class RunOnce(Gate):
+class RunOnce(OneChild):
     """The child to its end, once; after that skipped, or with then_skip="false" the same outcome again."""
 
     PORTS: ClassVar = {"then_skip": PortInformation(bool, default_value=True)}
@@ -83,40 +61,39 @@ class RunOnce(Gate):
     def runs(self) -> bool:  # type: ignore[override]  # here it depends on what was done
         return self._outcome is SKIPPED
 
-    def is_due(self) -> bool:
-        return self.runs
-
-    def instead(self) -> Status:
+    def decide(self) -> Ticking:
+        if self.runs:
+            verdict = yield from self.child.tick()
+            self._outcome = verdict if verdict in DONE else SKIPPED
+            return verdict
         with suppress(PortError):  # what is no truth value counts as true
             return SKIPPED if self.ports.get("then_skip") else self._outcome
         return SKIPPED
 
-    def note(self, verdict: Status) -> None:
-        self._outcome = verdict if verdict in DONE else SKIPPED
 
-
-class Timed(Gate):
+class Timed(OneChild):
     """A decorator that looks at the clock; the time counts from the tick in which it begins."""
 
     port: ClassVar[str]
     FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
 
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        super().__init__(name, slots, ports)
-        if ports.is_literal(self.port) and ports.get(self.port) < 0:
-            raise PortError(f"the port {self.port!r} takes no negative number, as {ports.get(self.port)} is")
+    def prepare(self) -> None:
+        if self.ports.is_literal(self.port) and self.ports.get(self.port) < 0:
+            raise PortError(f"the port {self.port!r} takes no negative number, as {self.ports.get(self.port)} is")
 
-    def is_due(self) -> bool:
+    def is_over(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
         now = self.ports.clock()
         if self._since is None:
             self._since = now
         return bool(now - self._since >= self.ports.get(self.port) / 1000 - 1e-9)
 
-    def note(self, verdict: Status) -> None:
+    def tick_child(self) -> Ticking:
+        verdict = yield from self.child.tick()
         if verdict in DONE:
             self.forget()
+        return verdict
 
 
 class Delay(Timed):
@@ -124,6 +101,9 @@ class Delay(Timed):
 
     port = "delay_msec"
     PORTS: ClassVar = {"delay_msec": PortInformation(int)}
+
+    def decide(self) -> Ticking:
+        return (yield from self.tick_child()) if self.is_over() else RUNNING
 
 
 class Timeout(Timed):
@@ -134,53 +114,49 @@ class Timeout(Timed):
     FORGETS = ("_since", "_is_spent")
     _is_spent = False
 
-    def is_due(self) -> bool:
-        is_late = super().is_due() and not self._is_spent and self.ports.get("msec") > 0
+    def decide(self) -> Ticking:
+        is_late = self.is_over() and not self._is_spent and self.ports.get("msec") > 0
         self._is_spent |= is_late
-        return not (is_late and self.child.status is RUNNING)
-
-    def instead(self) -> Status:
-        self.child.reset()
-        self.forget()
-        return FAILURE
+        if is_late and self.child.status is RUNNING:
+            return self.end(FAILURE)
+        return (yield from self.tick_child())
 
 
-class Precondition(Gate):
+class Precondition(OneChild):
     """The child if a script says so, which is asked until it has begun; otherwise what `else` says."""
 
     PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Outcome, default_value=Outcome.FAILURE)}
     runs = False
     _is_begun = False
 
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        super().__init__(name, slots, ports)
-        self._condition = parse_script(ports.get("if"))
+    def prepare(self) -> None:
+        self._condition = parse_script(self.ports.get("if"))
 
-    def is_due(self) -> bool:
-        self.ports.get("else")  # what is no outcome is an error of the first tick
+    def decide(self) -> Ticking:
+        instead = self.ports.get("else")  # what is no outcome is an error of the first tick
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
-        return self._is_begun
-
-    def instead(self) -> Status:
-        return Status(self.ports.get("else").value)
-
-    def note(self, verdict: Status) -> None:
+        if not self._is_begun:
+            return Status(instead.value)
+        verdict = yield from self.child.tick()
         self._is_begun = verdict not in DONE
+        return verdict
 
 
-class _Updated(Gate):
+class _Updated(OneChild):
     """The child, to its end, each time that an entry was written since this asked last; else SKIPPED, or RUNNING."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
     FORGETS = ("_goes_on",)
     runs = False
+    instead: ClassVar[Status]
     _goes_on = False
 
-    def is_due(self) -> bool:
-        return self._goes_on or self.ports.is_updated("entry")
-
-    def note(self, verdict: Status) -> None:
+    def decide(self) -> Ticking:
+        if not (self._goes_on or self.ports.is_updated("entry")):
+            return self.instead
+        verdict = yield from self.child.tick()
         self._goes_on = verdict is RUNNING
+        return verdict
 
 
 class _Loop(OneChild):
@@ -192,9 +168,8 @@ class _Loop(OneChild):
     _goes_on = False
     _left: tuple[Any, ...] = ()
 
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        super().__init__(name, slots, ports)
-        if ports.is_literal("queue"):
+    def prepare(self) -> None:
+        if self.ports.is_literal("queue"):
             self._queue()
 
     def _queue(self) -> tuple[Any, ...]:
@@ -231,8 +206,8 @@ _KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {
     "Repeat": (_Again, _again(SUCCESS, "num_cycles")),
     "RetryUntilSuccessful": (_Again, _again(FAILURE, "num_attempts")),
     **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
-    "SkipUnlessUpdated": (_Updated, {"instead": lambda self: SKIPPED}),
-    "WaitValueUpdate": (_Updated, {}),
+    "SkipUnlessUpdated": (_Updated, {"instead": SKIPPED}),
+    "WaitValueUpdate": (_Updated, {"instead": RUNNING}),
     **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},
 }
 DECORATORS: Final[dict[str, type[OneChild]]] = {tag: type(tag, (base,), how) for tag, (base, how) in _KINDS.items()}

@@ -7,9 +7,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.blackboard import EMPTY, Entry, as_text, truth
+from rosa_bt.xml.blackboard import EMPTY, Declared, Entry, Ports, as_text, truth
 from rosa_bt.xml.nodes import NodeError, Slot
-from rosa_bt.xml.ports import Declared, Ports
 from rosa_bt.xml.scripts import parse_script
 
 

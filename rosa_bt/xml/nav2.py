@@ -2,10 +2,9 @@
 
 from typing import ClassVar, Final
 
-from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.decorators import Gate, Timed
+from rosa_bt.xml.decorators import Timed
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, Control, OneChild, Ticking
 
 
@@ -85,20 +84,20 @@ class RoundRobin(Control):
         return self.end(SKIPPED if skipped == len(slots) else FAILURE)
 
 
-class _Anew(Gate):
-    """A gate that is open when this node starts."""
+class _Anew(OneChild):
+    """The child when it is due: at the start of this node, and while it is running."""
 
-    _is_first = True
+    instead: ClassVar = RUNNING
+    _is_due = True
 
     def initialise(self) -> None:
-        self._is_first = True
+        self._is_due = True
 
-    def is_due(self) -> bool:
-        is_due, self._is_first = self._is_first or self.child.status is RUNNING or self.is_asked_for(), False
-        return is_due
-
-    def is_asked_for(self) -> bool:
-        return False
+    def decide(self) -> Ticking:
+        if not self._is_due and self.child.status is not RUNNING:
+            return self.instead
+        self._is_due = False
+        return (yield from self.child.tick())
 
 
 class RateController(_Anew, Timed):
@@ -111,23 +110,24 @@ class RateController(_Anew, Timed):
         super().initialise()
         self._since = self.ports.clock()
 
-    def is_asked_for(self) -> bool:
-        frequency: float = self.ports.get("hz")
-        return self._since is not None and (self.ports.clock() - self._since) * frequency >= 1 - 1e-9
-
-    def note(self, verdict: Status) -> None:
+    def decide(self) -> Ticking:
+        if self._since is not None and not self._is_due and self.child.status is not RUNNING:
+            self._is_due = (self.ports.clock() - self._since) * self.ports.get("hz") >= 1 - 1e-9
+        verdict = yield from super().decide()
         if verdict is SUCCESS:
             self._since = self.ports.clock()
+        return verdict
 
 
 class SingleTrigger(_Anew):
     """The child to its end, once until this node is reset; FAILURE after that."""
 
-    def instead(self) -> Status:
-        return FAILURE
+    instead = FAILURE
 
-    def note(self, verdict: Status) -> None:
-        self._is_first = verdict not in DONE
+    def decide(self) -> Ticking:
+        verdict = yield from super().decide()
+        self._is_due = verdict not in DONE
+        return verdict
 
 
 class GoalUpdatedController(_Anew):
@@ -140,16 +140,14 @@ class GoalUpdatedController(_Anew):
         super().initialise()
         self._known = self._goals()
 
-    def is_due(self) -> bool:
+    def decide(self) -> Ticking:
         known, self._known = self._known, self._goals()
-        self._is_first |= known != self._known
-        return super().is_due()
+        self._is_due |= known != self._known
+        return (yield from super().decide())
 
     def _goals(self) -> list[object]:
-        return [self.ports.get(name) if self.ports.exists(name) else None for name in ("goal", "goals")]
+        return [self.ports.get(name) if self.ports.exists(name) else None for name in self.PORTS]
 
 
-NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {
-    **{kind.__name__: kind for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
-    **{kind.__name__: kind for kind in (RateController, SingleTrigger, GoalUpdatedController)},
-}
+_KINDS: Final = (RecoveryNode, PipelineSequence, RoundRobin, RateController, SingleTrigger, GoalUpdatedController)
+NAV2: Final[dict[str, type[Control] | type[OneChild]]] = {kind.__name__: kind for kind in _KINDS}

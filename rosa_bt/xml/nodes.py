@@ -17,8 +17,7 @@ from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.exceptions import RosaBtError
-from rosa_bt.xml.blackboard import Blackboard, truth
-from rosa_bt.xml.ports import Declared, Ports
+from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, truth
 from rosa_bt.xml.scripts import Script
 
 SUCCESS: Final = Status.SUCCESS
@@ -148,6 +147,9 @@ class XmlNode(Behaviour):
             self._seen = list(self.children)
         return self._slots
 
+    def prepare(self) -> None:
+        """Find wrong literals; called when it is made."""
+
     def decide(self) -> Ticking:
         raise NotImplementedError
 
@@ -188,6 +190,7 @@ class XmlNode(Behaviour):
         self._slots = list(slots)
         self._seen = list(self.children)
         self.ports = ports
+        self.prepare()
 
 
 class Control(XmlNode, Composite):

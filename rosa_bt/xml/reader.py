@@ -10,20 +10,20 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Final
+from xml.parsers.expat import ExpatError, ParserCreate
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import StatusQueue
 from py_trees.common import Status
 
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock
+from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES, XmlLeaf
 from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
-from rosa_bt.xml.ports import Ports, key_of
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
@@ -39,6 +39,9 @@ _BARE: Final = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)"
 _log = logging.getLogger(__name__)
 _EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
 _MODELS: Final = (*_EXPLICIT, "SubTree")
+_OF_VERSION_3: Final = {"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithMemory"} | {
+    "RetryUntilSuccesful": "RetryUntilSuccessful"
+}
 
 
 @dataclass(frozen=True)
@@ -98,9 +101,7 @@ class Document:
             raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
         if not text.startswith("<"):
             return self._file(Path(text_or_path), str(text_or_path), [])
-        root = _parse(text, "<text>")
-        self._collect(root, Path.cwd(), [])
-        return root
+        return self._collect(_parse(text, "<text>"), Path.cwd(), [])
 
     def _file(self, path: Path, where: str, chain: list[Path]) -> Element:
         """Return the outermost element of a file, which is read once however often it is named."""
@@ -113,8 +114,7 @@ class Document:
         if len(chain) > MAX_DEPTH:
             raise XmlError(where, f"more than {MAX_DEPTH} files include each other in a row")
         if real not in self._files:
-            self._files[real] = _read(path, where)
-            self._collect(self._files[real], path.parent, [*chain, real])
+            self._files[real] = self._collect(_parse(_read(path, where), str(path)), path.parent, [*chain, real])
         return self._files[real]
 
     def main(self, wanted: str | None) -> str:
@@ -134,42 +134,49 @@ class Document:
             raise asked_by.error(f"no tree has the ID {name!r}; {hint(name, self.trees, 'trees')}")
         return self.trees[name]
 
-    def _collect(self, root: Element, folder: Path, chain: list[Path]) -> None:
+    def _collect(self, root: Element, folder: Path, chain: list[Path]) -> Element:
+        """Take up what a file defines and includes; return its outermost element, which is given."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
         if root.attributes.get("BTCPP_format", "4") != "4":
             _log.warning("%s: read as of version 4, whose names its nodes need to have", root.where)
-        is_only = sum(one.tag == "BehaviorTree" for one in root.children) == 1
-        several = [one for one in root.children if one.tag == "TreeNodesModel"]
-        if len(several) > 1:
-            raise several[1].error("a file has one TreeNodesModel; put its elements into the first")
-        for element in root.children:
+        tags = [one.tag for one in root.children]
+        for place, element in enumerate(root.children):
             if element.tag == "BehaviorTree":
                 if len(element.children) != 1:
                     count = len(element.children)
                     raise element.error(f"a tree has one child, not {count}; put a Sequence around")
-                is_unnamed = is_only and "ID" not in element.attributes
+                is_unnamed = tags.count("BehaviorTree") == 1 and "ID" not in element.attributes
                 _add(self.trees, "BehaviorTree" if is_unnamed else element.get("ID"), element)
             elif element.tag == "TreeNodesModel":
+                if "TreeNodesModel" in tags[:place]:
+                    raise element.error("a file has one TreeNodesModel; put its elements into the first")
                 for model in element.children:
-                    if model.tag not in _MODELS:
-                        raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
-                    _add(self.models, model.get("ID"), model)
+                    self._add_model(model)
             elif element.tag == "include":
                 self._include(element, folder, chain)
             else:
                 _log.warning("%s: <%s> means nothing in <root> and is passed over", element.where, element.tag)
+        return root
+
+    def _add_model(self, model: Element) -> None:
+        if model.tag not in _MODELS:
+            raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
+        for port in (one for one in model.children if one.tag.endswith("_port")):
+            name = port.attributes.get("name") or "_"
+            if name[0].isdigit() or name in (*Rules.NAMES, "name", "ID", "_autoremap"):
+                raise port.error(f"a port cannot be called {name!r}; write p_{name.lstrip('_')}")
+        _add(self.models, model.get("ID"), model)
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attributes:
-            prefixes = [Path(one) for one in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if one]
-            shares = (prefix / "share" / element.get("ros_pkg") for prefix in prefixes)
-            found = next((share for share in shares if share.is_dir()), None)
-            if found is None:
-                package = element.get("ros_pkg")
+            package, prefixes = element.get("ros_pkg"), os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+            shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
+            found = [share for share in shares if share.is_dir()]
+            if not found:
                 advice = "source the workspace that has it, or write the path alone"
                 raise element.error(f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}")
-            folder = found
+            folder = found[0]
         self._file(folder / element.get("path"), element.where, chain)
 
 
@@ -185,24 +192,12 @@ def wrong_id(name: str) -> str:
 def _add(table: dict[str, Element], name: str, element: Element) -> None:
     if problem := wrong_id(name):
         raise element.error(problem)
-    for port in element.children if element.tag in _MODELS else ():
-        called = port.attributes.get("name", "_")
-        if port.tag.endswith("_port") and (called[0].isdigit() or called in (*Rules.NAMES, "name", "ID", "_autoremap")):
-            raise port.error(f"a port cannot be called {called!r}; write p_{called.lstrip('_')}")
     if name in table:
         raise element.error(f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID")
     table[name] = element
 
 
-_RENAMED: Final = {
-    "SubTreePlus": "SubTree",
-    "SequenceStar": "SequenceWithMemory",
-    "RetryUntilSuccesful": "RetryUntilSuccessful",
-}
-"""What version 3 called otherwise."""
-
-
-def _read(path: Path, where: str) -> Element:
+def _read(path: Path, where: str) -> bytes:
     shown, content = f"{path!s:.200}", None
     where = where if where.isprintable() and len(where) <= 200 else "<text>"  # what was given may be no path
     try:
@@ -214,7 +209,7 @@ def _read(path: Path, where: str) -> Element:
         raise XmlError(where, f"{shown!r} is no XML, and no file that can be read: {problem}") from None
     if content is None:
         raise XmlError(where, f"there is no file {shown!r}; give the path of one, or the XML itself as text")
-    return _parse(content, str(path))
+    return content
 
 
 def _parse(text: str | bytes, file: str) -> Element:
@@ -243,49 +238,34 @@ def _parse(text: str | bytes, file: str) -> Element:
 
 
 def _strictly(text: str | bytes, file: str) -> Element:
-    from defusedxml.common import DefusedXmlException
-    from defusedxml.ElementTree import ParseError, XMLParser
+    parser = ParserCreate()
+    opened: list[tuple[Mapping[str, str], str, list[Element]]] = [({}, "", [])]
 
-    target = _Target(file)
-    parser = XMLParser(target=target, forbid_dtd=True)
-    target.expat = parser.parser
+    def where() -> str:
+        return f"{file}:{parser.CurrentLineNumber}"
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        if len(opened) > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
+            raise XmlError(where(), f"more than {MAX_DEPTH} elements in each other; use SubTree")
+        opened.append((attributes, where(), []))
+
+    def end(tag: str) -> None:
+        attributes, line, children = opened.pop()
+        opened[-1][2].append(Element(tag, attributes, tuple(children), line))
+
+    def refuse(*declared: object) -> None:  # no entity is declared but in a document type
+        raise XmlError(where(), "a document type or entity is not read; write values out")
+
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
     try:
-        parser.feed(text)
-        return cast(Element, parser.close())
+        parser.Parse(text, True)
     except XmlError:
         raise
-    except DefusedXmlException:
-        raise XmlError(target.where, "a document type or entity is not read; write values out") from None
-    except ParseError as error:
-        raise XmlError(f"{file}:{error.position[0]}", f"it is no XML: {error}") from None
+    except ExpatError as error:
+        raise XmlError(f"{file}:{error.lineno}", f"it is no XML: {error}") from None
     except (ValueError, LookupError) as error:
-        raise XmlError(target.where, f"it cannot be decoded: {error}") from None
-
-
-class _Target:
-    """Takes what the parser finds; makes elements of it."""
-
-    expat: Any  # the parser that calls this, which knows the line; it has no type
-
-    def __init__(self, file: str) -> None:
-        self._file = file
-        self._open: list[tuple[dict[str, str], str, list[Element]]] = [({}, "", [])]
-
-    @property
-    def where(self) -> str:
-        return f"{self._file}:{self.expat.CurrentLineNumber}"
-
-    def start(self, tag: str, attributes: Mapping[str, str]) -> None:
-        if len(self._open) > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
-            raise XmlError(self.where, f"more than {MAX_DEPTH} elements in each other; use SubTree")
-        self._open.append((dict(attributes), self.where, []))
-
-    def end(self, tag: str) -> None:
-        attributes, where, children = self._open.pop()
-        self._open[-1][2].append(Element(tag, attributes, tuple(children), where))
-
-    def close(self) -> Element:
-        return self._open[0][2][0]
+        raise XmlError(where(), f"it cannot be decoded: {error}") from None
+    return opened[0][2][0]
 
 
 _Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
@@ -458,7 +438,7 @@ class _Builder:
         if name is not None and (id(place.board), name) in self._named:
             raise element.error(f"two SubTrees of one tree are named {name!r}; give one of them another name")
         self._named.add((id(place.board), name or ""))
-        written = self._defaults(element, tree) | element.ports
+        written = ({} if autoremap else self._defaults(element, tree)) | element.ports
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
         board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap)
@@ -467,8 +447,7 @@ class _Builder:
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
         found = {}
-        is_free = BOOLS.get(element.attributes.get("_autoremap", "false"), False)
-        for port in model.children if model is not None and model.tag == "SubTree" and not is_free else ():
+        for port in model.children if model is not None and model.tag == "SubTree" else ():
             if port.tag.endswith("_port"):  # editors write other things, too
                 name = port.get("name")
                 if port.attributes.get("default"):
@@ -478,8 +457,8 @@ class _Builder:
         return found
 
     def _unknown(self, tag: str) -> str:
-        if tag in _RENAMED:
-            return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_RENAMED[tag]}>"
+        if tag in _OF_VERSION_3:
+            return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_OF_VERSION_3[tag]}>"
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         own = hint(tag, [*_NODES, "SubTree"], "nodes")

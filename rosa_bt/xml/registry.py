@@ -13,12 +13,11 @@ from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measure
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
-from rosa_bt.xml.blackboard import Blackboard, PortError
+from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES
 from rosa_bt.xml.nodes import MAX_NODES, Branch
-from rosa_bt.xml.ports import Declared, Ports, key_of
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)

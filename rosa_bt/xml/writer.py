@@ -24,16 +24,14 @@ from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.reader import Element as Read
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
-SAME: Final[Mapping[type[Behaviour], str]] = {
-    Inverter: "Inverter",
-    FailureIsSuccess: "ForceSuccess",
-    SuccessIsFailure: "ForceFailure",
-    Success: "AlwaysSuccess",
-    Failure: "AlwaysFailure",
-}
-BY_MEMORY: Final[Mapping[type[Behaviour], Mapping[bool, str]]] = {
-    Sequence: {True: "Sequence", False: "ReactiveSequence"},
-    Selector: {True: "Fallback", False: "ReactiveFallback"},
+_SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites without memory, and with it
+    Inverter: ("Inverter",),
+    FailureIsSuccess: ("ForceSuccess",),
+    SuccessIsFailure: ("ForceFailure",),
+    Success: ("AlwaysSuccess",),
+    Failure: ("AlwaysFailure",),
+    Sequence: ("ReactiveSequence", "Sequence"),
+    Selector: ("ReactiveFallback", "Fallback"),
 }
 _IDIOMS: Final = (ForAction, UntilSuccess, DoUntilUnfeasible, SafeSwitch)
 MAIN: Final = "MainTree"
@@ -141,9 +139,10 @@ class _Writer:
     def _of_py_trees(self, slot: Slot) -> tuple[str, dict[str, str]]:
         """Return the tag and the attributes of what did not come from a file."""
         node, maker = slot.node, type(slot.node)
-        is_same = maker in (*SAME, *_IDIOMS) or (maker in BY_MEMORY and node.children)
-        if not is_same and (node.children or isinstance(node, XmlNode) or maker in BY_MEMORY):
-            known = ", ".join(sorted(one.__name__ for one in (*BY_MEMORY, *SAME)))
+        is_empty = maker in (Sequence, Selector) and not node.children
+        is_same = maker in (*_SAME, *_IDIOMS) and not is_empty
+        if not is_same and (node.children or is_empty or isinstance(node, XmlNode)):
+            known = ", ".join(sorted(one.__name__ for one in _SAME))
             what = f"{maker.__name__} {node.name!r}{'' if node.children else ' without children'}"
             raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
         tag, said = (_tag_of(node), _said(node, maker)) if is_same else self._leaf(node)
@@ -193,9 +192,8 @@ def slots_of(node: Behaviour) -> list[Slot]:
 
 
 def _tag_of(node: Behaviour) -> str:
-    if isinstance(node, Sequence | Selector) and type(node) in BY_MEMORY:
-        return BY_MEMORY[type(node)][node.memory]
-    return SAME.get(type(node), type(node).__name__.lstrip("_"))
+    tags = _SAME.get(type(node), (type(node).__name__.lstrip("_"),))
+    return tags[getattr(node, "memory", False) if len(tags) > 1 else 0]
 
 
 def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:

@@ -13,7 +13,7 @@ from unified_planning.exceptions import UPException
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
-from rosa_pddl.domain import Domain, Schema, UpThing, conjuncts
+from rosa_pddl.domain import Domain, Schema, UpThing, conjuncts, lineage_of
 from rosa_pddl.engines.unified_planning import LABEL_SETTING, OUTCOMES
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.outcomes import Outcome, PlanningResult
@@ -112,18 +112,16 @@ def _domain_of(problem: UpThing) -> Domain:
         if not NAME.fullmatch(name) or inside[kind, name.lower()] != name:
             message = f"found the {kind} {name!r}, expected a name of letters, digits, '_' and '-'"
             raise PddlError(f"{message}, and of no other in other capitals", where)
+    outside = {"object": "object", **{name: name for _, name in names}}
     draft = Domain(
         name="d",
         file=where,
         problem_file=where,
         up_problem=stated,
         schema_of={},
-        outside={"object": "object", **{name: name for _, name in names}},
+        outside=outside,
         inside=inside,
-        types={
-            one.name: tuple(kind.name.lower() for kind in (one.type, *one.type.ancestors))
-            for one in problem.all_objects
-        },
+        types={one.name: lineage_of(one.type, outside) for one in problem.all_objects},
         computed=frozenset(one.name for one in problem.fluents if not one.type.is_bool_type()),
     )
     costs = next((one for one in problem.quality_metrics if one.is_minimize_action_costs()), None)

@@ -96,7 +96,8 @@ class ProcessHandle:
                     verdict = _verdict(process.pid, limit_s, (output, complaints), self._is_cancelled.done)
                 finally:
                     # before it is reaped, as until then its number is that of no other group
-                    _kill_group(process)
+                    with suppress(ProcessLookupError):
+                        os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
             except OSError as error:
                 raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
@@ -152,11 +153,6 @@ def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO], is_cancelled
         return "late"
     finally:
         os.close(file)
-
-
-def _kill_group(process: "subprocess.Popen[bytes]") -> None:
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
 
 
 _HANDLES: WeakSet[ProcessHandle] = WeakSet()

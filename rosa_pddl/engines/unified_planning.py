@@ -56,19 +56,16 @@ def missing(engine: str, domain: Domain) -> str | None:
     """Return what to install if an engine is not there, None if it is."""
     environment = domain.up_problem.environment  # its factory is slow to make, and only made where it is needed
     if engine in TRANSLATED:
-        return (
-            None
-            if fast_downward.program()
-            else _missing(engine, environment.factory, "up_fast_downward is not installed")
-        )
+        return None if fast_downward.program() else _missing(engine, environment, "up_fast_downward is not installed")
     if engine == NUMERIC and which("java") is None:
         return "the planning engine 'enhsp' needs Java, which is not installed; try 'apt install default-jre-headless'"
-    return None if engine in environment.factory.engines else _missing(engine, environment.factory, "is not installed")
+    return None if engine in environment.factory.engines else _missing(engine, environment, "is not installed")
 
 
-def _missing(engine: str, factory: UpThing, what: str) -> str:
+def _missing(engine: str, environment: UpThing, what: str) -> str:
     from unified_planning.engines.factory import DEFAULT_ENGINES
 
+    factory = environment.factory
     usable = sorted(name for name in factory.engines if factory.engine(name).is_oneshot_planner())
     if engine in DEFAULT_ENGINES:
         package = DEFAULT_ENGINES[engine][0].split(".")[0].replace("_", "-")

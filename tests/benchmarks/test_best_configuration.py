@@ -11,10 +11,9 @@ import pytest
 from estimated import power, robot, small_robot
 from figures import table
 
-from kb.planners.choice import Criterion
-from kb.planners.encoding import encode
+from kb.planners import Criterion
 from kb.planners.optimal import OptimalPlanner
-from kb.planners.solver import solve
+from kb.planners.solver import Problem
 
 sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the twin is the oracle of the tests there
 
@@ -95,7 +94,7 @@ def test_best_configuration_of_1000_small_robots_is_the_one_found_by_trying_all(
         weights = {name: draw.choice((1.0, 0.5, -0.5, -1.0)) for name in ("accuracy", "wear")}
         budgets = {"power": draw.randint(0, 100) / 10} if draw.random() < 0.5 else {}
         criterion = Criterion(weights, draw.choice((0.0, 0.1, 0.5)), budgets)
-        found, expected = solve(encode(state_of(kb), criterion)), best_by_trying(state_of(kb), criterion)
+        found, expected = Problem(state_of(kb), criterion).solve(), best_by_trying(state_of(kb), criterion)
         assert found.is_proven
         if expected is None:
             nothing += 1

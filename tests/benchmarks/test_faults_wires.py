@@ -30,7 +30,7 @@ from kb import KnowledgeBase
 from missions import cli
 from missions.suave_extended import MISSION
 from missions.wires import ros
-from missions.wires.bags import read_bag
+from missions.wires.mcap import read_bag
 
 pytestmark = pytest.mark.benchmark(group="faults")
 

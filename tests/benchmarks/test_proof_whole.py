@@ -8,12 +8,12 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "missions"))
 from proof_mutants import CORRECT, FULL, MUTANTS
+from proof_replay import replayed
 from proof_twin import agree
 
 from missions.engine.registry import find_mission
 from missions.proof import verify
 from missions.proof.exploration import Exploration
-from missions.proof.story import replayed
 from missions.proof.verification import setup_of
 
 pytestmark = pytest.mark.benchmark(group="proof")

@@ -2,6 +2,7 @@
 
 import ast
 import sys
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
     "kb": {"kb", "numpy", "lark", "ortools", "owlready2", "pyoxigraph"},
-    "rosa_bt": {"rosa_bt", "kb", "py_trees", "defusedxml", "lark"},
+    "rosa_bt": {"rosa_bt", "kb", "py_trees", "lark"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
     "missions": {
@@ -59,7 +60,6 @@ LATE = {
     "dask",
     "distributed",
     "gymnasium",
-    "defusedxml",
     "pytest",
     "cyclonedds",
     "mcap",
@@ -88,9 +88,10 @@ LATE_MODULES = {
 }
 
 
+@cache
 def imports(path):
-    """Yield (top-level package, whether the import happens when the module is imported)."""
-    tree = ast.parse(path.read_text())
+    """Return (top-level package, whether the import happens when the module is imported) of each import."""
+    tree, found = ast.parse(path.read_text()), []
     at_import = {id(node) for node in tree.body}
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -101,7 +102,8 @@ def imports(path):
         else:
             continue
         for name in names:
-            yield name.split(".")[0], id(node) in at_import
+            found.append((name.split(".")[0], id(node) in at_import))
+    return found
 
 
 @pytest.mark.parametrize("package", ALLOWED)

@@ -3,7 +3,7 @@
 from fractions import Fraction
 from itertools import product
 
-from kb.planners.choice import by_priority
+from kb.planners import by_priority
 from kb.reconfiguration import reselect
 from kb.state import Overlay
 from kb.status import Status

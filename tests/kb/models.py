@@ -10,7 +10,7 @@ from naive import Naive
 from kb import InvalidValue, KnowledgeBase, Model, Status
 
 OPERATORS = (">=", ">", "<=", "<")
-NUMBERS = st.sampled_from((0.0, 0.5, 1.0))
+NUMBERS = (0.0, 0.5, 1.0)
 KINDS = {
     "constraint": (Status.NOT_EVALUATED, Status.SATISFIED, Status.VIOLATED),
     "configuration": (Status.UNFEASIBLE, Status.FEASIBLE),
@@ -56,64 +56,80 @@ def compare(attribute, operator, value):
     }[operator](value)
 
 
-def amount(most):
+RANDOMS = st.randoms(use_true_random=False)
+"""Chance that Hypothesis draws and shrinks: a tenth of the time that a strategy takes which is made for each model."""
+
+
+def amount(chance, most):
     """How many of something: none only now and then."""
-    return st.sampled_from((*range(1, most + 1), *range(2, most + 1), 0))
+    return chance.choice((*range(1, most + 1), *range(2, most + 1), 0))
+
+
+def some_of(chance, names, least=0, most=3):
+    """Some names, each once, in any order."""
+    left = sorted(names)
+    count = chance.randint(min(least, len(left)), min(most, len(left)))
+    return [left.pop(chance.randrange(len(left))) for _ in range(count)]
+
+
+def mostly_some(chance, names):
+    return some_of(chance, names, 1) if chance.randrange(8) else []
 
 
 def subsets(names, max_size=3):
-    if not names:
-        return st.just([])
-    return st.lists(st.sampled_from(sorted(names)), unique=True, max_size=max_size)
+    return RANDOMS.map(lambda chance: some_of(chance, names, 0, max_size))
 
 
-def mostly_some(names):
-    some = st.lists(st.sampled_from(sorted(names)), unique=True, min_size=1, max_size=3) if names else st.just([])
-    return st.integers(0, 7).flatmap(lambda chance: some if chance else st.just([]))
+def is_so(chance):
+    return chance.choice((False, True))
 
 
-@st.composite
-def models(draw, *, aging=False):
+def models(*, aging=False):
     """A small model with anything that the builder allows; names are shared across kinds on purpose.
 
     With aging, measurements may be too old after a few seconds.
     """
+    return RANDOMS.map(lambda chance: model_by(chance, aging=aging))
+
+
+def model_by(chance, *, aging=False):
     model = Model("random")
-    ages = st.sampled_from((1.0, 3.0, 6.0, math.inf) if aging else (math.inf,))
+    ages, priorities = (1.0, 3.0, 6.0, math.inf) if aging else (math.inf,), (None, 0, 1, 2, -1)
     attributes = [
         model.quality_attribute(
-            f"x{i}", max_age=draw(ages), when_stale=draw(st.sampled_from(("not evaluated", "violated")))
+            f"x{i}", max_age=chance.choice(ages), when_stale=chance.choice(("not evaluated", "violated"))
         )
-        for i in range(draw(st.integers(1, 2)))
+        for i in range(chance.randint(1, 2))
     ]
     components = [
         model.component(
             f"x{i}",
-            kind=draw(st.sampled_from(("plain", "process", "lifecycle"))),
-            always_improve=draw(st.booleans()),
-            stops_to_configure=draw(st.booleans()),
+            kind=chance.choice(("plain", "process", "lifecycle")),
+            always_improve=is_so(chance),
+            stops_to_configure=is_so(chance),
         )
-        for i in range(draw(amount(4)))
+        for i in range(amount(chance, 4))
     ]
-    priorities = st.none() | st.integers(-1, 2)
     configurations = [
-        component.configuration(f"x{number} {component.name}", {"gain": float(number)}, priority=draw(priorities))
+        component.configuration(
+            f"x{number} {component.name}", {"gain": float(number)}, priority=chance.choice(priorities)
+        )
         for component in components
-        for number in range(draw(amount(2)))
+        for number in range(amount(chance, 2))
     ]
-    functions = [model.function(f"x{i}", always_improve=draw(st.booleans())) for i in range(draw(amount(2)))]
+    functions = [model.function(f"x{i}", always_improve=is_so(chance)) for i in range(amount(chance, 2))]
     designs = [
         function.design(
-            f"x{number} {function.name}", draw(mostly_some(list(model.components))), priority=draw(priorities)
+            f"x{number} {function.name}", mostly_some(chance, model.components), priority=chance.choice(priorities)
         )
         for function in functions
-        for number in range(draw(amount(3)))
+        for number in range(amount(chance, 3))
     ]
-    actions = [model.action(f"x{i}", requires=draw(mostly_some(list(model.functions)))) for i in range(draw(amount(2)))]
+    actions = [model.action(f"x{i}", requires=mostly_some(chance, model.functions)) for i in range(amount(chance, 2))]
     constrainable = [*actions, *designs, *components, *configurations]
-    for _ in range(draw(amount(5)) if constrainable else 0):
-        positions = draw(st.lists(st.integers(0, len(constrainable) - 1), unique=True, min_size=1, max_size=4))
-        expression = compare(draw(st.sampled_from(attributes)), draw(st.sampled_from(OPERATORS)), draw(NUMBERS))
+    for _ in range(amount(chance, 5) if constrainable else 0):
+        positions = some_of(chance, range(len(constrainable)), 1, 4)
+        expression = compare(chance.choice(attributes), chance.choice(OPERATORS), chance.choice(NUMBERS))
         model.constrain([constrainable[position] for position in positions], expression)
     return model
 
@@ -128,62 +144,66 @@ def names(model):
     }
 
 
-def pairs(kind, listed):
-    return st.tuples(st.just(kind), st.sampled_from(listed))
-
-
 def events(model, *, asserting=True, selecting=True):
     """One thing that happens to a robot of this model, as a tuple of its name and arguments."""
     named = names(model)
-    options = [st.tuples(st.just("measure"), st.sampled_from(list(model.attributes)), NUMBERS)]
+    options = [lambda chance: ("measure", chance.choice(list(model.attributes)), chance.choice(NUMBERS))]
     if components := named["component"]:
-        for what in ("failed", "recovered"):
-            options.append(st.tuples(st.just(what), st.sampled_from(components)))
-        options.append(st.tuples(st.just("active"), st.sampled_from(components), st.booleans()))
+        options += [
+            lambda chance: ("failed", chance.choice(components)),
+            lambda chance: ("recovered", chance.choice(components)),
+            lambda chance: ("active", chance.choice(components), is_so(chance)),
+        ]
     if actions := named["action"]:
-        options += [st.tuples(st.just("request"), st.sampled_from(actions))] * 3
-        options.append(st.tuples(st.just("cancel"), st.sampled_from(actions)))
+        options += [lambda chance: ("request", chance.choice(actions))] * 3
+        options.append(lambda chance: ("cancel", chance.choice(actions)))
     if selecting:
-        options.append(st.tuples(st.just("select"), choices(model)))
-        options += [st.tuples(st.just("adapt"), st.integers(0, 5))] * 4
-        options += [st.tuples(st.just("carry_out_pending"))] * 3
-        options.append(st.tuples(st.just("finish"), st.sampled_from(("completed", "failed", "abandoned"))))
+        options.append(lambda chance: ("select", choice_by(chance, model)))
+        options += [lambda chance: ("adapt", chance.randint(0, 5))] * 4
+        options += [lambda chance: ("carry_out_pending",)] * 3
+        options.append(lambda chance: ("finish", chance.choice(("completed", "failed", "abandoned"))))
     if asserting:
-        options += [assertions(model).map(tuple)] * 2  # mapped: else each kind of assertion weighs as much as an event
-    return st.one_of(options)
+        options += [assertions(model)] * 2
+    return RANDOMS.map(lambda chance: chance.choice(options)(chance))
 
 
 def choices(model):
     """Any designs and configurations, whether they are selectable or not."""
-    return st.tuples(subsets(list(model.designs)), subsets(list(model.configurations))).map(
-        lambda chosen: (
-            {model.designs[name].function: name for name in chosen[0]},
-            {model.configurations[name].component: name for name in chosen[1]},
-        )
+    return RANDOMS.map(lambda chance: choice_by(chance, model))
+
+
+def choice_by(chance, model):
+    return (
+        {model.designs[name].function: name for name in some_of(chance, model.designs)},
+        {model.configurations[name].component: name for name in some_of(chance, model.configurations)},
     )
 
 
 def assertions(model):
+    """Return what makes up something that is asserted or retracted."""
     named = names(model)
-    elements = [pairs(kind, listed) for kind, listed in named.items() if listed]
+    listed = {kind: some for kind, some in named.items() if some}
     if model.constraints:
-        elements.append(pairs("constraint", range(len(model.constraints))))
-    options = []
-    if elements:
-        element = st.one_of(elements)
-        options.append(
-            element.flatmap(
-                lambda one: st.tuples(st.just("assert_status"), st.just(one), st.sampled_from(KINDS[one[0]]))
-            )
-        )
-        options.append(st.tuples(st.just("retract_status"), element))
-    required = [pairs(kind, named[kind]) for kind in ("action", "function", "component") if named[kind]]
+        listed["constraint"] = range(len(model.constraints))
+    required = [kind for kind in ("action", "function", "component") if named[kind]]
+    selected = [kind for kind in ("design", "configuration") if named[kind]]
+
+    def one_of(chance, kinds):
+        kind = chance.choice(kinds)
+        return kind, chance.choice(listed[kind])
+
+    def assert_status(chance):
+        element = one_of(chance, list(listed))
+        return "assert_status", element, chance.choice(KINDS[element[0]])
+
+    options = [assert_status, lambda chance: ("retract_status", one_of(chance, list(listed)))] if listed else []
     if required:
-        options.append(st.tuples(st.just("assert_required"), st.one_of(required), st.sampled_from((True, False, None))))
-    selected = [pairs(kind, named[kind]) for kind in ("design", "configuration") if named[kind]]
+        options.append(lambda chance: ("assert_required", one_of(chance, required), chance.choice((True, False, None))))
     if selected:
-        options.append(st.tuples(st.just("assert_selected"), st.one_of(selected), st.sampled_from((True, False, None))))
-    return st.one_of(options) if options else st.tuples(st.just("measure"), st.just("x0"), NUMBERS)
+        options.append(lambda chance: ("assert_selected", one_of(chance, selected), chance.choice((True, False, None))))
+    if not options:
+        return lambda chance: ("measure", "x0", chance.choice(NUMBERS))
+    return lambda chance: chance.choice(options)(chance)
 
 
 @st.composite

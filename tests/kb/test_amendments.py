@@ -6,7 +6,7 @@ import weakref
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, OPERATORS, Clock, Twins, compare, events, models, mostly_some, stories
+from models import NUMBERS, OPERATORS, RANDOMS, Clock, Twins, compare, events, models, mostly_some, stories
 
 from kb import AmbiguousName, KnowledgeBase, Model, ModelError, PriorityPlanner, Status, UnknownName
 
@@ -30,61 +30,45 @@ def kb():
     return KnowledgeBase(rover(), clock=Clock(1.0))
 
 
-def growths(model):
+def growth(chance, model):
     """One more element of a kind, as a function that declares it; the names are new ones."""
 
     def fresh(table):
         return f"new {len(table)}"
 
-    def expression(attribute, operator, value):
-        return compare(model.attributes[attribute], operator, value)
+    def expressions(least=0, most=2):
+        return [
+            compare(chance.choice(list(model.attributes.values())), chance.choice(OPERATORS), chance.choice(NUMBERS))
+            for _ in range(chance.randint(least, most))
+        ]
 
-    expressions = st.builds(expression, st.sampled_from(sorted(model.attributes)), st.sampled_from(OPERATORS), NUMBERS)
-    constraints = st.lists(expressions, max_size=2)
-    priorities = st.none() | st.integers(-1, 2)
-    options = [
-        st.builds(
-            lambda needs, own: lambda: model.action(fresh(model.actions), requires=needs, constraints=own),
-            mostly_some(list(model.functions)),
-            constraints,
-        ),
-        st.builds(lambda own: lambda: model.component(fresh(model.components), constraints=own), constraints),
-    ]
-    if model.functions:
-        options.append(
-            st.builds(
-                lambda of, parts, own, first: (
-                    lambda: model.functions[of].design(fresh(model.designs), parts, constraints=own, priority=first)
-                ),
-                st.sampled_from(sorted(model.functions)),
-                mostly_some(list(model.components)),
-                constraints,
-                priorities,
-            )
-        )
-    if model.components:
-        options.append(
-            st.builds(
-                lambda of, own, first: (
-                    lambda: model.components[of].configuration(
-                        fresh(model.configurations), constraints=own, priority=first
-                    )
-                ),
-                st.sampled_from(sorted(model.components)),
-                constraints,
-                priorities,
-            )
-        )
+    priority = chance.choice((None, 0, 1, 2, -1))
+
+    def action():
+        needs, own = mostly_some(chance, model.functions), expressions()
+        return lambda: model.action(fresh(model.actions), requires=needs, constraints=own)
+
+    def component():
+        own = expressions()
+        return lambda: model.component(fresh(model.components), constraints=own)
+
+    def design():
+        of, parts = chance.choice(list(model.functions.values())), mostly_some(chance, model.components)
+        own = expressions()
+        return lambda: of.design(fresh(model.designs), parts, constraints=own, priority=priority)
+
+    def configuration():
+        of, own = chance.choice(list(model.components.values())), expressions()
+        return lambda: of.configuration(fresh(model.configurations), constraints=own, priority=priority)
+
+    def constraint():
+        of = [chance.choice(constrainable) for _ in range(chance.randint(1, 3))]
+        (own,) = expressions(1, 1)
+        return lambda: model.constrain(of, own)
+
     constrainable = constrainable_of(model)
-    if constrainable:
-        options.append(
-            st.builds(
-                lambda of, own: lambda: model.constrain(of, own),
-                st.lists(st.sampled_from(constrainable), min_size=1, max_size=3),
-                expressions,
-            )
-        )
-    return st.one_of(options)
+    options = [action, component, *[design] * bool(model.functions), *[configuration] * bool(model.components)]
+    return chance.choice(options + [constraint] * bool(constrainable))()
 
 
 def constrainable_of(model):
@@ -92,39 +76,30 @@ def constrainable_of(model):
     return [one for table in tables for one in table.values()]
 
 
-def changes(model):
+def change(chance, model):
     """A change of an element that is there, as a function that makes it."""
-
-    def change(elements, **fields):
-        return st.builds(
-            lambda one, given: lambda: model.change(one, **given),
-            st.sampled_from(elements),
-            st.fixed_dictionaries(fields),
-        )
-
     options = [
-        change(
+        (
             list(model.attributes.values()),
-            max_age=st.sampled_from((1.0, 3.0, float("inf"))),
-            when_stale=st.sampled_from(("not evaluated", "violated")),
+            {"max_age": (1.0, 3.0, float("inf")), "when_stale": ("not evaluated", "violated")},
         )
     ]
-    if model.constraints:
-        options += [change(list(model.constraints), value=NUMBERS)] * 2
+    options += [(list(model.constraints), {"value": NUMBERS})] * 2
     for table in (model.functions, model.components):
-        if table:
-            options.append(change(list(table.values()), always_improve=st.booleans()))
+        options.append((list(table.values()), {"always_improve": (False, True)}))
     for table in (model.designs, model.configurations):
-        if table:
-            options.append(change(list(table.values()), priority=st.none() | st.integers(0, 3)))
-    return st.one_of(options)
+        options.append((list(table.values()), {"priority": (None, 0, 1, 2, 3)}))
+    elements, fields = chance.choice([one for one in options if one[0]])
+    one, given = chance.choice(elements), {name: chance.choice(values) for name, values in fields.items()}
+    return lambda: model.change(one, **given)
 
 
-def removals(model):
+def removal(chance, model):
     tables = (model.actions, model.designs, model.configurations, model.components, model.functions)
     elements = [*(one for table in tables for one in table.values()), *model.constraints]
     elements += list(model.attributes.values())[1:]  # events need one that can be measured
-    return st.sampled_from(elements).map(lambda one: lambda: model.remove(one)) if elements else st.nothing()
+    one = chance.choice(elements) if elements else None
+    return lambda: one and model.remove(one)
 
 
 def forget(twins):
@@ -145,12 +120,13 @@ def forget(twins):
 
 
 def amend(twins, data):
-    kind = data.draw(st.sampled_from((growths, growths, changes, removals)))
-    amendment = data.draw(kind(twins.model))
+    chance = data.draw(RANDOMS)
+    kind = chance.choice((growth, growth, change, removal))
+    amendment = kind(chance, twins.model)
     try:
         amendment()
     except ModelError:
-        assert kind is removals
+        assert kind is removal
     forget(twins)
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from models import OPERATORS, compare, models
 
 from kb import KnowledgeBase, Model, ModelError, Status
-from kb.checks.findings import Severity, listing, rules
+from kb.checks import Severity, listing, rules
 from kb.elements import KINDS
 from kb.facts import (
     ActiveFact,
@@ -19,7 +19,7 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.planners.choice import by_priority
+from kb.planners import by_priority
 
 VALUES = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5)
 """On, between and beyond the bounds that random models use."""

@@ -205,6 +205,26 @@ class TestCauses:
         assert plan.cause == crossing
         assert [one.cause for one in kb.log][-1] == crossing
 
+    def test_plan_for_something_better_is_caused_by_what_made_that_possible_not_by_what_was_switched_before(self, kb):
+        kb.measure("light", 0.3)
+        kb.request_action("explore")
+        kb.select({"see": "by camera"}, {"camera": "night"})
+        kb.measure("light", 0.9)
+        brighter = kb.log.last
+        kb.component_active("camera", True)  # which the plan has brought about
+        kb.finish_plan(1, "completed")
+        assert kb.select({}, {"camera": "day"}).cause == brighter
+
+    def test_plan_for_what_ended_by_itself_while_another_plan_was_open_is_caused_by_that(self, kb):
+        kb.measure("light", 0.9)
+        kb.request_action("explore")
+        kb.select({"see": "by camera"}, {"camera": "day"})
+        kb.component_active("camera", True)
+        kb.component_active("camera", False, "the process of camera ended by itself")
+        crash = kb.log.last
+        kb.finish_plan(1, "completed")
+        assert kb.select({}, {"camera": "day"}).cause == crash
+
     def test_cancel_of_an_unfeasible_action_is_caused_by_what_made_it_so_and_the_next_request_by_the_cancel(self, kb):
         kb.model.action("rest")
         kb.request_action("explore")

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation.reasons import Comparison, explain, why
+from kb.explanation import Comparison, explain, why
 from kb.inference import propagate
 from kb.state import Overlay
 from kb.status import STATUSES

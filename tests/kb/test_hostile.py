@@ -71,7 +71,7 @@ STATUSES = st.fixed_dictionaries(
 )
 
 
-@settings(max_examples=300, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(ANYTHING | st.lists(STATUSES, max_size=3) | st.fixed_dictionaries({"status": st.lists(STATUSES, max_size=3)}))
 def test_diagnostics_of_any_form_are_taken_or_told(given):
     kb = KnowledgeBase(robot(), clock=Clock(1.0))

@@ -79,6 +79,8 @@ def test_an_unfeasible_action_is_refused_with_the_reason_and_nothing_changes(kb,
     assert reply.accepted is False
     assert reply.reason == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 0.0 s ago)"
     assert kb.required_actions == kb.history.actions == ()
+    with pytest.raises(AttributeError):
+        kb.history.actions = ("rest",)
     assert not kb.functions["see"].is_required
     assert told == []
     assert kb.revision == revision

@@ -435,7 +435,9 @@ def test_a_configuration_keeps_its_own_copy_of_the_parameters(model):
         configuration.parameters["mode"] = "b"
 
 
-@pytest.mark.parametrize("table", ["attributes", "components", "configurations", "functions", "designs", "actions"])
+@pytest.mark.parametrize(
+    "table", ["attributes", "components", "configurations", "functions", "designs", "actions", "tables"]
+)
 def test_the_tables_of_a_model_are_read_only(model, table):
     with pytest.raises(TypeError):
         getattr(model, table)["new"] = None

@@ -48,6 +48,7 @@ def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, cr
     assume(kb.request_action("x0", criterion.weights))
     planner = OptimalPlanner(budgets=criterion.budgets, switching_cost=cost)
     adaptable = kb.adaptable_functions() or kb.adaptable_components()
+    before = {one.name for one in (*kb.designs.values(), *kb.configurations.values()) if one.is_selected}
     planner.plan(kb)
     assume(adaptable and planner.latest)
     if planner.latest.choice is None:
@@ -55,9 +56,9 @@ def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, cr
         assert all(planner.latest.reason in one or "unfeasible" in one for one in told)
         assert not any("priority number" in one or "it is to be selected next" in one for one in told)
         return
-    chosen = [kb.functions[name] for name in planner.latest.choice.designs]
-    chosen += [kb.components[name] for name in planner.latest.choice.configurations]
-    for one in chosen:
+    designs, configurations, _ = planner.latest.choice
+    assume(not before.issuperset([*designs.values(), *configurations.values()]))  # else nobody has selected anything
+    for one in [*map(kb.functions.get, designs), *map(kb.components.get, configurations)]:
         explained = kb.explain_choice(one)
         assert explained.reason == planner.latest.reason
         assert "priority number" not in str(explained)

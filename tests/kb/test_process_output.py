@@ -3,6 +3,7 @@
 import os
 import signal
 import stat
+import time
 
 import pytest
 from models import Clock
@@ -132,3 +133,16 @@ def test_what_an_ended_process_left_in_the_pipe_is_in_its_last_lines(tmp_path):
         os.write(sink, f"{number}\n".encode())
         os.close(sink)
         assert output.last_lines() == str(number)
+
+
+def test_nobody_waits_for_output_that_a_child_which_left_its_group_may_still_write(tmp_path):
+    output, begun, sinks = Output(tmp_path / "camera.log"), time.monotonic(), []
+    for number in range(40):
+        source, sink = os.pipe()
+        sinks.append(sink)
+        output.follow(os.fdopen(source, "rb", buffering=0))
+        os.write(sink, f"{number}\n".encode())
+        assert output.last_lines() == str(number)
+    assert time.monotonic() < begun + 10.0
+    for sink in sinks:
+        os.close(sink)

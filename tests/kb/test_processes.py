@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.processes import ProcessComponents
-from kb.processes.components import PARAMETERS, Program
+from kb.processes import PARAMETERS, ProcessComponents, Program
 from kb.processes.guardian import MARK, new_mark
 
 ROOT = Path(__file__).parents[2]
@@ -463,7 +462,7 @@ FINDER = """
 import sys, time
 from kb import KnowledgeBase, Model
 from kb.processes import ProcessComponents
-from kb.processes.components import Program
+from kb.processes import Program
 model = Model("rover")
 model.component("camera", kind="process")
 kb = KnowledgeBase(model)

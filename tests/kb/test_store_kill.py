@@ -5,7 +5,7 @@ import os
 import pytest
 from store_faults import Damages, survives_a_kill
 
-KILLS, DAMAGES = int(os.environ.get("KILLS", "8")), int(os.environ.get("DAMAGES", "60"))
+KILLS, DAMAGES = int(os.environ.get("KILLS", "5")), int(os.environ.get("DAMAGES", "40"))
 
 
 @pytest.mark.parametrize("number", range(KILLS))
@@ -14,7 +14,7 @@ def test_all_that_was_acknowledged_is_there_after_a_kill(number, tmp_path):
 
 
 def test_damaged_files_are_refused_or_nothing_is_missing(tmp_path):
-    damages = Damages(tmp_path, 1, lives=2)
+    damages = Damages(tmp_path, 5, lives=2)
     for number in range(DAMAGES):
         damages.one(number)
     answered = {answer for _, answer in damages.kinds}

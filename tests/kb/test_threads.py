@@ -9,6 +9,7 @@ import pytest
 from models import Clock
 
 from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
+from kb.elements import ByName
 
 
 @contextmanager
@@ -115,6 +116,16 @@ def test_facts_told_by_many_threads_are_all_kept_and_the_answers_are_those_of_th
     assert kb.is_feasible("look")
 
 
+def test_the_log_can_be_gone_through_while_others_tell(kb):
+    def look():
+        while kb.log.last < 2000:
+            numbers = [event.number for event in kb.log.since(1)]
+            assert numbers == list(range(2, len(numbers) + 2))
+
+    run_together(look, *(lambda: [kb.measure("light 1", float(one)) for one in range(1000)],) * 2)
+    assert len(kb.log) == 2000
+
+
 def test_a_model_may_grow_on_one_thread_while_others_tell_and_ask(kb):
     model = kb.model
 
@@ -163,6 +174,17 @@ def test_an_action_that_is_never_possible_is_never_answered_to_be_possible_while
             assert sorted(kb.actions) in ([], ["try"])
 
     run_together(author, tree, tree)
+
+
+def test_a_name_is_said_to_be_unknown_though_the_model_grows_meanwhile():
+    class Growing(str):
+        def __str__(self):
+            table["another"] = 2  # as another thread may
+            return "first"
+
+    table = ByName("action", {Growing("first"): 1})
+    with pytest.raises(UnknownName, match="known: 'first'"):
+        table["nothing like it"]
 
 
 def test_a_measurement_grows_old_for_all_threads_at_once():

@@ -35,7 +35,7 @@ def test_every_role_is_known_by_its_own_name(kind):
     vocabulary = Vocabulary()
     relation = vocabulary.type(kind, None)
     for role in ROLES[kind]:
-        assert role in vocabulary.roles(relation, kind, role.name, None)
+        assert role in vocabulary.roles(relation, role.name, None)
 
 
 @pytest.mark.parametrize("kind", ATTRIBUTES)

@@ -7,7 +7,7 @@ from types import ModuleType
 from missions import cli
 from missions.baselines import open_run
 from missions.engine import registry
-from missions.engine.controller import RosaController
+from missions.engine.controller import RosaRun
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener, MissionRun
@@ -15,10 +15,20 @@ from missions.engine.settings import RunSettings
 from missions.views.output import as_json, summary
 
 
+class Watcher(Listener):
+    """Keeps what there was to see."""
+
+    def __init__(self):
+        self.samples = []
+
+    def sample(self, sample):
+        self.samples.append(sample)
+
+
 def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[MissionRun, Verdict, dict]:
     """Run a mission, by default watched by somebody; returns the run, the verdict and the result as data."""
     values = {key: str(value) for key, value in changed.items()}
-    watching = (Listener(),) if listeners is None else tuple(listeners)
+    watching = (Watcher(),) if listeners is None else tuple(listeners)
     run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=watching)
     verdict = run.run()
     return run, verdict, summary(run, verdict, seed, values)
@@ -26,8 +36,7 @@ def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[Mis
 
 def rosa_run(mission, task, world, settings=None, listeners=()) -> MissionRun:
     """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
-    settings = settings or RunSettings()
-    return MissionRun(mission, RosaController(mission, task, world, settings), world, settings, listeners)
+    return RosaRun(mission, task, world, settings or RunSettings(), listeners)
 
 
 @cache

@@ -1,6 +1,7 @@
 """What counts as an adaptation, and what is the ordinary course of a mission."""
 
 from itertools import pairwise
+from math import inf
 
 import pytest
 from hypothesis import given
@@ -8,6 +9,7 @@ from hypothesis import strategies as st
 from running import run_mission
 
 from kb import ConfigurationManager, KnowledgeBase, Model
+from kb.manager import PriorityPlanner
 from missions.engine.adaptations import AdaptationLog
 
 
@@ -249,6 +251,81 @@ def test_what_is_stopped_in_the_ordinary_course_is_told_of_no_later_change(missi
     mission.hear(lambda: mission.kb.measure("energy", 0.1))
     mission.tick(mission.end("inspect"), mission.begin("wait"))
     assert [one.change for one in mission.log.adaptations] == ["inspect -> wait"]
+
+
+def test_what_fails_while_the_robot_is_configured_for_a_change_is_an_adaptation_of_its_own(mission):
+    kb, log = mission.kb, mission.log
+    mission.tick(mission.begin("search"))
+    mission.hear(lambda: kb.measure("energy", 0.1))
+    mission.tick(mission.end("search"))  # the camera is stopped, for nothing needs it
+    log.ticking(1.0)
+    kb.request_action("wait")
+    kb.select({"see": "by_camera"})
+    log.settle()  # it is being started again
+    log.news(1.1)
+    kb.component_failed("camera")
+    log.news(None)
+    answer = kb.select({"see": "by_lidar"})
+    log.settle()
+    kb.finish_plan(answer, "completed")
+    log.settle()
+    assert mission.kinds() == [("task", "energy is 0.1"), ("structural", "camera has failed")]
+    change, structural = log.adaptations
+    assert [plan for _, plan in structural.plans] == [answer]
+    assert answer not in [plan for _, plan in change.plans]
+
+
+def test_what_fails_while_a_plan_is_carried_out_is_an_adaptation_when_the_manager_answers_it(mission):
+    kb, log = mission.kb, mission.log
+    mission.tick(mission.begin("search"))
+    log.news(1.0)
+    kb.component_failed("camera")
+    log.news(None)
+    answer = kb.select({"see": "by_lidar"})
+    log.settle()  # the lidar is being started
+    kb.component_active("camera", False)
+    kb.component_active("lidar", True)
+    log.news(1.5)
+    kb.component_recovered("camera")
+    kb.component_failed("lidar")
+    log.news(None)
+    kb.finish_plan(answer, "completed")
+    log.settle()  # the plan has ended in this turn of the manager, which plans in the next one
+    mission.turn()
+    assert mission.kinds() == [("structural", "camera has failed"), ("structural", "lidar has failed")]
+
+
+def test_what_a_planner_that_waits_answers_later_is_an_adaptation_all_the_same(mission):
+    class Slow(PriorityPlanner):
+        is_waiting = True
+
+        def plan(self, kb):
+            return super().plan(kb) if mission.now > 1.0 else None
+
+    mission.tick(mission.begin("search"))
+    mission.manager = ConfigurationManager(mission.kb, Robot(), planner=Slow())
+    mission.hear(lambda: mission.kb.component_failed("camera"))
+    for _ in range(12):
+        mission.tick()
+    ((kind, trigger),), (told,) = mission.kinds(), mission.log.adaptations
+    assert (kind, trigger, told.at_s) == ("structural", "camera has failed", 1.1)
+
+
+def test_what_ends_by_itself_while_a_plan_is_carried_out_is_news_where_nobody_says_what_is(mission):
+    kb, log = mission.kb, mission.log
+    log.news(inf)
+    mission.tick(mission.begin("search"))
+    kb.component_failed("camera")
+    answer = kb.select({"see": "by_lidar"})
+    log.settle()
+    kb.component_active("camera", False)
+    kb.component_active("lidar", True)
+    kb.component_active("lidar", False, "its process has ended by itself")
+    kb.finish_plan(answer, "completed")
+    log.settle()
+    mission.turn()
+    ended = "lidar is inactive (its process has ended by itself)"
+    assert mission.kinds() == [("structural", "camera has failed"), ("structural", ended)]
 
 
 def test_action_given_up_because_of_news_that_none_follows_is_told_when_the_run_ends(mission):

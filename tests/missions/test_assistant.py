@@ -14,8 +14,6 @@ from urllib.request import Request, urlopen
 
 import anyio
 import pytest
-from mcp import Client, StdioServerParameters
-from mcp.client.stdio import stdio_client
 
 from kb import KnowledgeBase
 from missions.engine.mission import MissionError
@@ -44,6 +42,7 @@ def kb():
 
 def asked(kb, calls, *, allow_actions=False):
     """Return (whether it is an error, what was answered) of each call, over the protocol."""
+    from mcp import Client  # slow to import, and every process that takes part in a run of the tests reads this file
 
     async def ask():
         server = mcp_server(Assistant(kb, MISSION), allow_actions=allow_actions)
@@ -153,6 +152,9 @@ def test_refusals_are_told_in_words(kb):
 
 
 def test_program_serves_over_stdio():
+    from mcp import Client, StdioServerParameters
+    from mcp.client.stdio import stdio_client
+
     async def ask():
         program = StdioServerParameters(command=sys.executable, args=["-m", "missions", "mcp", "suave_extended"])
         async with Client(partial(stdio_client, program)()) as client:

@@ -11,7 +11,7 @@ from running import register, rosa_run, run_mission
 
 from missions import cli, suave_extended
 from missions.engine import runner
-from missions.engine.mission import MissionError
+from missions.engine.mission import MissionError, World
 from missions.engine.registry import MISSIONS
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
@@ -179,11 +179,14 @@ def test_fact_of_an_object_that_there_is_not_is_told_once(altered, monkeypatch, 
     assert "pipelin" in out
 
 
-def test_tree_that_is_none_is_refused(monkeypatch, capsys, altered):
+def test_tree_that_is_none_is_refused_and_the_world_let_go_of(monkeypatch, capsys, altered):
+    closed = []
+    monkeypatch.setattr(World, "close", lambda world: closed.append(world))
     altered(tree=lambda kb, percepts: None)
     code, _, err = run_altered(monkeypatch, capsys)
     assert code == 2
     assert "the tree of mission altered is None, not a py_trees behaviour" in err
+    assert len(closed) == 1
 
 
 def test_tree_that_cannot_be_built_is_refused_with_the_line(monkeypatch, capsys, altered):
@@ -222,9 +225,9 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = rosa_run(mission, "bt", world)
     assert not run.run().success
-    assert run.controller.tree.root.status is Status.FAILURE
+    assert run.tree.root.status is Status.FAILURE
     line = Rash.update.__code__.co_firstlineno + 1
-    assert run.controller.tree.root.feedback_message == f"RuntimeError: boom; test_bad_missions.py, line {line}"
+    assert run.tree.root.feedback_message == f"RuntimeError: boom; test_bad_missions.py, line {line}"
     assert run.kb.required_actions == ()
 
 

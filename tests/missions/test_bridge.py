@@ -4,7 +4,8 @@ import json
 import random
 import time
 from contextlib import contextmanager, suppress
-from threading import Event
+from threading import Event, Thread
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,9 +17,9 @@ from websockets.sync.client import connect
 from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.engine.mission import MissionError
 from missions.wires.bridge import Bridge, BridgeSettings
-from missions.wires.node import RosError
+from missions.wires.node import QUEUED, Outbox, RosError
 from missions.wires.rosa_services import parameter_messages
-from missions.wires.rosbridge import Rosbridge
+from missions.wires.rosbridge import Peer, Rosbridge
 from missions.wires.rosbridge_server import RosbridgeServer
 
 SETTINGS = BridgeSettings(attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"})
@@ -312,12 +313,29 @@ def test_elsewhere_needs_a_token_and_pages_of_other_sites_are_refused():
     open_here = RosbridgeServer(0)
     try:
         url = f"ws://127.0.0.1:{open_here.port}"
-        with pytest.raises(InvalidStatus, match="403"), connect(url, origin="https://somewhere.example"):
-            pass
+        for origin in ("https://somewhere.example", "null"):  # null: a frame of somewhere's page
+            with pytest.raises(InvalidStatus, match="403"), connect(url, origin=origin):
+                pass
         with connect(url, origin="http://localhost:8080"):
             pass
     finally:
         open_here.close()
+
+
+def test_what_a_client_that_has_gone_had_asked_and_declared_is_forgotten(robot):
+    url = f"ws://127.0.0.1:{robot.server.port}"
+    with connect(url) as slow, connect(url) as caller:
+        slow.send(json.dumps({"op": "advertise_service", "service": "/slow", "type": "x"}))
+        until(lambda: "/slow" in robot.server.call("/rosapi/services", "", {}).result(60)["services"])
+        caller.send(json.dumps({"op": "advertise", "topic": "/passing", "type": "y/msg/Z"}))
+        caller.send(json.dumps({"op": "call_service", "service": "/slow", "id": "1"}))
+        assert json.loads(slow.recv(60))["op"] == "call_service"
+        assert robot.server.call("/rosapi/topic_type", "", {"topic": "/passing"}).result(60) == {"type": "y/msg/Z"}
+        (number,) = robot.server._forwarded
+        caller.close()
+        until(lambda: not robot.server._forwarded)
+        robot.server._respond(number, {})  # it is answered at the same moment
+        assert "/passing" not in robot.server.call("/rosapi/topics", "", {}).result(60)["topics"]
 
 
 def test_call_without_a_connection_or_a_server_fails_at_once(robot):
@@ -333,6 +351,95 @@ def test_call_without_a_connection_or_a_server_fails_at_once(robot):
     node.close()
     with pytest.raises(RosError, match="nobody serves"):
         robot.server.call("/nowhere", "", {}).result(60)
+
+
+def test_node_that_is_closed_while_it_connects_ends(robot, monkeypatch):
+    node = Rosbridge(robot.url)
+    until(lambda: node.is_connected)
+    begun, go_on, connected = Event(), Event(), node._begin
+
+    def begin_late(*given):
+        begun.set()
+        assert go_on.wait(60.0)
+        connected(*given)
+
+    monkeypatch.setattr(node, "_begin", begin_late)
+    node._peer.socket.close()
+    assert begun.wait(60.0), "it connects again"
+    closing = Thread(target=node.close, daemon=True)
+    closing.start()
+    until(node._closing.is_set)
+    go_on.set()
+    closing.join(60.0)
+    assert not closing.is_alive()
+
+
+def test_what_waited_to_be_sent_when_the_connection_was_cut_is_published_on_the_next(robot, monkeypatch):
+    node, heard, cut = Rosbridge(robot.url), [], Event()
+    robot.server.subscribe("/news", "x", lambda one: heard.append(one["number"]))
+    until(lambda: node.is_connected)
+
+    def stuck(_):
+        assert cut.wait(60.0)
+        raise ConnectionError
+
+    monkeypatch.setattr(node._peer, "_write", stuck)
+    for number in range(5):
+        node.publish("/news", "x", {"number": number})
+    assert not node.call("/camera/get_state", "x", {}).done()
+    node._peer.socket.close()
+    cut.set()
+    until(lambda: len(heard) == 5)
+    assert heard == [*range(5)]
+    for number in range(500):
+        node.publish("/news", "x", {"number": number})
+    node.close()
+    until(lambda: heard == [*range(5), *range(500)])
+
+
+def test_full_queue_of_what_is_late_pushes_out_nothing_that_is_declared():
+    node, written, go_on = Rosbridge("ws://127.0.0.1:9"), [], Event()
+    node.subscribe("/orders", "x", written.append)
+    for number in range(QUEUED):
+        node.publish("/news", "x", {"number": number})
+    socket = SimpleNamespace(send=lambda text: go_on.wait(60.0) and written.append(json.loads(text)), close=go_on.set)
+    node._begin(Peer(socket), 0.0)
+    go_on.set()
+    until(lambda: len(written) == QUEUED)
+    assert [one["op"] for one in written[:3]] == ["subscribe", "advertise", "publish"]
+    assert written[-1]["msg"] == {"number": QUEUED - 1}
+    node.close()
+
+
+def test_queue_that_is_closed_sends_no_more_than_what_was_under_way(monkeypatch):
+    monkeypatch.setattr("missions.wires.node._FLUSH_S", 0.01)
+    go_on, written = Event(), []
+    queue = Outbox(lambda one: go_on.wait(60.0) and written.append(one))
+    for number in range(3):
+        queue.put(number)
+    assert queue.close() == [0, 1, 2]
+    go_on.set()
+    queue._thread.join(60.0)
+    assert written == [0]
+
+
+def test_operation_that_is_cancelled_commands_nothing_more(robot):
+    asked, answer = Event(), Event()
+
+    def state(_):
+        asked.set()
+        assert answer.wait(60.0)
+        return {"current_state": {"id": 1, "label": ""}}
+
+    with bridged(robot) as (_, bridge):
+        until(lambda: bridge.managed.is_active("camera") is False)
+        robot.server.serve("/camera/get_state", "x", state)
+        operation = bridge.managed.activate("camera")
+        assert asked.wait(60.0)
+        assert operation.cancel()
+        answer.set()
+        bridge.managed.activate("radar").result(60)
+    assert robot.calls == [("radar", 1), ("radar", 3)]
 
 
 def test_parameters_are_told_by_their_types_those_of_numpy_too():

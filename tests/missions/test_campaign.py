@@ -3,14 +3,13 @@
 import csv
 import json
 import os
+import resource
 import shlex
-import shutil
 import sqlite3
 import subprocess
 import sys
 import time
 from contextlib import closing
-from dataclasses import replace
 from functools import cache
 from io import StringIO
 from pathlib import Path
@@ -24,7 +23,7 @@ from missions import cli
 from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
-from missions.experiments.results import FILE, PACKAGES, Outcome, Store, provenance, read_store
+from missions.experiments.results import FILE, Outcome, Store, provenance, read_store
 from missions.experiments.workers import do
 from missions.views.console import CampaignProgress
 
@@ -64,21 +63,17 @@ def quick(capsys, monkeypatch):
     return run
 
 
-@pytest.fixture(scope="session")
-def rosa(tmp_path_factory):
-    """Run the command line in a process of its own, on a copy of the code that nobody changes meanwhile."""
-    copy = tmp_path_factory.mktemp("code")
-    for package in PACKAGES:
-        shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__"))
+def rosa(*arguments, cwd, most_bytes=None):
+    """Start the command line in a process of its own, perhaps on a disk with little room."""
 
-    def start(*arguments, cwd=None):
-        command = [sys.executable, "-m", "missions", *map(str, arguments)]
-        settings = {**os.environ, "PYTHONPATH": str(copy)}
-        return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=settings, cwd=cwd or copy
-        )
+    def limit():
+        if most_bytes is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, resource.RLIM_INFINITY))
 
-    return start
+    command = [sys.executable, "-m", "missions", *map(str, arguments)]
+    settings = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, preexec_fn=limit, env=settings, cwd=cwd, **pipes)
 
 
 def finish(running, code=0):
@@ -89,12 +84,12 @@ def finish(running, code=0):
 
 
 @pytest.fixture(scope="session")
-def small(rosa, tmp_path_factory):
+def small(tmp_path_factory):
     """Return the file of a small campaign, and what two workers made of it."""
     folder = tmp_path_factory.mktemp("campaign")
     file = folder / "small.toml"
     file.write_text(SMALL)
-    finish(rosa("campaign", file, "--workers", 2, "--out", folder / "two"))
+    finish(rosa("campaign", file, "--workers", 2, "--out", folder / "two", cwd=folder))
     return file, folder / "two"
 
 
@@ -135,12 +130,9 @@ CAMPAIGNS = st.builds(
 
 @given(CAMPAIGNS)
 def test_every_run_has_a_name_of_its_own_and_managers_meet_the_same_seeds(campaign):
-    planned = campaign.planned()
+    planned = list(campaign.planned())
     assert len({run.name for run in planned}) == len(planned)
-    assert [planned.place(run.name) for run in planned] == list(range(len(planned)))
-    last = planned[-1]
-    strangers = (replace(last, seed=last.seed + 1), replace(last, manager="random"))
-    assert [planned.place(name) for name in (*(run.name for run in strangers), "", "x")] == [None] * 4
+    assert [run.place for run in planned] == list(range(len(planned)))
     layers = len(campaign.managers) + ("ours" in campaign.managers) * (len(campaign.tasks) - 1)
     assert len(planned) == len(campaign.missions) * len(campaign.variants) * layers * campaign.runs
     by_manager = {}
@@ -152,7 +144,7 @@ def test_every_run_has_a_name_of_its_own_and_managers_meet_the_same_seeds(campai
 @given(CAMPAIGNS)
 def test_campaign_is_the_same_after_it_was_written_and_read(campaign):
     data = json.loads(json.dumps(campaign.as_data()))
-    assert from_data(data, "here").planned() == campaign.planned()
+    assert list(from_data(data, "here").planned()) == list(campaign.planned())
     assert from_data(data, "here").as_data() == campaign.as_data()
 
 
@@ -163,20 +155,16 @@ def test_seed_of_a_run_stands_in_its_name_and_in_what_does_it_again():
 
 
 def test_paper_table_has_both_missions_under_every_manager_a_hundred_times():
-    planned = paper_table().planned()
+    planned = list(paper_table().planned())
     layers = {(run.manager, run.task) for run in planned}
     assert layers == {*((name, None) for name in MANAGERS), ("ours", "bt"), ("ours", "pddl")}
     assert len(planned) == 100 * 2 * len(layers)
     assert {run.mission for run in planned} == {"suave", "suave_extended"}
 
 
-@pytest.mark.parametrize("workers", [1, 3])
-def test_results_are_the_same_to_the_byte_on_any_number_of_workers(rosa, quick, small, tmp_path, workers):
+def test_results_are_the_same_to_the_byte_on_any_number_of_workers(quick, small, tmp_path):
     file, two = small
-    if workers == 1:  # this process
-        assert quick("campaign", file, "--workers", 1, "--out", tmp_path)[0] == 0
-    else:
-        finish(rosa("campaign", file, "--workers", workers, "--out", tmp_path))
+    assert quick("campaign", file, "--workers", 1, "--out", tmp_path)[0] == 0
     assert tables(tmp_path) == tables(two)
     assert len(lines(tmp_path)) == RUNS
 
@@ -196,33 +184,47 @@ def test_tables_hold_what_the_runs_gave(small):
         assert len(list(csv.DictReader(file))) == sum(len(record["reactions"]) for record in records.values()) > 0
 
 
-def test_record_of_a_run_is_what_its_command_line_gives(rosa, small, tmp_path):
+def test_record_of_a_run_is_what_its_command_line_gives(quick, small, tmp_path):
     record = next(one for one in lines(small[1]) if one["manager"] == "bt" and one["seed"] == 1)
     run = next(run for run in read_store(small[1]).campaign.planned() if run.name == record["run"])
     found = 0 if record["search_time_s"] else 1
-    finish(rosa(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json"), found)
+    assert quick(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json")[0] == found
     again = json.loads((tmp_path / "again.json").read_text())
     assert {key: again[key] for key in ("seed", "violation_s", "switches", "energy_j")} == {
         key: record[key] for key in ("seed", "violation_s", "switches", "energy_j")
     }
 
 
-def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(rosa, small, tmp_path):
-    file, two = small
-    folder = tmp_path / "killed"
-    running = rosa("campaign", file, "--workers", 2, "--out", folder)
-    while running.poll() is None and len(begun_with(folder)) <= 2:
-        time.sleep(0.02)
-    running.kill()
-    running.communicate()  # returns when its workers have ended, too
+def assert_gone_on_with(quick, folder, two, *given):
+    """Go on with a campaign that something has stopped: nothing is lost, repeated or other than without that."""
     before = timings(folder)
-    assert len(before) > 2
-    out = finish(rosa("campaign", "--resume", "--workers", 2, "--out", folder))
-    assert f"{RUNS - len(before)} of them now" in out
+    code, out, err = quick("campaign", *given, "--resume", "--workers", 1, "--out", folder)
+    assert (code, f"{RUNS - len(before)} of them now" in out) == (0, True), out + err
     after = timings(folder)
     assert len(after) == RUNS
     assert {run: after[run] for run in before} == before  # not done again
     assert tables(folder) == tables(two)
+    return len(before)
+
+
+def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(quick, small, tmp_path):
+    file, two = small
+    folder = tmp_path / "killed"
+    running = rosa("campaign", file, "--workers", 2, "--out", folder, cwd=tmp_path)
+    while running.poll() is None and len(begun_with(folder)) <= 2:
+        time.sleep(0.02)
+    running.kill()
+    running.communicate()  # returns when its workers have ended, too
+    assert assert_gone_on_with(quick, folder, two) > 2
+
+
+def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(quick, small, tmp_path):
+    file, two = small
+    folder = tmp_path / "full"
+    _, said = rosa("campaign", file, "--workers", 1, "--out", folder, cwd=tmp_path, most_bytes=33_000).communicate()
+    assert "make room, then go on with --resume" in " ".join(said.split())
+    assert "Traceback" not in said
+    assert 0 < assert_gone_on_with(quick, folder, two, file) < RUNS
 
 
 def test_campaign_that_is_done_is_done(quick, small):
@@ -248,7 +250,7 @@ TROUBLE = """[lambda: None, lambda: 1 / 0, lambda: os._exit(9), lambda: sys.exit
             ]()"""
 
 
-def test_run_that_crashes_is_recorded_and_the_others_go_on(rosa, quick, tmp_path, monkeypatch):
+def test_run_that_crashes_is_recorded_and_the_others_go_on(quick, tmp_path, monkeypatch):
     (tmp_path / "clumsy.py").write_text(CLUMSY.format(trouble=TROUBLE))
     (tmp_path / "c.toml").write_text(
         'missions = ["suave"]\nmanagers = ["clumsy:Clumsy"]\nruns = 1\nfirst_seed = 1\n'
@@ -369,7 +371,7 @@ def begun(folder, text=SMALL):
 
 @cache
 def first() -> Outcome:
-    return do(Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"}).planned()[0])
+    return do(next(Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"}).planned()))
 
 
 def test_folder_that_holds_another_campaign_is_left_alone(tmp_path, quick):
@@ -395,7 +397,7 @@ def test_folder_is_held_by_one_program_at_a_time(tmp_path, quick):
 def test_results_of_different_code_are_never_mixed(tmp_path, quick):
     begun(tmp_path / "c")
     with Store(tmp_path / "c", None, resume=True) as store:
-        strange = Outcome(store.campaign.planned()[1], "other", {"run": "x", "outcome": "y"})
+        strange = Outcome(next(store.campaign.planned()), "other", {"run": "x", "outcome": "y"})
         with pytest.raises(MissionError, match=r"was run by other code \(other\) than the campaign"):
             store.keep(strange)
     with closing(sqlite3.connect(tmp_path / "c" / FILE)) as file, file:
@@ -404,6 +406,17 @@ def test_results_of_different_code_are_never_mixed(tmp_path, quick):
     assert code == 2
     assert f"was begun with code older, here is {provenance()['code']}" in err
     assert "results of different versions cannot be mixed" in err
+
+
+def test_what_npm_has_installed_is_no_code_of_ours(tmp_path, monkeypatch):
+    monkeypatch.setattr("missions.experiments.results.__file__", str(tmp_path / "missions" / "experiments" / "it.py"))
+    installed = tmp_path / "missions" / "node_modules"
+    installed.mkdir(parents=True)
+    before = provenance.__wrapped__()
+    (installed / "theirs.js").touch()
+    assert provenance.__wrapped__() == before
+    (tmp_path / "missions" / "ours.py").touch()
+    assert provenance.__wrapped__()["code"] != before["code"]
 
 
 @pytest.mark.parametrize(

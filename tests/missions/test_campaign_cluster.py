@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from running import called
 
 from missions.engine.mission import MissionError
 from missions.experiments.results import PACKAGES, read_store
@@ -34,17 +35,15 @@ class Fatal(Manager):
         os._exit(1)
 """
 TABLES = ("runs.csv", "reactions.csv")
+IGNORED = shutil.ignore_patterns("*.pyc.*", "node_modules")  # what is compiled is copied, half-written files are not
 
 
 class Machines:
-    """A scheduler, workers and command lines as processes of their own, which see a copy of the code."""
+    """A scheduler, workers and command lines as processes of their own."""
 
     def __init__(self, folder):
-        self.folder, self.path, self.workers = folder, [str(folder / "code"), str(folder)], []
+        self.folder, self.path, self.workers = folder, [str(ROOT), str(folder)], []
         self.foreign = False
-        for package in PACKAGES:
-            unwanted = shutil.ignore_patterns("__pycache__")
-            shutil.copytree(ROOT / package, folder / "code" / package, ignore=unwanted)
         (folder / "fatal.py").write_text(FATAL)
         (folder / "small.toml").write_text(SMALL)
         options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "scheduler.json"]
@@ -118,8 +117,15 @@ def machines(tmp_path_factory):
     found.end()
 
 
-def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(machines):
-    machines.have_workers(3)
+@pytest.fixture
+def quick(machines, capsys, monkeypatch):
+    """Run the command line in this process; returns exit status, output and errors."""
+    monkeypatch.chdir(machines.folder)
+    return lambda *arguments: called(capsys, monkeypatch, *arguments)
+
+
+def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(machines, quick):
+    machines.have_workers(2)
     running = machines.rosa("campaign", "small.toml", "--cluster", machines.address, "--out", "far")
     machines.wait_for(lambda: running.poll() is not None or len(machines.lines("far")) > 2)
     machines.workers[0].kill()
@@ -128,8 +134,7 @@ def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(ma
     assert f"{RUNS} of {RUNS} runs done, {RUNS} of them now" in out
     names = [record["run"] for record in machines.lines("far")]
     assert len(names) == len(set(names)) == RUNS
-    local = machines.rosa("campaign", "small.toml", "--workers", "1", "--out", "near")
-    local.communicate()
+    assert quick("campaign", "small.toml", "--workers", "1", "--out", "near")[0] == 0
     for name in TABLES:
         assert (machines.folder / "far" / name).read_bytes() == (machines.folder / "near" / name).read_bytes()
 
@@ -149,31 +154,28 @@ def test_run_that_kills_its_workers_is_recorded_and_the_others_go_on(machines):
     }
 
 
-def refused(machines, *arguments):
-    running = machines.rosa("campaign", "small.toml", "--out", "refused", *arguments)
-    _, err = running.communicate()
-    assert running.returncode == 2, err
-    return " ".join(err.split())
+def test_cluster_that_cannot_do_it_is_refused_at_once(machines, quick):
+    def refused():
+        code, _, err = quick("campaign", "small.toml", "--out", "refused", "--cluster", machines.address)
+        assert code == 2, err
+        shutil.rmtree(machines.folder / "refused")
+        return " ".join(err.split())
 
-
-def test_cluster_that_cannot_do_it_is_refused_at_once(machines):
     machines.have_workers(0)
-    assert f"the scheduler at {machines.address} has no workers" in refused(machines, "--cluster", machines.address)
+    assert f"the scheduler at {machines.address} has no workers" in refused()
 
-    shutil.rmtree(machines.folder / "refused")
     other = machines.folder / "other"
-    shutil.copytree(machines.folder / "code", other)
-    (other / "kb" / "changed.py").touch()
+    for package in PACKAGES:
+        other_package = shutil.copytree(ROOT / package, other / package, ignore=IGNORED)
+    (other_package / "changed.py").touch()
     machines.have_workers(1, path=[str(other)])
-    assert "has code" in refused(machines, "--cluster", machines.address)
+    assert "has code" in refused()
 
-    shutil.rmtree(machines.folder / "refused")
     bare = machines.folder / "bare" / "missions"
     bare.mkdir(parents=True)
     (bare / "__init__.py").touch()
     machines.have_workers(1, path=[str(bare.parent)])
-    said = refused(machines, "--cluster", machines.address)
-    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'" in said
+    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'" in refused()
 
 
 def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monkeypatch):

@@ -225,7 +225,7 @@ def test_wrong_use_is_one_clear_message(tmp_path, monkeypatch, capsys, arguments
 
 
 def test_results_are_reported_as_far_as_they_go_while_runs_are_done(tmp_path):
-    planned = TABLE.planned()
+    planned = list(TABLE.planned())
     with Store(tmp_path / "c", TABLE) as store:
         for run in planned[30], planned[0]:
             store.keep(outcome(run))

@@ -10,7 +10,7 @@ import pytest
 from running import called, register
 
 from kb import Model
-from kb.checks.findings import rules
+from kb.checks import rules
 from missions.commands.check import judge
 from missions.engine.mission import MissionError
 from missions.engine.registry import MISSIONS

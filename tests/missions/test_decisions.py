@@ -236,9 +236,15 @@ def test_model_may_be_handed_in_as_what_makes_it():
         replay(ENERGY_DROP, rover_model)
 
 
-@pytest.mark.parametrize("wrong", [rover_tree, dict, None, 3])
-def test_what_is_no_mission_and_makes_no_model_is_refused(wrong):
+@pytest.mark.parametrize("wrong", [rover_tree, dict])
+def test_what_makes_no_model_to_replay_to_is_refused(wrong):
     with pytest.raises(MissionError, match=r"the model to replay to(: TypeError| is \{\}, not a Model)"):
+        replay(ENERGY_DROP, wrong, rover_tree)
+
+
+@pytest.mark.parametrize("wrong", [None, 3])
+def test_what_is_no_mission_and_makes_no_model_is_refused(wrong):
+    with pytest.raises(MissionError, match=f"a mission, its name, a model or what makes one, not {wrong}"):
         replay(ENERGY_DROP, wrong, rover_tree)
 
 

@@ -1,7 +1,6 @@
 """`rosa effort` as a person uses it: tables, marks, files, and one clear message for each mistake."""
 
 import json
-import tomllib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from running import called
 
 from kb import KnowledgeBase, Model
 from missions import suave
-from missions.baselines.modes import MODES_FILE, SystemModes
+from missions.baselines.modes import FUNCTIONS, SystemModes
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS
 from missions.experiments import effort
@@ -106,7 +105,7 @@ def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
     modes = SystemModes(None)  # only asked which modes there are
     base, extended = (one["modes"] for one in everything["trees"])
     altitudes = 4  # only searching has a value beside `active`
-    names = sum(len(modes.of(function)) for function in tomllib.loads(MODES_FILE.read_text()))
+    names = sum(len(modes.of(function)) for function in FUNCTIONS)
     assert extended == 2 * names + altitudes
     assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
     first, second = (TREES[one["name"]][1] for one in everything["trees"])

@@ -1,22 +1,63 @@
 """What is optional is not needed for the rest, and says which extra it is when it is missing."""
 
+import json
 import subprocess
 import sys
 from importlib.metadata import version
 
-import pytest
+from running import called
+
+from missions.experiments.campaign import Campaign
+from missions.experiments.results import Store
+from missions.experiments.workers import do
 
 MISSING = """
-import sys
-from importlib.metadata import version
+import json, os, sys
 class Missing:
+    def __init__(self, libraries):
+        self.libraries = libraries
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {missing!r}:
-            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
-sys.meta_path.insert(0, Missing())
+        if name.partition(".")[0] in self.libraries:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 """
-RUN = "import sys; sys.argv = ['rosa', *{arguments!r}]; from missions.cli import main; main()"
-OPTIONAL = {
+COMMANDS = """
+import missions.baselines, missions.commands.check, missions.commands.run, missions.suave
+from missions.cli import main
+assert not set(json.loads(sys.argv[2])) & set(sys.modules)
+for number, (library, arguments, _) in enumerate(json.loads(sys.argv[1])):
+    os.mkdir(str(number))
+    if not os.fork():
+        said = os.open(f"{number}.txt", os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+        os.dup2(said, 1)
+        os.dup2(said, 2)
+        os.chdir(str(number))
+        sys.meta_path.insert(0, Missing({library}))
+        sys.argv = ["rosa", *arguments]
+        code = 0
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+    print(os.waitstatus_to_exitcode(os.wait()[1]), flush=True)
+"""
+NONE = """
+sys.meta_path.insert(0, Missing(json.loads(sys.argv[1])))
+from kb import ConfigurationManager, KnowledgeBase, KnowledgeBaseError, OptimalPlanner
+import rosa_bt, rosa_pddl, missions
+from missions.suave_extended import MISSION
+kb = KnowledgeBase(MISSION.model(), clock=lambda: 0.0)
+kb.measure("battery_level", 1.0)
+print(kb.selectable_actions())
+try:
+    OptimalPlanner()
+except KnowledgeBaseError as error:
+    print(error)
+"""
+OPTIONAL = [
     "mujoco",
     "ortools",
     "owlready2",
@@ -30,57 +71,46 @@ OPTIONAL = {
     "cyclonedds",
     "mcp",
     "dask",
-}
+]
+CASES = [
+    ("mujoco", ["run", "suave_extended"], "sim"),
+    ("mujoco", ["run", "agv"], "sim"),
+    ("mujoco", ["run", "uav"], "sim"),
+    ("matplotlib", ["run", "suave", "--plot", "x.png"], "plot"),
+    ("owlready2", ["check", "--mission", "suave", "--reason"], "reason"),
+    ("websockets", ["run", "suave", "--live", "0"], "live"),
+    ("rosbags", ["run", "suave", "--record", "x.mcap"], "mcap"),
+    ("textual", ["run", "suave", "--tui"], "tui"),
+    ("mcp", ["mcp", "suave"], "mcp"),
+    ("scipy", ["report", "../results"], "plot"),
+]
 
 
-def without(missing, program):
-    text = MISSING.format(missing=missing) + program
-    return subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, check=False)
-
-
-def test_a_robot_needs_none_of_the_extras():
-    done = without(
-        OPTIONAL,
-        """
-from kb import ConfigurationManager, KnowledgeBase
-import rosa_bt, rosa_pddl, missions
-from missions.suave_extended import MISSION
-kb = KnowledgeBase(MISSION.model(), clock=lambda: 0.0)
-kb.measure("battery_level", 1.0)
-print(kb.selectable_actions())
-""",
-    )
+def program(text, *given, cwd):
+    command = [sys.executable, "-c", MISSING + text, *map(json.dumps, given)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=cwd)
     assert done.returncode == 0, done.stderr
-    assert "recharge" in done.stdout
+    return done.stdout
 
 
-@pytest.mark.parametrize(
-    ("library", "arguments", "extra"),
-    [
-        ("mujoco", ["run", "suave_extended"], "sim"),
-        ("mujoco", ["run", "agv"], "sim"),
-        ("mujoco", ["run", "uav"], "sim"),
-        ("matplotlib", ["run", "suave", "--plot", "x.png"], "plot"),
-        ("owlready2", ["run", "suave", "--manager", "metacontrol"], "sim"),
-        ("owlready2", ["check", "--mission", "suave", "--reason"], "reason"),
-        ("websockets", ["run", "suave", "--live", "0"], "live"),
-        ("rosbags", ["run", "suave", "--record", "x.mcap"], "mcap"),
-        ("textual", ["run", "suave", "--tui"], "tui"),
-        ("mcp", ["mcp", "suave"], "mcp"),
-    ],
-)
-def test_missing_extra_is_named(library, arguments, extra, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    done = without({library}, RUN.format(arguments=arguments))
-    assert done.returncode == 2, done.stderr
-    assert f"pip install 'rosa-taca[{extra}]'" in " ".join(done.stderr.split())
-    assert not list(tmp_path.iterdir()), "nothing half-done stays behind"
+def test_a_robot_needs_none_of_the_extras_and_a_solver_that_is_missing_is_named(tmp_path):
+    said = program(NONE, OPTIONAL, cwd=tmp_path)
+    assert "recharge" in said
+    assert "pip install 'rosa-taca[optimal]'" in said
 
 
-def test_missing_solver_is_named():
-    done = without({"ortools"}, "from kb import OptimalPlanner; OptimalPlanner()")
-    assert "KnowledgeBaseError" in done.stderr
-    assert "pip install 'rosa-taca[optimal]'" in done.stderr
+def test_missing_extra_is_named(tmp_path):
+    """Each command is a process of its own, a copy of one that has imported nothing of what may be missing."""
+    campaign = Campaign("one", ("suave",), runs=1, settings={"duration_s": "5"})
+    with Store(tmp_path / "results", campaign) as store:
+        store.keep(do(next(campaign.planned())))
+    exits = program(COMMANDS, CASES, OPTIONAL, cwd=tmp_path).split()
+    assert exits == ["2"] * len(CASES)
+    for number, (_, arguments, extra) in enumerate(CASES):
+        said = " ".join((tmp_path / f"{number}.txt").read_text().split())
+        assert f"pip install 'rosa-taca[{extra}]'" in said, arguments
+        assert "Traceback" not in said
+        assert not list((tmp_path / str(number)).iterdir()), "nothing half-done stays behind"
 
 
 IMPORTS = """
@@ -99,16 +129,5 @@ def test_knowledge_base_is_imported_in_20_megabytes_without_what_few_need():
     assert not late & set(imported)
 
 
-def test_report_names_the_extra_that_it_needs(tmp_path):
-    campaign = tmp_path / "one.toml"
-    campaign.write_text('missions = ["suave"]\nruns = 1\n[settings]\nduration_s = 5\n')
-    folder = str(tmp_path / "out")
-    for arguments in (["campaign", str(campaign), "--workers", "1", "--out", folder], ["report", folder]):
-        done = without({"scipy"}, RUN.format(arguments=arguments))
-    assert done.returncode == 2
-    assert "pip install 'rosa-taca[plot]'" in " ".join(done.stderr.split())
-
-
-def test_version_is_said():
-    done = subprocess.run([sys.executable, "-m", "missions", "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout == f"rosa-taca {version('rosa-taca')}\n"
+def test_version_is_said(capsys, monkeypatch):
+    assert called(capsys, monkeypatch, "--version") == (0, f"rosa-taca {version('rosa-taca')}\n", "")

@@ -20,15 +20,15 @@ def about(suggestions, kind, words):
     return next(one for one in suggestions if one.kind == kind and one.about.startswith(words))
 
 
-def test_twenty_runs_tell_the_true_rates_and_worth_of_the_sea_and_a_wrong_model_is_put_right():
+def test_eight_runs_tell_the_true_rates_and_worth_of_the_sea_and_a_wrong_model_is_put_right():
     mission = find_mission("suave_extended")
-    runs = experiences("suave_extended", 20, discharge_time_s=170)
+    runs = experiences("suave_extended", 8, discharge_time_s=170)
     model = mission.model()
     model.attributes["battery_level"].changes(-0.01)
     found = learn(runs, model, mission)
     rate = about(found, "rate", "battery_level, always")
     assert rate.found.holds(-1 / 170)
-    assert rate.found.observations == 20
+    assert rate.found.observations == 8
     assert not rate.found.holds(-0.01)
     # SUAVE's follower takes a point every 2 s on the straight, more on the short and the diagonal edges
     assert 0.25 < about(found, "worth", "distance_inspected while inspect_pipeline").found.value < 0.3
@@ -150,9 +150,11 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "two.toml").write_text(
         'missions = ["suave_extended"]\nmanagers = ["ours", "bt"]\nruns = 1\nfirst_seed = 7\n'
+        "settings = { duration_s = 130 }\n"
     )
     assert called(capsys, monkeypatch, "campaign", "two.toml", "--workers", "1", "--out", "two")[0] == 0
-    assert called(capsys, monkeypatch, "run", "suave_extended", "--no-progress", "--record", "run.mcap")[0] == 0
+    run = ("run", "suave_extended", "--no-progress", "--set", "duration_s=130", "--record", "run.mcap")
+    assert called(capsys, monkeypatch, *run)[0] == 0
     learned = ("learn", "run.mcap", "two", "--model", "suave_extended", "--apply", "better.tql")
     code, out, _ = called(capsys, monkeypatch, *learned)
     assert code == 0

@@ -19,7 +19,7 @@ from missions.baselines import open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.views.live import LiveView
-from missions.views.run_recorder import RunRecorder
+from missions.views.recorder import RunRecorder
 from missions.views.steering import Steering
 
 SOON_S = 120.0
@@ -153,6 +153,23 @@ def test_nobody_else_s_page_may_look(view):
     assert (code, "this is not elsewhere.example" in said) == (403, True)
     with pytest.raises(websockets.InvalidStatus, match="403"):
         talk(view, until=lambda one: True, additional_headers={"Origin": "http://elsewhere.example"})
+
+
+@pytest.mark.parametrize(
+    ("path", "headers"),
+    [
+        (b"/", b"Host: one.example\r\nHost: other.example\r\n"),
+        (b"/", b"Host: 127.0.0.1\r\nOrigin: http://[::1\r\n"),
+        (b"//[", b"Host: 127.0.0.1\r\n"),
+    ],
+)
+def test_who_asks_in_a_malformed_way_is_told_so(view, path, headers):
+    host, port = view.url.removeprefix("http://").rstrip("/").split(":")
+    with socket.create_connection((host, int(port)), timeout=SOON_S) as asking:
+        asking.sendall(b"GET " + path + b" HTTP/1.1\r\n" + headers + b"\r\n")
+        answer = b"".join(iter(lambda: asking.recv(4096), b"")).decode()
+    assert answer.startswith("HTTP/1.1 400")
+    assert "malformed; open http://127.0.0.1:" in answer
 
 
 def test_elsewhere_a_token_is_asked_for_at_every_door(rover):

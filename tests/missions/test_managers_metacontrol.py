@@ -1,6 +1,4 @@
-"""Metacontrol: its ontology, what it infers and chooses, and its cycle."""
-
-import sys
+"""Metacontrol: what it knows, what it infers and chooses, and its cycle."""
 
 import pytest
 from hypothesis import given
@@ -8,54 +6,51 @@ from hypothesis import strategies as st
 
 from missions.baselines import open_run
 from missions.baselines.metacontrol import (
-    ONTOLOGY,
-    Design,
-    Knowledge,
+    ALWAYS_IMPROVED,
+    DESIGNS,
     Metacontrol,
     Situation,
     Standing,
     best_design,
-    read_knowledge,
+    designs_of,
     standing,
     unrealisable,
 )
 from missions.baselines.modes import SystemModes
-from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 
-SUAVE = read_knowledge(ONTOLOGY)
 SEARCH, MOTION, FOLLOW = "f_generate_search_path", "f_maintain_motion", "f_follow_pipeline"
 FUNCTIONS = st.sampled_from([SEARCH, MOTION, FOLLOW])
 SITUATIONS = st.builds(
     Situation,
     measured=st.one_of(st.just({}), st.floats(0, 5).map(lambda value: {"water_visibility": value})),
     failed=st.frozensets(st.sampled_from([f"c_thruster_{number}" for number in range(1, 7)])),
-    unrealisable=st.frozensets(st.sampled_from([one.name for one in SUAVE.designs])),
-    grounded=st.dictionaries(FUNCTIONS, st.sampled_from([one.name for one in SUAVE.designs])),
+    unrealisable=st.frozensets(st.sampled_from([one.name for one in DESIGNS])),
+    grounded=st.dictionaries(FUNCTIONS, st.sampled_from([one.name for one in DESIGNS])),
     not_in_force=st.frozensets(FUNCTIONS),
-    errors=st.frozensets(st.sampled_from([one.name for one in SUAVE.designs])),
+    errors=st.frozensets(st.sampled_from([one.name for one in DESIGNS])),
     recovered=st.booleans(),
 )
 
 
-def test_ontology_says_of_the_vehicle_what_suave_says():
-    assert [(one.name, one.performance, one.qualities) for one in SUAVE.of(SEARCH)] == [
+def test_knowledge_says_of_the_vehicle_what_suave_says():
+    assert [(one.name, one.performance, one.qualities) for one in designs_of(SEARCH)] == [
         ("fd_spiral_high", 1.0, (("water_visibility", 3.25),)),
         ("fd_spiral_medium", 0.5, (("water_visibility", 2.25),)),
         ("fd_spiral_low", 0.25, (("water_visibility", 1.25),)),
     ]
-    assert [(one.name, one.performance, len(one.components)) for one in SUAVE.of(MOTION)] == [
+    assert [(one.name, one.performance, len(one.components)) for one in designs_of(MOTION)] == [
         ("fd_all_thrusters", 1.0, 6),
         ("fd_recover_thrusters", 0.75, 0),
     ]
-    assert SUAVE.always_improved == {SEARCH}
+    assert {SEARCH} == ALWAYS_IMPROVED
 
 
-def test_every_design_of_the_ontology_is_a_mode_of_its_function():
+def test_every_design_is_a_mode_of_its_function():
     run = open_run(find_mission("suave"), manager="metacontrol")
-    modes = SystemModes(run.controller.robot)
-    assert len(SUAVE.designs) == 6
-    for design in SUAVE.designs:
+    modes = SystemModes(run.robot)
+    assert len(DESIGNS) == 6
+    for design in DESIGNS:
         assert design.name in modes.of(design.function)
 
 
@@ -67,8 +62,8 @@ def test_best_design_is_possible_and_nothing_possible_performs_better(situation,
             value is not None and any(value < least for _, least in design.qualities)
         )
 
-    possible = [one for one in SUAVE.of(function) if is_possible(one)]
-    best = best_design(SUAVE, situation, function)
+    possible = [one for one in designs_of(function) if is_possible(one)]
+    best = best_design(situation, function)
     assert (best is None) == (not possible)
     if best is not None:
         assert best in possible
@@ -77,16 +72,16 @@ def test_best_design_is_possible_and_nothing_possible_performs_better(situation,
 
 @given(SITUATIONS, FUNCTIONS)
 def test_objective_served_by_what_is_best_is_in_no_error(situation, function):
-    best = best_design(SUAVE, situation, function)
+    best = best_design(situation, function)
     if best is None:
         return
     served = Situation(situation.measured, unrealisable=situation.unrealisable, grounded={function: best.name})
-    assert standing(SUAVE, served, function) is Standing.SATISFIED
+    assert standing(served, function) is Standing.SATISFIED
 
 
 @given(SITUATIONS)
 def test_design_is_unrealisable_exactly_if_it_needs_what_has_failed(situation):
-    inferred = unrealisable(SUAVE, situation)
+    inferred = unrealisable(situation)
     assert inferred == ({"fd_all_thrusters"} if situation.failed else set())
 
 
@@ -117,7 +112,7 @@ def test_design_is_unrealisable_exactly_if_it_needs_what_has_failed(situation):
     ],
 )
 def test_objective_stands_as_the_first_line_that_holds_says(situation, expected):
-    assert standing(SUAVE, situation, SEARCH) is expected
+    assert standing(situation, SEARCH) is expected
 
 
 def changes_of(component, run):
@@ -137,7 +132,7 @@ def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all
 def test_search_begins_with_a_cycle_and_takes_the_altitude_that_the_water_allows():
     run = open_run(find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "20"})
     run.run()
-    begun = run.controller.robot.tasks[0].start
+    begun = run.robot.tasks[0].start
     first = next(change for change in changes_of("spiral_search", run) if change.active)
     assert 0.3 < first.time - begun < 1.5 + 0.3 + 0.1
     assert first.parameters["spiral_altitude"] == 3.0
@@ -163,39 +158,3 @@ def test_design_whose_mode_does_not_come_into_force_gives_way_to_the_next_best()
     last = changes_of("spiral_search", run)[-1]
     assert last.active
     assert last.parameters["spiral_altitude"] == 2.0
-
-
-HEAD = """<rdf:RDF xml:base="http://x/y" xmlns="http://rosa-taca/tomasys#"
- xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">"""
-
-
-@pytest.mark.parametrize(
-    "content", ["no xml", HEAD + '<FunctionDesign rdf:about="#d"/></rdf:RDF>', HEAD + '<Function rdf:about="#f"/>']
-)
-def test_ontology_that_cannot_be_used_is_refused_with_what_is_expected(tmp_path, content):
-    path = tmp_path / "bad.owl"
-    path.write_text(content)
-    with pytest.raises(MissionError, match="expected are a FunctionDesign"):
-        read_knowledge(path)
-    with pytest.raises(MissionError, match="cannot read the ontology"):
-        read_knowledge(tmp_path / "none.owl")
-
-
-def test_knowledge_orders_designs_by_performance_then_name(tmp_path):
-    path = tmp_path / "two.owl"
-    of_both = "".join(
-        f'<FunctionDesign rdf:about="#{name}"><solves_function><Function rdf:about="#f"/></solves_function>'
-        f'<has_performance rdf:datatype="http://www.w3.org/2001/XMLSchema#decimal">{value}</has_performance>'
-        "</FunctionDesign>"
-        for name, value in (("b", 0.5), ("c", 0.7), ("a", 0.5))
-    )
-    path.write_text(HEAD + of_both + "</rdf:RDF>")
-    assert read_knowledge(path) == Knowledge((Design("c", "f", 0.7), Design("a", "f", 0.5), Design("b", "f", 0.5)))
-
-
-def test_owl_is_imported_only_when_metacontrol_runs():
-    import subprocess
-
-    code = "import sys, missions.baselines; print('owlready2' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -20,11 +20,10 @@ from ros_peer import ARRAY, ASK, DIAGNOSTICS, STRING, attend
 from missions.engine.mission import MissionError
 from missions.wires import ros
 from missions.wires.dds import DdsNode, Structs
-from missions.wires.node import RosError
+from missions.wires.node import RosError, made, told
 from missions.wires.rclpy_node import Messages, RclpyNode
 from missions.wires.rosbridge import Rosbridge
 from missions.wires.rosbridge_server import RosbridgeServer
-from missions.wires.typed import made, told
 
 HERE = Path(__file__).parent
 DOMAIN = 40 + os.getpid() % 50
@@ -164,6 +163,17 @@ def asked(node, service, **request):
         return {"success": False, "reason": str(error)}
 
 
+def test_call_that_its_caller_gives_up_leaves_the_node_as_it_is(node):
+    action = {"name": "explore", "status": "", "is_required": True}
+    until(lambda: asked(node, "/peer/ask", action=action) is not None)
+    told = []
+    node.watch(lambda _, text: told.append(text))
+    for _ in range(5):
+        node.call("/peer/ask", ASK, {"action": action}).cancel()
+    assert asked(node, "/peer/ask", action=action)["success"]
+    assert len(told) == 1, "the connection is what it was"
+
+
 @pytest.mark.parametrize("service", ["/peer/refuse", "/peer/fail"])
 def test_what_is_refused_or_fails_never_reads_as_success(node, service):
     answers = []
@@ -172,7 +182,7 @@ def test_what_is_refused_or_fails_never_reads_as_success(node, service):
 
 
 def test_call_of_what_nobody_serves_fails_in_words(node, monkeypatch):
-    monkeypatch.setattr("missions.wires.typed._FIND_S", 0.2)  # so long nobody is sought in vain
+    monkeypatch.setattr("missions.wires.node._FIND_S", 0.2)  # so long nobody is sought in vain
     with pytest.raises(RosError, match="nobody serves /nowhere"):
         node.call("/nowhere", ASK, {}).result(60)
 

@@ -2,9 +2,11 @@
 
 import json
 import random
+import resource
 import shutil
 import sqlite3
 import subprocess
+import sys
 from contextlib import suppress
 from pathlib import Path
 from struct import error as Torn
@@ -26,9 +28,8 @@ from missions.engine.mission import MissionError
 from missions.engine.recording import measured, read_recording
 from missions.testing.recorded import replay
 from missions.wires import ros
-from missions.wires.bags import Bag, read_bag, read_page
-from missions.wires.mcap import McapRecorder
-from missions.wires.typed import made
+from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
+from missions.wires.node import made
 from rosa_bt import ForAction, TreeRunner, first_feasible
 
 TOPICS = {
@@ -407,6 +408,39 @@ def test_recording_of_another_version_is_refused(tmp_path, monkeypatch):
         read_bag(tmp_path / "new.mcap")
 
 
+def test_file_that_is_there_stays_as_it_is_where_the_library_is_missing(tmp_path, monkeypatch):
+    kept = tmp_path / "kept.mcap"
+    kept.write_text("a recording")
+    monkeypatch.setitem(sys.modules, "mcap.writer", None)
+    with pytest.raises(MissionError, match=r"rosa-taca\[mcap\]"):
+        McapFile(kept)
+    assert kept.read_text() == "a recording"
+
+
 def test_file_that_cannot_be_written_is_told(tmp_path):
-    with pytest.raises(MissionError, match="cannot write"):
-        McapRecorder(tmp_path / "no" / "folder.mcap", KnowledgeBase(robot(), clock=lambda: 0.0))
+    (tmp_path / "file").touch()
+    places = tmp_path / "no" / "folder.mcap", tmp_path, tmp_path / "file" / "a.mcap", "/dev/null", "a\0b", "a" * 300
+    for place in places:
+        with pytest.raises(MissionError, match="cannot write"):
+            McapRecorder(place, KnowledgeBase(robot(), clock=lambda: 0.0))
+
+
+def test_recording_without_room_is_told_when_it_ends_and_holds_what_came_before(tmp_path):
+    kb, before = KnowledgeBase(robot(), clock=lambda: 0.0), resource.getrlimit(resource.RLIMIT_FSIZE)
+    recorder = McapRecorder(tmp_path / "full.mcap", kb)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    try:
+        for number in range(500):
+            kb.measure("energy", number / 500)
+        with pytest.raises(MissionError, match=r"cannot write .*full.mcap: File too large"):
+            recorder.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert len(read_bag(tmp_path / "full.mcap").events) > 10
+
+
+def test_recording_that_does_not_say_how_it_was_run_is_refused(tmp_path):
+    with McapFile(tmp_path / "torn.mcap") as file:
+        file.write(RUN, ros.STRING, 0.0, ros.json_text, {"rosa": VERSION, "model": "rover"})
+    with pytest.raises(MissionError, match="lacks page, typeql"):
+        read_page(tmp_path / "torn.mcap")

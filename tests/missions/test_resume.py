@@ -85,7 +85,7 @@ class Watch(Listener):
         self.told_m = []
 
     def tick(self, run):
-        now = [one for one in run.controller.tree.root.iterate() if isinstance(one, InspectPipeline)]
+        now = [one for one in run.tree.root.iterate() if isinstance(one, InspectPipeline)]
         self.told_m += [one.inspected_m for one in now if one.status is Status.RUNNING]
 
 

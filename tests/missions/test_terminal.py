@@ -10,7 +10,7 @@ from missions.baselines import open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.views.live import LiveView
-from missions.views.run_recorder import RunRecorder
+from missions.views.recorder import RunRecorder
 from missions.views.terminal import RecorderFeed, SocketFeed, TerminalView
 
 

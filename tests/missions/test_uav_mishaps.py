@@ -10,9 +10,8 @@ from missions.engine.controller import TASK_KINDS
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
-from missions.uav.nodes import Sample
+from missions.uav.nodes import Sample, UavWorld
 from missions.uav.settings import Settings
-from missions.uav.world import UavWorld
 
 FOLDED_DEG = 9
 MOVERS = ("search_planner", "pick_up_planner", "hover_planner", "return_planner", "landing_planner")
@@ -31,23 +30,22 @@ class Mishaps(UavWorld):
         return super().advance(min([until, *(one[0] for one in self.happens)]))
 
     def drop(self, level):
-        self._robot.level = min(level, self._robot.level)
+        self.level = min(level, self.level)
 
     def jam(self, lasts_s):
-        self._robot.is_jammed = True
-        self._robot.let_go()
-        self._publish("component status", "gripper", "FALSE")
+        self.is_jammed = True
+        self.let_go()
+        self.publish("component status", "gripper", "FALSE")
         self.happens += ((self.now + lasts_s, "recover", 0.0),)
 
     def recover(self, _):
-        self._robot.is_jammed = False
-        self._publish("component status", "gripper", "recovered")
+        self.is_jammed = False
+        self.publish("component status", "gripper", "recovered")
 
     def report(self, x):
-        number = len(self._robot.samples) + 1
+        number = len(self.samples) + 1
         added = Sample(f"sample_{number}", (x, 3.0), self.now, is_reported=True)
-        self._robot.samples.append(added)
-        self._not_wanted.append(added)
+        self.samples.append(added)
 
 
 class Witness(Listener):

@@ -210,6 +210,7 @@ def test_any_text_is_read_as_it_was_written(tmp_path_factory, reason):
 
 
 HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
+EVENT = '{"number":1,"time":0.0,"verb":"cancel_action","arguments":["search"]}'
 
 
 @pytest.mark.parametrize(
@@ -221,6 +222,16 @@ HEAD = '{"rosa_bt_trace":3,"model":"x"}\n'
         ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
         (HEAD + '{"tick":0}\n', r":2: no line of a trace"),
         (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
+        (
+            HEAD + '{"tick":0,"time":0.0,"tree":[[0,"A","a"]],"visited":[[1,"RUNNING",""]]}\n',
+            ":2: .*of no behaviour of the",
+        ),
+        (
+            HEAD + '{"tick":0,"time":0.0,"tree":[[0,"A","a"]],"visited":[[0,"WELL",""]]}\n',
+            ":2: .*no status of py_trees",
+        ),
+        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},"x"]]}}\n', ":2: .*the place of an event is"),
+        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},null]]}}\n', ":2: no line of a trace"),
         (HEAD + '"tick"\n', r":2: no line of a trace"),
         (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: no line of a trace"),
         pytest.param("[" * 100_000, r":1: no line of a trace \(RecursionError", id="deep"),

@@ -116,7 +116,7 @@ def registered(kb):
 @pytest.mark.parametrize("name", IDIOMS)
 def test_idiom_that_was_written_and_read_again_does_the_same(name):
     build = IDIOMS[name]
-    for seed in range(10):
+    for seed in range(5):
         before = lived(build, seed)
         again = lived(lambda kb: load_xml(export_xml(build(kb), registered(kb)), registered(kb)), seed)
         assert again == before

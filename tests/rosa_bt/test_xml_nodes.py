@@ -351,6 +351,13 @@ def test_leaf_that_was_stopped_before_its_parent_is_not_halted_twice():
     assert [one.feedback_message for one in tree.iterate()] == [""] * 4
 
 
+def test_how_often_is_asked_only_when_a_child_has_ended_so_that_it_may_write_it_itself():
+    text = '<RateController hz="{hz}"><Script code="hz := 1"/></RateController>'
+    tree = load_xml(wrapped(text), BehaviourRegistry())
+    tree.tick_once()
+    assert tree.status is Status.SUCCESS
+
+
 def test_action_that_failed_as_a_condition_is_not_started_again():
     said = []
     tree = load_xml(wrapped("<IfThenElse><a/><b/></IfThenElse>"), registry_of({"a": ("A", "F"), "b": ("A", "S")}, said))

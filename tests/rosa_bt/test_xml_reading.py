@@ -86,6 +86,7 @@ NO_FILES = {
     "aviorTree><TreeNodesModel><SubTree ID='B'><input_port name='p' default=''/></SubTree></TreeNodesModel></root>": (
         "the tree 'B' needs p=..."
     ),
+    "<root><TreeNodesModel><Action ID='a'><input_port name=''/></Action></TreeNodesModel></root>": "which tree?",
     "<root><TreeNodesModel><Leaf ID='a'/></TreeNodesModel></root>": "a model is one of Action",
     "<root><BehaviorTree><a/></BehaviorTree><BehaviorTree><a/></BehaviorTree></root>": "<BehaviorTree> has no ID",
     "<root><BehaviorTree ID='A'><a/></BehaviorTree>\n<BehaviorTree ID='A'><a/></BehaviorTree></root>": (

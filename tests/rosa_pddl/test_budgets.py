@@ -221,9 +221,10 @@ def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large
         (:goal (and {" ".join(f"({name})" for name in names)} (<= (used) {2**40}))))""",
     )
     problem = Problem(domain, initial_state(domain))
-    late = Planner("label-setting", timeout_s=0.5, warm=False).plan(problem)
+    beyond = {"moves": 1000, "warm": False}
+    late = Planner("label-setting", timeout_s=0.5, **beyond).plan(problem)
     assert late.outcome is Outcome.OUT_OF_TIME, late
-    large = Planner("label-setting", timeout_s=300.0, warm=False, memory_mb=60).plan(problem)
+    large = Planner("label-setting", timeout_s=300.0, memory_mb=24, **beyond).plan(problem)
     assert large.outcome is Outcome.OUT_OF_MEMORY, large
     assert [Path(program).name for program in asked] == ["search.py", "search.py"]
 

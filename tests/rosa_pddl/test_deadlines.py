@@ -107,9 +107,6 @@ def test_plans_cost_as_little_as_what_trying_everything_finds_in_time(asked):
     expected, found = by_exhaustion(asked), EXACT.plan(asked)
     assert found.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
     assert found.cost == (None if expected is None else pytest.approx(expected))
-    if expected is not None:
-        unlimited = by_exhaustion(problem({}, costs=asked.costs, feasible=asked.state & {SAIL, WALK, REST}))
-        assert expected >= unlimited
 
 
 def steps(result):
@@ -186,6 +183,7 @@ def test_a_step_makes_feasible_anew_what_it_needs_itself():
 
 
 @pytest.mark.parametrize("kind", ["exists", "forall"])
+@pytest.mark.usefixtures("without_java")
 def test_what_is_needed_of_several_actions_is_judged_by_what_is_feasible_in_the_end(kind):
     until = {"(action_feasible fix)": 1.0, "(action_feasible go)": 4.0}
     domain, state, found = crew(until, needs=f"({kind} (?b - action) (action_feasible ?b))")
@@ -196,9 +194,11 @@ def test_what_is_needed_of_several_actions_is_judged_by_what_is_feasible_in_the_
     assert (one_lasts is None) is (kind == "exists")
 
 
+@pytest.mark.usefixtures("without_java")
 def test_how_long_steps_take_is_not_guessed_where_it_is_computed_or_changes():
     domain, state, found = crew({"(action_feasible fix)": 10.0}, takes="(pace)")
-    assert not found.outcome.is_solved or steps(found) == ["fix", "go"]
+    assert not found.outcome.is_solved
+    assert "how long steps take changes, which is not planned with what is forecast" in found.message
     go = [domain.step("fix", ("fix",)), domain.step("go", ("go",))]
     assert flaw(domain, go[1:], state | {"(fixed)"}, until={"(action_feasible fix)": 9.0}) is not None
     assert flaw(domain, go, state, until={"(action_feasible fix)": 9.0}) is None

@@ -12,7 +12,7 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from rosa_pddl import Goals, Outcome, Planner, Problem, flaw, initial_state
 from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.goals import PlanningTask
+from rosa_pddl.goals import SoftGoals
 from rosa_pddl.validate import ended, missing_at_start, started
 
 # Mending serves driving; there is a dear detour on foot if the problem has a path.
@@ -269,14 +269,18 @@ def test_costs_and_soft_goals_are_as_before_where_something_is_in_doubt(roads):
     kb.unfeasible = {"drive"}
     effects, goals = ExpectedEffects(domain, kb), Goals(domain)
     goals.add("(used jack)", worth=2.5)
-    task = PlanningTask(effects, dict)
     state = initial_state(domain) | {"(action_feasible mend)", "(action_feasible walk)"}
     planner = Planner(cached=0)
-    assert planner.plan(task.problem(state, goals)).cost == 3.0
+
+    def cost():
+        soft, hard = SoftGoals(effects.domain, goals.soft), [goal.expression for goal in goals.hard]
+        return planner.plan(Problem(soft.domain, state, (*hard, soft.goal))).cost
+
+    assert cost() == 3.0
     effects.ended(domain.step("mend", ("mend", "drive", "jack")), state)
-    assert planner.plan(task.problem(state, goals)).cost == 22.0
+    assert cost() == 22.0
     goals.add("(used jack)", worth=1.5)
-    assert planner.plan(task.problem(state, goals)).cost == 21.5
+    assert cost() == 21.5
 
 
 def cheapest(domain, state, doubted):

@@ -101,7 +101,7 @@ class Quits(Naughty):
 
 class Swells(Naughty):
     def act(self):
-        self.fat = [bytearray(1 << 24) for _ in range(12_000)]
+        self.fat = [bytes(1 << 28) for _ in range(12_000)]
 
 
 class GivesUp(Naughty):

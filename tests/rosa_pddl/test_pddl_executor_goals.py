@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
-from rosa_pddl import GoalError, Goals, PddlError, Planner, UnknownNameError, UnsupportedPddlError
-from rosa_pddl.belief import ExpectedEffects
-from rosa_pddl.goals import PlanningTask
+from rosa_pddl import GoalError, Goals, PddlError, Planner, Problem, UnknownNameError, UnsupportedPddlError
+from rosa_pddl.goals import SoftGoals
 
 SITES = ("north", "south", "east")
 DOMAIN = """(define (domain survey) (:requirements :typing :action-costs)
@@ -127,6 +126,7 @@ def test_a_goal_may_be_any_condition(world):
         ("(visited north", PddlError, "not closed"),
         ("()", PddlError, "expected a list"),
         ("", PddlError, "expected"),
+        ("(exists () (home))", PddlError, r"found '\(exists \(\) \(home\)\)', expected a variable"),
         (42, GoalError, "42 is no goal, expected a condition as text such as"),
         (None, GoalError, "None is no goal, expected a condition as text such as"),
         (["(home)"], GoalError, "is no goal, expected a condition as text such as"),
@@ -167,12 +167,11 @@ def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth
     for site, value in worth.items():
         goals.add(f"(photographed {site})", worth=value)
     world = World(survey)
-    task = PlanningTask(ExpectedEffects(survey, world.kb), dict)
-    problem = task.problem(world.executor._belief.observe(), goals)
-    result = Planner().plan(problem)
+    soft, hard = SoftGoals(survey, goals.soft), [goal.expression for goal in goals.hard]
+    result = Planner().plan(Problem(soft.domain, world.executor.state, (*hard, soft.goal)))
     subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
     assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message
-    kept, reached = task.read(result, goals)
+    kept, reached = soft.kept(result)
     assert {step.schema for step in kept.steps} <= set(survey.schemas)
     chosen = [goal.text.split()[1][:-1] for goal in reached if goal.is_soft]
     assert benefit(worth, chosen) == result.cost

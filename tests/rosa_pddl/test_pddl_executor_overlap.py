@@ -18,6 +18,7 @@ from rosa_pddl import (
     schedule_flaw,
 )
 from rosa_pddl.plan_monitor import PlanExecution
+from rosa_pddl.validate import StepEvent
 
 pytest.importorskip("up_aries")
 
@@ -160,6 +161,35 @@ def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_
     steps = tuple(timed.step for timed in schedule)
     plan = PlanExecution.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
     assert plan.prediction(cellar, state).flaw is None
+    number = {str(step): number for number, step in enumerate(plan.steps)}
+    second_match, second_fuse = number["light(blue)"], number["mend(two, blue)"]
+    assert StepEvent(second_match, False) in plan.after[second_fuse], "it needs the light from the beginning"
+    assert StepEvent(number["mend(one, red)"], True) in plan.after[second_match], "it would be out too early"
+
+
+SWITCHED = """(define (domain d) (:requirements :durative-actions) (:predicates (lit) (mended))
+  (:action switch_on :parameters () :precondition () :effect (lit))
+  (:durative-action mend :parameters () :duration (= ?duration DURATION)
+    :condition (over all (lit)) :effect (at end (mended))))
+"""
+
+
+@pytest.mark.parametrize("duration", [5.0, 1e-7])
+@pytest.mark.parametrize("names", [("switch_on", "mend"), ("mend", "switch_on")])
+def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_the_time(duration, names):
+    lamp = parse_domain(
+        SWITCHED.replace("DURATION", f"{duration:.7f}"), "(define (problem p) (:domain d) (:init) (:goal (mended)))"
+    )
+    took_s = {"switch_on": 0.0, "mend": duration}
+    schedule = tuple(TimedStep(lamp.step(name, ()), 0.0, took_s[name]) for name in names)
+    state = initial_state(lamp)
+    assert schedule_flaw(lamp, schedule, state) is None
+    steps = tuple(timed.step for timed in schedule)
+    plan = PlanExecution.of(lamp, PlanningResult(Outcome.SOLVED, steps, schedule=schedule), ())
+    assert plan.prediction(lamp, state).flaw is None
+    switch_on, mend = names.index("switch_on"), names.index("mend")
+    assert StepEvent(switch_on, True) in plan.after[mend]
+    assert plan.startable == (switch_on,)
 
 
 def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_would_do(cellar):

@@ -4,6 +4,6 @@ from faulty_worlds import Ground, episode
 
 
 def test_after_much_has_gone_wrong_exactly_what_can_be_reached_is_reached():
-    ended = [episode(ground, seed) for ground in (Ground(3), Ground(4)) for seed in range(12)]
-    assert sum(plans for plans, _ in ended) > 300
+    ended = [episode(ground, seed) for ground in (Ground(3), Ground(4)) for seed in range(6)]
+    assert sum(plans for plans, _ in ended) > 150
     assert {can for _, can in ended} == {True, False}

@@ -87,8 +87,8 @@ def test_beyond_the_cap_enhsp_is_asked():
     assert (result.outcome, flaw(domain, result.steps, state)) == (Outcome.SOLVED, None)
 
 
-def test_what_is_missing_for_that_is_said(charging, monkeypatch):
-    monkeypatch.setattr("rosa_pddl.engines.unified_planning.which", lambda _: None)
+@pytest.mark.usefixtures("without_java")
+def test_what_is_missing_for_that_is_said(charging):
     result = Planner(moves=50).plan(Problem(charging, initial_state(charging)))
     assert result.outcome.is_trouble
     assert "needs Java" in result.message
@@ -189,6 +189,7 @@ def test_plans_cost_least_where_what_a_step_costs_depends_on_numbers_that_change
     assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, least_cost(domain, start.state))
 
 
+@pytest.mark.usefixtures("without_java")
 def test_a_cost_below_nothing_is_refused_where_it_arises():
     domain = parse_domain(
         CARRIER.replace("(increase (total-cost) (load))", "(increase (total-cost) (- (load) 9))"),

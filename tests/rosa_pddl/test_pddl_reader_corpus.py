@@ -154,6 +154,16 @@ def test_actions_on_one_side_only_are_named():
         domain.check(FakeKb(domain.rosa_actions[:-1]))
 
 
+def test_a_predicate_like_that_of_a_rosa_action_may_have_more_arguments(tmp_path):
+    text = """(define (domain d) (:types action thing)
+      (:predicates (go_action ?a - action ?t - thing) (action_feasible ?a - action))
+      (:action go :parameters (?a - action ?t - thing) :precondition (and (go_action ?a ?t) (action_feasible ?a))
+        :effect (go_action ?a ?t)))"""
+    goal = "(:objects go - action t - thing) (:init) (:goal (go_action go t))"
+    domain = load_text(tmp_path, text, f"(define (problem p) (:domain d) {goal})")
+    assert domain.check(FakeKb(("go",))) == ()
+
+
 def test_an_object_of_type_action_that_no_pddl_action_does_is_named(tmp_path):
     problem = (CORPUS / "inspection" / "problem.pddl").read_text().replace("recharge - action", "recharge fly - action")
     domain = load_text(tmp_path, (CORPUS / "inspection" / "domain.pddl").read_text(), problem)

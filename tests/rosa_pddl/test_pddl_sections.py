@@ -135,6 +135,33 @@ REFUSED = {
     "predicate as an amount": (("(total-cost) 2)", "(total-cost) (ok ?t))"), 13, "is a predicate, expected a number"),
     "predicate compared": (("(:goal (done a))", "(:goal (> (done a) 1))"), 5, "is a predicate, expected a number"),
     "predicate with a value": (("(:init (ok a))", "(:init (= (ok a) 1))"), 4, "is a predicate, expected a number"),
+    "difference of three": (
+        ("(total-cost) 2)", "(total-cost) (- 3 1 1))"),
+        13,
+        "found 3 parts in (- 3 1 1), expected 2",
+    ),
+    "division by nothing": (("(total-cost) 2)", "(total-cost) (/ 1 0))"), 13, "found '(/ 1 0)', which divides by 0"),
+    "value that is none": (("(:init (ok a))", "(:init (ok a) (= (far a) (far a)))"), 4, "'(far a)', expected a number"),
+    "value by nothing": (
+        ("(:init (ok a))", "(:init (ok a) (= (far a) (/ 1 (* 0 (far a)))))"),
+        4,
+        "(* 0 (far a)))', expected a number",
+    ),
+    "value too large": (
+        ("(:init (ok a))", "(:init (ok a) (= (far a) (+ 1e308 1e308)))"),
+        4,
+        "'(+ 1e308 1e308)', expected a number of at most 1e308",
+    ),
+    "product too large": (
+        ("(total-cost) 2)", "(total-cost) (* 1e308 10))"),
+        13,
+        "'(* 1e308 10)', expected a number of at most 1e308",
+    ),
+    "nothing to quantify": (
+        ("(:goal (done a))", "(:goal (exists () (done a)))"),
+        5,
+        "expected a variable such as '?x'",
+    ),
     "times within or": (("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"), 8, "around it"),
 }
 UNSUPPORTED = {

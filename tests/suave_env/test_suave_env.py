@@ -60,13 +60,15 @@ def test_visibility_is_published_every_second_at_whole_seconds_of_its_formula():
     assert [float(value) for _, value in heard] == pytest.approx(expected)
 
 
-def test_battery_falls_below_a_quarter_at_150_s():
+def test_battery_falls_below_a_quarter_after_150_steps_and_never_below_empty():
     env = make_env(2)
-    heard = values_of(env.advance(160.0), "battery_level")
+    heard = values_of(env.advance(210.0), "battery_level")
     assert float(heard[0][1]) == 1.0
-    low = [time for time, value in heard if float(value) < 0.25]
-    assert 150 <= low[0] < 151
-    assert (low[0], "battery level fell below 0.25") in env.disturbances
+    low = [(time, value) for time, value in heard if float(value) < 0.25]
+    assert low[0] == (heard[150][0], "0.24999999999999933")
+    assert 150 <= low[0][0] < 151
+    assert (low[0][0], "battery level fell below 0.25") in env.disturbances
+    assert {float(value) for _, value in heard[201:]} == {0.0}
 
 
 def test_without_a_battery_nothing_is_published_of_it():

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from suave_stand_ins import altitude_for
 
 from suave_env import Settings
-from suave_env.battery import Battery
 from suave_env.components import Agenda
 from suave_env.pipeline import Pipeline
 from suave_env.water import Water
@@ -53,24 +52,6 @@ def test_constant_water_never_crosses():
     assert water.visibility(33.0) == 2.5
     assert water.next_crossing(2.25, 0.0) is None
     assert water.next_crossing(2.5, 0.0) is None
-
-
-def test_battery_is_just_below_a_quarter_after_150_steps():
-    battery = Battery(Settings())
-    levels = []
-    for _ in range(150):
-        levels.append(battery.level)
-        battery.drain(1.0)
-    assert min(levels) >= 0.25
-    assert battery.level == 0.24999999999999933
-    battery.recharge()
-    assert (battery.level, battery.recharges) == (1.0, 1)
-
-
-def test_battery_is_never_below_empty():
-    battery = Battery(Settings())
-    battery.drain(1000.0)
-    assert battery.level == 0.0
 
 
 def test_pipeline_has_the_published_points():

@@ -1,6 +1,7 @@
 """An interrupt at any instruction of a call, as Ctrl-C comes: between two steps of Python, wherever the program is."""
 
 import dis
+import gc
 import sys
 import threading
 from functools import cache
@@ -33,16 +34,17 @@ LOOKS = ("CALL", "RESUME", "JUMP_BACKWARD")
 """After such instructions Python looks for signals."""
 
 
-def interrupted_at(step, call, *, harsher=False):
-    """Interrupt a call at one of the instructions that it runs in the package; returns whether it came that far.
+def interrupted_at(step, call, *, rooms=(ROOM,), harsher=False, handler=None):
+    """Interrupt a call at one of the instructions that it runs in such files; returns whether it came that far.
 
-    As signals are, it is at one after which Python looks for them; or, harsher, at any.
+    As signals are, it is at one after which Python looks for them; or, harsher, at any. With a handler that is called
+    there, and the call goes on.
     """
     count, before, is_interrupted = 0, {}, False
 
     def trace(frame, event, _):
         nonlocal count, is_interrupted
-        if not frame.f_code.co_filename.startswith(ROOM):
+        if not frame.f_code.co_filename.startswith(rooms):
             return None
         frame.f_trace_opcodes, frame.f_trace_lines = True, False
         if event == "opcode":
@@ -52,10 +54,13 @@ def interrupted_at(step, call, *, harsher=False):
                 if count == step:
                     sys.settrace(None)
                     is_interrupted = True
-                    raise Interrupted
+                    if handler is None:
+                        raise Interrupted
+                    handler()
             before[frame] = dis.opname[frame.f_code.co_code[frame.f_lasti]]
         return trace
 
+    gc.disable()  # what is collected meanwhile is of an earlier case, and swallows what is raised in it
     sys.settrace(trace)
     try:
         call()
@@ -63,6 +68,7 @@ def interrupted_at(step, call, *, harsher=False):
         pass
     finally:
         sys.settrace(None)
+        gc.enable()
     return is_interrupted
 
 
