@@ -445,9 +445,12 @@ def test_page_says_that_the_mission_is_gone(visits, running, address):
 
 
 def test_page_goes_on_showing_the_run_after_it_is_over(visits):
-    with mission(Steering(speed=50), duration=20) as (view, _, done):
+    """It looks from before the end on, so that the result comes to a page that has been drawn."""
+    steering = Steering(speed=1)
+    with mission(steering, duration=20) as (view, _, done):
         page = visits.show(view.url)
-        while not done:
-            sleep(0.05)
+        page.locator(".connection", has_text="connected").wait_for()
+        assert not done
+        steering.do({"do": "speed", "value": 0})
         page.locator("summary", has_text=re.compile("not.found")).wait_for()
     visits.wrong = [words for words in visits.wrong if "WebSocket" not in words]

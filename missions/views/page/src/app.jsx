@@ -38,7 +38,7 @@ function Live() {
 const Row = ({ title, children }) => <tr><th scope="row">{title}</th><td>{children}</td></tr>;
 
 function Results() {
-  const result = run.value.of("result").last;
+  const result = (revision.value, run.value.of("result").last); // it comes when the run is over, and nothing else with it
   if (!result) return null;
   return (
     <details class="results">
@@ -107,7 +107,6 @@ function Told() {
 }
 
 export function App({ differences, note }) {
-  revision.value;
   if (!run.value) return <main role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
   return (
     <>

@@ -2,7 +2,7 @@
 import { Track } from "./track.js";
 
 const EMPTY = new Track();
-const NUMBERED = new Set(["event", "action", "plan", "attempt", "taskplan", "adaptation", "whatif", "disturbance", "problem"]);
+const NUMBERED = new Set(["event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"]);
 
 export class Run {
   #tracks = new Map();
