@@ -59,7 +59,7 @@ class _Layer(dict[Any, T], Generic[T]):
 
 
 class Marked:
-    """A set of nodes; `marked[node]` tells whether one is in it, or changes that."""
+    """A set of nodes; `marked[node] = yes` has one in it, or not."""
 
     __slots__ = ("_most", "own")
 
@@ -76,9 +76,6 @@ class Marked:
         elif own.pop(node, False) and len(own) < self._most // 8:
             self.own = dict(own)  # a dict keeps the room that it once took, and is walked through in full
             self._most = len(own)
-
-    def __getitem__(self, node: Node) -> bool:
-        return node in self.own
 
     def __bool__(self) -> bool:
         return bool(self.own)
@@ -101,10 +98,6 @@ class _Supposed(Marked):
     def __init__(self, below: Marked) -> None:
         super().__init__()
         self._below = below
-
-    def __getitem__(self, node: Node) -> bool:
-        yes = self.own.get(node)
-        return self._below[node] if yes is None else yes
 
     def __bool__(self) -> bool:
         own = self.own
@@ -301,7 +294,9 @@ class State:
     def mark(self, marked: Marked, node: Node, yes: bool) -> None:
         """Have a node in a set, or not."""
         if (node in marked.own) != yes:
-            self.put(marked, node, yes)
+            if self.kept is not None:
+                self.kept.append((marked, node, not yes))
+            marked[node] = yes
 
     def undo(self) -> None:
         """Make everything what it was before the changes that are kept; it may be done again."""

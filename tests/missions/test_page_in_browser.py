@@ -5,7 +5,6 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from time import sleep
 
 import pytest
 from browsing import CHROMIUM, QUIET, WAIT_MS, needs_browser
