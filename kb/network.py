@@ -174,24 +174,24 @@ class Network:
         """
         self.revision += 1
         self._thresholds.clear()
-        tables = (table for cls, table in self.model.tables.items() if KINDS[cls] in LEVELS)
-        related: dict[Node, tuple[list[Node], list[Node], list[Node]]] = {
-            self._node(one): ([], [], []) for table in tables for one in table.values()
-        }
+        tables = [table for cls, table in self.model.tables.items() if KINDS[cls] in LEVELS]
+        nodes = [self._node(one) for table in tables for one in table.values()]
+        constraints: list[list[Node]] = [[] for _ in self.nodes]
+        parts: list[list[Node]] = [[] for _ in self.nodes]
+        wholes: list[list[Node]] = [[] for _ in self.nodes]
 
         def join(part: Node, whole: Node) -> None:
-            related[whole][1].append(part)
-            related[part][2].append(whole)
+            parts[whole.index].append(part)
+            wholes[part.index].append(whole)
 
-        for node, (_, parts, wholes) in related.items():
+        for node in nodes:
             element = node.element
             if isinstance(element, Constraint):
                 attribute = self.attributes[element.attribute]
-                parts.append(attribute)
                 targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(element.constrained)]
-                wholes.extend(targets)
+                parts[node.index], wholes[node.index] = [attribute], targets
                 for one in (attribute, *targets):
-                    related[one][0].append(node)
+                    constraints[one.index].append(node)
             elif isinstance(element, Configuration):
                 join(node, self.components[element.component])
             elif isinstance(element, FunctionDesign):
@@ -201,11 +201,13 @@ class Network:
             elif isinstance(element, Action):
                 for name in dict.fromkeys(element.functions):
                     join(self.functions[name], node)
-        for nodes in self._tables.values():
-            for key in [key for key, node in tuple(nodes.items()) if node not in related]:
-                nodes.pop(key, None)
-        for node, of in related.items():
-            node.constraints, node.parts, node.wholes = of
+        present = set(nodes)
+        for known in self._tables.values():
+            for key in [key for key, node in tuple(known.items()) if node not in present]:
+                known.pop(key, None)
+        for node in nodes:
+            index = node.index
+            node.constraints, node.parts, node.wholes = constraints[index], parts[index], wholes[index]
 
     def _node(self, element: Element | Constraint) -> Node:
         table, key = self._tables[type(element)], element if isinstance(element, Constraint) else element.name
