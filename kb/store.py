@@ -287,13 +287,13 @@ class Store:
             batch = list(known.log.since(self._written))
             if self._needs_snapshot(batch, last):
                 snapshot = (last, known.now, json.dumps(known.to_json(self.keep), separators=(",", ":")))
-        if last == self.saved or self._is_given_up:
+        if (last == self.saved and snapshot is None) or self._is_given_up:
             return
         if waiting > _MOST_WAITING or len(batch) != waiting:
             self._fail(OSError("too much waits for room"), is_given_up=True)
             return
         try:
-            if batch:
+            if batch or snapshot is not None:
                 with self.using:
                     self._commit(batch, snapshot)
             self._acknowledge()
@@ -356,7 +356,7 @@ class Store:
             with suppress(sqlite3.Error):
                 self._connection.rollback()
             raise
-        self._tail, self._others, self._written = before, others, rows[-1].number
+        self._tail, self._others, self._written = before, others, rows[-1].number if rows else self._written
         if snapshot is not None:
             self._snapshot = snapshot[0]
 

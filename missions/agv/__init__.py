@@ -1,7 +1,7 @@
 """A ground vehicle finds its way through a building: which corridors, and configured how in each, planned together."""
 
 from collections.abc import Mapping
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from types import MappingProxyType
 from typing import Final
 
@@ -26,12 +26,15 @@ LIMITED: Final = ("energy",)
 
 def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
     """Make a mission of a map; what is minimised is as in `missions.agv.joint.Question`."""
-    known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    pddl = PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
+
+    @cache  # what it is made of takes time, and a mission that is only listed needs none of it
+    def pddl() -> PddlNames:
+        known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
+        return PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
 
     @lru_cache(maxsize=8)  # takes time to make, so the behaviours of a run share it
     def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
-        return PlanningState(Route(building, kb, percepts, weights), pddl)
+        return PlanningState(Route(building, kb, percepts, weights), pddl())
 
     def why_not(kb: KnowledgeBase, percepts: Percepts) -> str:
         answer = planning_state(kb, percepts).route.answer
@@ -42,7 +45,7 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         summary=summary,
         model=partial(building_model, building),
         tree=partial(agv_tree, building, weights),
-        problem=pddl.problem,
+        problem=lambda: pddl().problem,
         actions=by_schema(
             Planned(switch_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).switch(step)),
             Planned(cross_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).cross(step)),

@@ -5,7 +5,7 @@ from typing import Any
 
 from py_trees.behaviour import Behaviour
 
-from missions.engine.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError, built
 from rosa_pddl import ActionSchema, Declarations, DeclaredProblem, Domain, load_domain
 
 Action = Callable[..., Behaviour]
@@ -39,10 +39,12 @@ def schema_of(action: Action, name: str | None = None) -> ActionSchema:
 
 def declarations_of(mission: Mission) -> Declarations | None:
     """Return what the PDDL of a mission is made of; None if it has files, or nothing to plan with."""
-    if mission.domain is not None or not isinstance(mission.problem, DeclaredProblem):
+    given, title = mission.problem, f"the problem of mission {mission.name}"
+    problem = built(title, DeclaredProblem, given) if callable(given) else given
+    if mission.domain is not None or not isinstance(problem, DeclaredProblem):
         return None
     schemas = [schema_of(action, name) for name, action in mission.actions.items()]
-    return Declarations(mission.name, schemas, mission.problem)
+    return Declarations(mission.name, schemas, problem)
 
 
 def mission_domain(mission: Mission) -> Domain:
@@ -52,6 +54,6 @@ def mission_domain(mission: Mission) -> Domain:
         return declared.load()
     if mission.domain is None or mission.problem is None:
         raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
-    if isinstance(mission.problem, DeclaredProblem):
+    if isinstance(mission.problem, DeclaredProblem) or callable(mission.problem):
         raise MissionError(f"mission {mission.name} has a domain file but a declared problem; give both as files")
     return load_domain(mission.domain, mission.problem)

@@ -244,7 +244,7 @@ class Mission:
         world: where it happens.
         domain: PDDL file with the same task logic as actions; None if it is made of what the actions declare, or the
             mission has a tree only.
-        problem: PDDL file with the goal, or the goal as it is declared; None if the mission has a tree only.
+        problem: PDDL file with the goal, the goal as declared, or a function that declares it; None for a tree only.
         actions: what is done for each PDDL action; the same behaviours that the tree is made of. Each has a `schema`
             if there is no domain file. One with a parameter `step` is given the `rosa_pddl.Step` that it does, too.
         facts: what holds now, from what is known and was sensed, in the words of the PDDL problem: facts such as
@@ -269,7 +269,7 @@ class Mission:
     tree: Callable[[KnowledgeBase, Percepts], Behaviour] | None = None
     world: WorldKind = None  # type: ignore[assignment]  # refused below, with what to write instead
     domain: Path | None = None
-    problem: "Path | DeclaredProblem | None" = None
+    problem: "Path | DeclaredProblem | Callable[[], DeclaredProblem] | None" = None
     actions: Mapping[str, Callable[..., Behaviour]] = field(default_factory=dict)
     facts: Callable[[KnowledgeBase, Percepts], Mapping[str, bool | float]] = lambda kb, percepts: {}
     engines: tuple[str, ...] = ()

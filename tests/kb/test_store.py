@@ -635,6 +635,18 @@ def test_store_is_opened_from_its_last_snapshot_and_goes_on_with_the_tail(tmp_pa
         assert [one.verb for one in kb.store.events(last - 2)] == ["request_action", "component_failed"]
 
 
+def test_store_that_is_closed_at_rest_keeps_what_is_known_and_no_tail(tmp_path):
+    path = tmp_path / "m.sqlite3"
+    with kept(robot(), path) as kb:
+        for number in range(1500):
+            kb.measure("load", number % 10 / 10)
+        assert kb.flush(120.0)
+        last = kb.log.last
+    database = sqlite3.connect(path)
+    assert database.execute("SELECT MAX(number) FROM snapshots").fetchall() == [(last,)]
+    database.close()
+
+
 @pytest.mark.parametrize(
     "forge",
     [
