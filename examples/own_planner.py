@@ -25,7 +25,7 @@ class LeastUsed:
 
 
 class Robot:
-    """Does at once what it is told."""
+    """Does at once what is commanded."""
 
     def activate(self, component: str) -> None:
         """Print it."""

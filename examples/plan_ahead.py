@@ -74,15 +74,15 @@ def evening(*, ahead: bool) -> None:
         sense=dict,
         clock=lambda: now,
     )
-    told = 0
+    shown = 0
     while executor.status is not Status.SUCCESS:
         kb.measure("light", max(0.0, 55.0 - 0.2 * now - 0.6 * max(0.0, now - 120.0) + now % 3.0 - 1.0))
         if now >= 60.0:  # until then it only watches
             executor.catch_up()
             executor.tick_once()
-        for plan in executor.plans[told:]:
+        for plan in executor.plans[shown:]:
             print(f"{now:4.0f} s  plan, {plan.reason}: {', '.join(map(str, plan.steps))}")
-        told = len(executor.plans)
+        shown = len(executor.plans)
         now += 1.0
     print(f"{now:4.0f} s  all is seen")
     executor.shutdown()

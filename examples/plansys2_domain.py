@@ -74,13 +74,13 @@ executor = PlanExecutor(
     clock=lambda: now,
 )
 kb.measure("battery", 0.9)
-told = 0
+shown = 0
 while executor.status is not Status.SUCCESS:
     executor.catch_up()  # the clock has moved on: the answer that is due by now is there, however slow this computer is
     executor.tick_once()
-    for plan in executor.plans[told:]:
+    for plan in executor.plans[shown:]:
         print(f"{now:4.1f} s  {plan.reason}: {', then '.join(map(str, plan.steps)) or plan.outcome}")
-    told = len(executor.plans)
+    shown = len(executor.plans)
     now += 1.0
     if now == 3.0:
         kb.component_failed("wheels")  # the plan stays: it can still drive

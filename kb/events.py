@@ -326,6 +326,6 @@ def _call(subscriber: _Subscriber, event: Event) -> None:
         subscriber.call(event)
     except Exception:
         _log.error("the subscriber %r failed on %r", subscriber.call, event.text, exc_info=not subscriber.has_failed)
-        subscriber.has_failed = True  # where is told once: it may fail on all that comes
+        subscriber.has_failed = True  # where is logged once: it may fail on all that comes
     finally:
         subscriber.heard = event.number

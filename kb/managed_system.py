@@ -22,7 +22,7 @@ class Operation(Protocol):
 
 
 class ManagedSystem(Protocol):
-    """What can be told to switch components and set their parameters.
+    """What can be commanded to switch components and set their parameters.
 
     Each call returns at once: None if it is done already, an operation if it takes time. What cannot be done raises,
     now or as the operation's exception.

@@ -198,7 +198,7 @@ class ActionRequest:
     def close(self, status: Status, reason: str) -> None:
         """Let go of the action; the last one who holds it tells the knowledge base how it ended.
 
-        An interrupt leaves it as it is, or not yet closed: closed again, it is closed, and told once.
+        An interrupt leaves it as it is, or not yet closed: closed again, it is closed, and reported once.
         """
         action, kb = self._held, self._kb
         if action is None:

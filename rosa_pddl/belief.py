@@ -23,7 +23,7 @@ from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
 _MOST_DOMAINS = 8
-# So many things that are sensed and not known are told of.
+# So many things that are sensed and not known are named.
 _MOST_PASSED_OVER = 100
 
 Sense = Callable[[], Mapping[str, bool | float]]

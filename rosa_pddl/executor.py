@@ -136,7 +136,7 @@ class PlanExecutor(Behaviour):
         sense: returns what is sensed now: whether facts such as `(lit room)` hold, and the values of numeric facts that
             costs are made of, such as `{"(length a b)": 3.5}`; others stay as they were. Called several times a tick.
         clock: returns the time [s].
-        planner: plans beside the ticks; by default Fast Downward.
+        planner: plans in the background; by default Fast Downward.
         delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
             is the same each time [s]; None to take it as soon as it is there, in the tick of the request if the planner
             answers at once.

@@ -176,7 +176,7 @@ class _Question:
 
 
 class PlannerClient:
-    """Asks a planner beside the ticks, at most one question at a time."""
+    """Asks a planner in the background, at most one question at a time."""
 
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
         if delay_s is not None and not 0.0 <= delay_s < inf:

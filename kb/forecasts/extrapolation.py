@@ -219,8 +219,8 @@ class Outlook:
         alike = [error for error, is_alike in found if is_alike]
         errors = (alike if _quantile(alike) is not None else [error for error, _ in found])[::-1]
         # that it never was off in n spans, one after the other, leaves a chance of 1 in n + 1 for the next
-        is_told = self._is_stated or any(errors) or len(errors) * gap >= _ENOUGH * ahead
-        return errors if is_told else []
+        is_known = self._is_stated or any(errors) or len(errors) * gap >= _ENOUGH * ahead
+        return errors if is_known else []
 
     def _error(self, place: int, ahead: float) -> tuple[float, bool] | None:
         times, values = self._series

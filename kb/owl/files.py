@@ -57,13 +57,13 @@ Term = NamedNode | Literal
 def owl_text(model: Contents) -> str:
     """Write a model as an ontology; see `Model.save`."""
     own, *others = individuals(model)
-    base, told = f"{BASE}{own.id}", list[Triple]()
+    base, triples = f"{BASE}{own.id}", list[Triple]()
     for one in (own, *others):
         subject = NamedNode(f"{base}#{one.id}")
-        told.append(Triple(subject, _TYPE, NamedNode(f"{PREFIXES['owl']}NamedIndividual")))
-        told += [Triple(subject, *terms) for terms in described(one, base, _fit)]
-        told += [Triple(subject, _LABEL, Literal(_fit(str(name)))) for name in one.values.get("name", ())]
-    written = (serialize(told, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
+        triples.append(Triple(subject, _TYPE, NamedNode(f"{PREFIXES['owl']}NamedIndividual")))
+        triples += [Triple(subject, *terms) for terms in described(one, base, _fit)]
+        triples += [Triple(subject, _LABEL, Literal(_fit(str(name)))) for name in one.values.get("name", ())]
+    written = (serialize(triples, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
     label = escape(_fit(model.name), quote=False)
     head = (
         f'  <owl:Ontology rdf:about="{base}">\n    <rdfs:label>{label}</rdfs:label>\n'
@@ -102,15 +102,15 @@ def plain_text(text: str) -> str:
 
 def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | None) -> ModelT:
     """Read a model from OWL files in RDF/XML, as they are taken together; see `Model.load`."""
-    told: dict[str, dict[str, list[Value]]] = {}
+    said_of: dict[str, dict[str, list[Value]]] = {}
     for path in paths:
         read = list(_triples(path))
         if not any(predicate == _TYPE.value and _local(value) for _, predicate, value in read):
             raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
         for subject, predicate, value in read:
-            told.setdefault(subject, {}).setdefault(predicate, []).append(value)
+            said_of.setdefault(subject, {}).setdefault(predicate, []).append(value)
     try:
-        found = [_individual(subject, values) for subject, values in told.items()]
+        found = [_individual(subject, values) for subject, values in said_of.items()]
         given = [one for one in found if one is not None]
         names = [str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())]
         model = cls(name or next(iter(names), paths[0].stem))
@@ -138,8 +138,8 @@ def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
         raise ModelFileError(f"this is no RDF/XML: {' '.join(str(error).split())}", str(path)) from None
 
 
-def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual | None:
-    types = [_local(one) for one in told.get(_TYPE.value, ())]
+def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual | None:
+    types = [_local(one) for one in said.get(_TYPE.value, ())]
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
         return None
@@ -148,7 +148,7 @@ def _individual(subject: str, told: Mapping[str, Sequence[Value]]) -> Individual
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
     if kinds[0] not in _KINDS:
         raise ModelError(f"{subject}: {UnknownName('class', kinds[0], sorted(_KINDS))}")
-    values = {_local(Ref(name)): tuple(each) for name, each in told.items() if name != _TYPE.value}
+    values = {_local(Ref(name)): tuple(each) for name, each in said.items() if name != _TYPE.value}
     listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
     places = {name: players for name, *players in listed}
     ordered = {name: _ordered(each, places.get(name, [])) for name, each in values.items() if name}

@@ -123,11 +123,11 @@ def _whole(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _complaint(query: str, told: str) -> InvalidValue:
+def _complaint(query: str, message: str) -> InvalidValue:
     """Return what is wrong with a query, and where, without all that could have stood there."""
-    place, said = _PLACE.match(told), _SENTENCE.search(" ".join(told.split()))
+    place, said = _PLACE.match(message), _SENTENCE.search(" ".join(message.split()))
     if place is None:
-        return InvalidValue(f"the query cannot be answered: {told}")
+        return InvalidValue(f"the query cannot be answered: {message}")
     line, column = int(place[1]), int(place[2])
     at = len(query) - len("\n".join(query.split("\n")[line - 1 :])) + column - 1
     read, rest = query[:at].strip()[-20:], query[at : at + 20]

@@ -51,7 +51,7 @@ class Program:
         directory: where it is run; None for where this process is.
         configure: called with the parameters, and with the number of the process or None if there is none, whenever
             parameters are set; a program without it gets new parameters only when it starts.
-        grace: how long it may take to end when it is told to [s]; then it is killed.
+        grace: how long it may take to end after SIGTERM [s]; then it is killed.
         restarts: how often in a row, within a minute each, it may be started again after it ended by itself, before it
             counts as failed.
         back_off: how long it is not started again then [s]; twice as long after each further time in a row.
@@ -122,7 +122,7 @@ def _placed(text: str, parameters: Parameters) -> str:
 class ProcessComponents:
     """A managed system, and the monitor, of components that are processes.
 
-    Each runs in a process group of its own, without a shell. It is told to end with SIGTERM; after its grace the whole
+    Each runs in a process group of its own, without a shell. It is asked to end with SIGTERM; after its grace the whole
     group is killed. Have the manager ask it at each turn (`monitors=[processes]`): so the knowledge base gets to know
     what was started, has ended, or ended by itself; and, at the first time, that nothing runs that was started before
     this was made. Close it, or use it in a `with` statement; nothing is left behind either way, even if this process is

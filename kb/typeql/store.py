@@ -148,8 +148,8 @@ class Query:
             return None
         name = statement.variable
         if name in things:
-            told = f"{name} is given a type already at {things[name].place}, {things[name].type.label}; a thing has one"
-            raise self._place(statement.word).error(told)
+            why = f"{name} is given a type already at {things[name].place}, {things[name].type.label}; a thing has one"
+            raise self._place(statement.word).error(why)
         thing = self.store.add(statement.isa, self._place(statement.isa))
         if name:
             things[name] = thing

@@ -131,7 +131,7 @@ class PddlNames:
         }
         for way, leg, cost in self._crossings(task):
             things = f"{way} {self.modes[leg.mode.name]}"
-            facts |= {f"(possible {things})": True, **self._told("crossing", things, leg.takes, cost)}
+            facts |= {f"(possible {things})": True, **self._numbers("crossing", things, leg.takes, cost)}
         facts |= self.switching(task, {self.now: now})
         left = dict(zip(task.limited, task.limits, strict=True))
         for name in self.limited:  # what was used up is left no more
@@ -143,10 +143,10 @@ class PddlNames:
         numbers: dict[str, float] = {}
         for now, one in setups.items():
             for mode, other in self.by_mode.items():
-                numbers |= self._told("switching", f"{now} {mode}", *task.switching(one, other))
+                numbers |= self._numbers("switching", f"{now} {mode}", *task.switching(one, other))
         return numbers
 
-    def _told(self, kind: str, things: str, takes: Amounts, cost: int) -> dict[str, float]:
+    def _numbers(self, kind: str, things: str, takes: Amounts, cost: int) -> dict[str, float]:
         uses = {f"({kind}_{name} {things})": float(getattr(takes, name)) for name in self.limited}
         return {f"({kind} {things})": cost, **uses}
 

@@ -40,8 +40,8 @@ def check(
         complain(one)
     if as_json:
         counts = {f"{severity}s": len(_of(severity, findings)) for severity in COLOURS}
-        told = {"model": model, **counts, "findings": [asdict(one) for one in findings]}
-        typer.echo(json.dumps(told, indent=2))
+        shown = {"model": model, **counts, "findings": [asdict(one) for one in findings]}
+        typer.echo(json.dumps(shown, indent=2))
     else:
         _print(model, findings)
         if reason and not contradictions:

@@ -95,8 +95,8 @@ def replay(
 def info(recording: Path) -> None:
     """Say what a recording holds, and whether it is whole."""
     bag, console = read_bag(recording), open_console()
-    told = [(key, bag.run.get(key)) for key in ("mission", "task", "seed", "model")]
-    run = ", ".join(f"{key} {value}" for key, value in told if value is not None)
+    known = [(key, bag.run.get(key)) for key in ("mission", "task", "seed", "model")]
+    run = ", ".join(f"{key} {value}" for key, value in known if value is not None)
     console.print(f"{recording}: {run or 'no recording of ours'}; {bag.duration_s:.1f} s")
     table = Table("topic", "type", "messages")
     for topic, (kind, count) in sorted(bag.topics.items()):

@@ -84,8 +84,8 @@ def run(
         if page and live is not None:
             if allow_control:
                 steering.begin(opened)
-            seen, told = page.recorder, steering if allow_control else None
-            view = LiveView(seen.kb, port=live, host=host, token=token, recorder=seen, steering=told)
+            seen, control = page.recorder, steering if allow_control else None
+            view = LiveView(seen.kb, port=live, host=host, token=token, recorder=seen, steering=control)
             stack.callback(view.close)
             console.print(f"live: {view.url}", soft_wrap=True)
         if page and mcap:

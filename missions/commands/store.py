@@ -21,7 +21,7 @@ def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print
     """Say what is in a store, also while it is written to; exit with 1 if it is damaged."""
     with stores.surveyed(file) as (connection, found):
         names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
-        told: dict[str, object] = {
+        shown: dict[str, object] = {
             "store": str(file),
             "model": names[0][2]["name"][0] if names else None,
             "last sound event": found.last,
@@ -31,13 +31,13 @@ def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print
         }
         if not found.problem:
             counts = connection.execute("SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb")
-            told["events kept"] = dict(counts.fetchall())
+            shown["events kept"] = dict(counts.fetchall())
             asked = "SELECT MIN(time), MAX(time) FROM events"
-            ((told["first time [s]"], told["last time [s]"]),) = connection.execute(asked)
+            ((shown["first time [s]"], shown["last time [s]"]),) = connection.execute(asked)
     if as_json:
-        typer.echo(json.dumps(told, indent=2))
+        typer.echo(json.dumps(shown, indent=2))
     else:
-        for name, value in told.items():
+        for name, value in shown.items():
             typer.echo(f"{name}: {json.dumps(value) if isinstance(value, dict) else value}")
     if found.problem:
         raise typer.Exit(FAILED)

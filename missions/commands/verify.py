@@ -82,7 +82,7 @@ def verify(
 
 @contextmanager
 def _interruptible(found: Exploration) -> Iterator[None]:
-    """Have an interrupt end the exploration, so that what was found is told and kept; a second one ends all."""
+    """Have an interrupt end the exploration, so that what was found is shown and kept; a second one ends all."""
 
     def stop(*_: object) -> None:
         found.stop()

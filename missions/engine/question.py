@@ -213,7 +213,7 @@ def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
 
 
 def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
-    """Return why there is no plan; what the planner cannot answer in its time is not told."""
+    """Return why there is no plan; what the planner cannot answer in its time is left out."""
     asking = diagnosis(question.problem, question.goals)
     try:
         asked = next(asking)

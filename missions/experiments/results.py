@@ -156,8 +156,8 @@ class Store:
                 f"{outcome.run.name} was run by other code ({outcome.code}) than the campaign ({code}); "
                 "install the same on every worker, then go on with --resume"
             )
-        told = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
-        row = outcome.run.place, outcome.record["outcome"], *told, outcome.traceback
+        texts = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
+        row = outcome.run.place, outcome.record["outcome"], *texts, outcome.traceback
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             self._file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", row)
         if monotonic() >= self._synced_s + SYNC_S:

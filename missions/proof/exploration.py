@@ -193,8 +193,8 @@ class Exploration:
     def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: what led where, not what states hold."""
         size, done = len(self.situations) + self.is_finished, (self.count, self.seconds)
-        told = self._mark(), size, done, self.ticks, self._changed, self._rounds.news(of_all=True)
-        return gzip.compress(pickle.dumps(told), mtime=0)  # which says whether it is whole
+        saved = self._mark(), size, done, self.ticks, self._changed, self._rounds.news(of_all=True)
+        return gzip.compress(pickle.dumps(saved), mtime=0)  # which says whether it is whole
 
     def go_on_from(self, kept: bytes) -> None:
         """Take over what an earlier exploration of the same mission has found.

@@ -26,7 +26,7 @@ _MOST_TURNS: Final = 20
 
 
 class _Robot:
-    """A managed system that does what it is told, at once, and notes what a model does not allow."""
+    """A managed system that obeys at once, and notes what a model does not allow."""
 
     def __init__(self, kb: KnowledgeBase) -> None:
         self.kb, self.faults = kb, list[str]()

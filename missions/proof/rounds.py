@@ -320,11 +320,11 @@ class Workers:
             for number, pipe in enumerate(self._pipes):
                 part = [job for job, place in places if place == number]
                 pipe.send((part, {one: self._way(one) for one in {job.number for job in part}}))
-            told = [pipe.recv() for pipe in self._pipes]
+            heard = [pipe.recv() for pipe in self._pipes]
         except (EOFError, OSError) as error:
             raise MissionError("a process that explores has died; if memory ran out, use fewer --cores") from error
-        self._held = [held for *_, held in told]
-        for answers, news, _ in told:
+        self._held = [held for *_, held in heard]
+        for answers, news, _ in heard:
             if isinstance(answers, str):
                 raise MissionError(answers)
             self._rounds.hear(news)

@@ -48,7 +48,7 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
         for row in rows:
             recorder.put(*row)
     lines: list[str] = []
-    rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _TOLD or event.plan else None)
+    rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _SHOWN or event.plan else None)
     with TraceVisitor(rig.kb) as visitor:
         faults = list(rig.begin())
         rig.runner.tree.add_visitor(visitor)
@@ -76,7 +76,7 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
     return Story(tuple(lines), trace, tuple(wrong), rig)
 
 
-_TOLD = ("request_action", "cancel_action")
+_SHOWN = ("request_action", "cancel_action")
 
 
 def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:

@@ -90,17 +90,17 @@ class Proof:
         for one in self.findings:
             verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
             lines.append(f"{verdict} {one.name}{f': {one.what}' if one.what else ''}")
-            lines += self._told(one)
+            lines += self._lines_of(one)
         return "\n".join(lines)
 
-    def _told(self, finding: Finding) -> tuple[str, ...]:
+    def _lines_of(self, finding: Finding) -> tuple[str, ...]:
         story = self.story(finding)
         return story.lines if story is not None else ()
 
     def as_data(self) -> dict[str, Any]:
         """Return all of it as values that JSON can hold."""
         findings = [
-            {"name": one.name, "holds": one.holds, "what": one.what, "story": [*map(str.strip, self._told(one))]}
+            {"name": one.name, "holds": one.holds, "what": one.what, "story": [*map(str.strip, self._lines_of(one))]}
             for one in self.findings
         ]
         return {

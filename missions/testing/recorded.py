@@ -65,7 +65,7 @@ def replay(
         task: the kind of the mission's task layer, "bt" or "pddl".
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
         switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
-        managed: what takes the commands, with its clock at 0; by default a system that does what it is told.
+        managed: what takes the commands, with its clock at 0; by default a system that does what is commanded.
         strict: whether messages that say what the model does not know are an error; by default those are that are
             handed in, not those of a file.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.

@@ -1,7 +1,7 @@
 """The page while it runs: a small server in a thread of its own, which no page can hold up, and which holds up no tick.
 
 What a page has got is a number: the row that it gets next. There is no queue to fill: one that is too slow is given the
-present instead of all that it has missed, and is told how much that was.
+present instead of all that it has missed, and learns how much that was.
 """
 
 import asyncio
@@ -56,7 +56,7 @@ _HEADERS: Final = {
 }
 _SERVER: Final[dict[str, Any]] = {
     **{"compression": None, "max_size": _LONGEST, "server_header": None, "close_timeout": 1},
-    "logger": logging.Logger("live page", logging.CRITICAL),  # what a page does wrong is told to the page
+    "logger": logging.Logger("live page", logging.CRITICAL),  # what a page does wrong is reported to the page
 }
 
 

@@ -60,8 +60,8 @@ class RunTimeline:
         self.courses = self._courses()
         self.limits = self._limits()
         self.adaptations: list[Entry] = sorted(run.last("adaptation").values(), key=lambda one: float(one["t"]))
-        told: list[Entry] = list(run.last("disturbance").values())
-        self.disturbances = sorted([*told, *self._failures(told)], key=lambda one: float(one["t"]))
+        known: list[Entry] = list(run.last("disturbance").values())
+        self.disturbances = sorted([*known, *self._failures(known)], key=lambda one: float(one["t"]))
         self.panels = self._panels()
         self.unseen = [one for one in self.disturbances if not one["words"].startswith(tuple(self.panels))]
 
@@ -111,7 +111,7 @@ class RunTimeline:
             signal, _, unit = str(key).partition(" [")
             name = signal if unit or key not in self._elements else self._name(key).replace("_", " ")
             self.units[name] = unit.rstrip("]") if unit else self._elements.get(key, {}).get("unit", "")
-            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is told when it changes
+            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is recorded when it changes
                 points[name].append((time - SAMPLED_S, points[name][-1][1]))
             points[name].append((time, np.nan if value is None else value))
         worth = [str(name).replace("_", " ") for name in self.run.header.get("signals", ())] or list(points)
@@ -134,8 +134,8 @@ class RunTimeline:
     def _failures(self, disturbances: Sequence[Entry]) -> Iterator[Entry]:
         """Yield the failures that were reported, but for those that a disturbance just before stands for."""
         for time, _, event in self.run.track("event"):
-            is_told = any(0 <= time - one["t"] <= REPORTED_S for one in disturbances)
-            if event["verb"] == "component_failed" and not is_told:
+            is_listed = any(0 <= time - one["t"] <= REPORTED_S for one in disturbances)
+            if event["verb"] == "component_failed" and not is_listed:
                 yield {"t": time, "words": event["words"]}
 
 
@@ -207,7 +207,7 @@ def picture(run: Recorded) -> Figure:
         axes.tick_params(labelbottom=number == len(rows), bottom=number == len(rows))
         axes.set_xlabel("time [s]" if number == len(rows) else "")
     seen = figure.add_subplot(above[: 2 - has_list]) if has_map else None
-    told = figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[]) if has_list else None
+    listed = figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[]) if has_list else None
     if seen is not None:
         _map(seen, run, timeline, hues)
     figure.draw_without_rendering()  # what is written from here on is put where there is room
@@ -216,8 +216,8 @@ def picture(run: Recorded) -> Figure:
         axes.set_position(np.round(axes.get_position().bounds, 3).tolist())
     if seen is not None:
         _label(seen, run, timeline, hues)
-    if told is not None:
-        _list(told, entries, len(timeline.adaptations))
+    if listed is not None:
+        _list(listed, entries, len(timeline.adaptations))
     return figure
 
 
@@ -371,8 +371,8 @@ def _first_plan(run: Recorded) -> list[Entry]:
     more = [f"{len(plan['steps']) - STEPS} more"] if len(plan["steps"]) > STEPS else []
     change = ", then ".join([*plan["steps"][:STEPS], *more]) or "none"
     found = f"{plan['outcome']}, {plan['engine']}"
-    told = {"t": plan["asked"], "kind": "plan", "cause": "first plan", "decided": plan["reason"]}
-    return [{**told, "changed": change, "found": found}]
+    entry = {"t": plan["asked"], "kind": "plan", "cause": "first plan", "decided": plan["reason"]}
+    return [{**entry, "changed": change, "found": found}]
 
 
 def _list(axes: Axes, entries: Sequence[Entry], adaptations: int) -> None:

@@ -60,7 +60,7 @@ class Recorder:
         keep: how many rows to keep, the newest; None for all.
         what_if: whether to work out, for each instant at which news has changed something, what would have been
             possible if another value had been measured.
-        header: of a run whose adaptations are told by `adapted` or as rows, and not found here; its units count.
+        header: of a run whose adaptations are given by `adapted` or as rows, and not found here; its units count.
 
     Raises:
         MissionError: the tree is none that ticks.

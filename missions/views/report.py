@@ -19,7 +19,7 @@ _POLICY: Final = (
 """No request leaves the page but that of a live one to where it came from."""
 _DATA: Final = re.compile(r'<script type="application/json" id="rosa-data">(.*?)</script>', re.DOTALL)
 _MOST: Final = 200
-"""How many differences are told."""
+"""How many differences are shown."""
 _LATER_S: Final = 1.0
 """The same decision counts as different if it came so much later or earlier [s]."""
 
@@ -138,13 +138,13 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
         for letter, left in zip("AB", rest, strict=True):
             found += [(each.time, f"only in {letter}: {each.words}{each.why}") for each in left[paired:]]
     found.sort()
-    told = [
+    differing = [
         {"t": time, "words": words, "a": _adaptation_at(one, time), "b": _adaptation_at(other, time)}
         for time, words in found[:_MOST]
     ]
-    if told:
-        told[0]["words"] = f"the same up to here; then {told[0]['words']}"
-    return asked + told
+    if differing:
+        differing[0]["words"] = f"the same up to here; then {differing[0]['words']}"
+    return asked + differing
 
 
 def _unmet(moments: list[_Moment], others: list[_Moment]) -> list[_Moment]:

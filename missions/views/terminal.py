@@ -91,9 +91,9 @@ class SocketFeed:
         try:
             with self._socket as socket:
                 for text in socket:
-                    told = json.loads(text)
-                    self._heard.put(told.get("rows") or [])
-                    dropped = told.get("dropped")
+                    given = json.loads(text)
+                    self._heard.put(given.get("rows") or [])
+                    dropped = given.get("dropped")
                     self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
         except Exception as error:
             self._wrong = f"the connection has ended: {error}"

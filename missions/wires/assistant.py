@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mcp.server import MCPServer
 
 _MOST: Final = 100
-"""How many decisions are told at most."""
+"""How many decisions are reported at most."""
 _PLANNING_S: Final = 10.0
 _log = logging.getLogger(__name__)
 INSTRUCTIONS: Final = (
@@ -100,13 +100,13 @@ class Assistant:
         supposed = read_situation([], [",".join(self._kb.selectable_actions())])
         found = answer(ask([], self._mission, [], supposed, [goal] if goal else []), _PLANNING_S)
         steps = [str(step) for step in found.result.steps]
-        told = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
-        return {**told, "obstacles": list(found.obstacles)}
+        result = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
+        return {**result, "obstacles": list(found.obstacles)}
 
     def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
         """Tell what was decided last, with the cause: requests, and reconfiguration plans with their reasons."""
-        told = [one for one in self._kb.log if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)]
-        return [self._decision(one) for one in told[-max(1, min(most, _MOST)) :]]
+        events = [one for one in self._kb.log if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)]
+        return [self._decision(one) for one in events[-max(1, min(most, _MOST)) :]]
 
     def request_action(self, action: str) -> dict[str, Any]:
         """Ask for an action to be done; refused, with the reason, unless it is feasible now."""
@@ -153,7 +153,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
 
 
 def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
-    """Have what a tool refuses told in its own words, and each call logged."""
+    """Have what a tool refuses said in its own words, and each call logged."""
 
     @wraps(tool)
     def answered(*given: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool

@@ -1,4 +1,4 @@
-"""A robot in ROS 2 and its knowledge base: what its topics measure, its nodes as components, and what is decided told.
+"""A robot in ROS 2 and its knowledge base: what its topics measure, its nodes as components, and what is decided.
 
 settings = BridgeSettings(attributes={"battery_level": "/battery_state.percentage"})
 bridge = Bridge(kb, Rosbridge("ws://127.0.0.1:9090"), settings)

@@ -72,7 +72,7 @@ class Structs(Types):
 
 
 class DdsNode(TypedNode):
-    """A node in a DDS domain, of this machine only unless told otherwise.
+    """A node in a DDS domain, of this machine only unless set otherwise.
 
     Args:
         domain: number of the domain; by default that of ROS_DOMAIN_ID, or 0.

@@ -38,7 +38,7 @@ EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
 VERSION: Final = 1
 """Of recordings of ours."""
 _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
-"""What a component is told, by the operation of an attempt."""
+"""What a component is commanded, by the operation of an attempt."""
 _LARGEST_RECORD: Final = 2**30
 """Of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
@@ -133,7 +133,7 @@ class McapFile(AbstractContextManager["McapFile"]):
                     self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
                     if self._queue.empty():
                         self._file.flush()
-            except Exception as error:  # told when it is closed; the mission goes on
+            except Exception as error:  # reported when it is closed; the mission goes on
                 self._error = error
                 _log.warning("%s is recorded no further: %s", self.path, error)
 
@@ -269,7 +269,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
 
 
 def record_run(path: Path, run: MissionRun, seed: int, page: Recorder) -> McapRecorder:
-    """Return the recorder of a run that is opened, to be told its messages."""
+    """Return the recorder of a run that is opened, to be given its messages."""
     tree = run.tree if isinstance(run, RosaRun) else None
     return McapRecorder(path, run.kb, tree, page=page, run=header(run, seed)["run"])
 
@@ -307,7 +307,7 @@ class Bag:
         return {"time": 0.0, "status": [], **({"run": {**self.run, "commands": self._commands()}} if self.run else {})}
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
-        """Return the commands in order: what was told to which component, how long it took [s], and if it went well."""
+        """Return the commands in order: what, to which component, how long it took [s], and if it went well."""
         given: dict[int, tuple[str, str, float]] = {}
         ended: dict[int, tuple[float, bool]] = {}
         for event in self.events:

@@ -83,7 +83,7 @@ class Node(ABC):
 
     def __init__(self) -> None:
         self.refused, self.is_connected = Refusals(), False
-        self._told, self._watching = "", list[Callable[[bool, str], object]]()
+        self._said, self._watching = "", list[Callable[[bool, str], object]]()
 
     @abstractmethod
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
@@ -108,13 +108,13 @@ class Node(ABC):
     def watch(self, changed: Callable[[bool, str], object]) -> None:
         """Have a function called with whether there is a connection, and a sentence, now and when that changes."""
         self._watching.append(changed)
-        if self._told:
-            changed(self.is_connected, self._told)
+        if self._said:
+            changed(self.is_connected, self._said)
 
     def _tell(self, is_connected: bool, text: str) -> None:
         """Say how the connection is, unless it was said before."""
-        if (is_connected, text) != (self.is_connected, self._told):
-            self.is_connected, self._told = is_connected, text
+        if (is_connected, text) != (self.is_connected, self._said):
+            self.is_connected, self._said = is_connected, text
             for changed in self._watching:
                 changed(is_connected, text)
 
@@ -223,15 +223,15 @@ def _made(library: Library, kind: str, length: int | None, value: Any, place: st
     raise RosError(f"{place} is a {kind}, not {value!r:.60}")
 
 
-def told(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
-    return {name: _told(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
+def message_of(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
+    return {name: _value_of(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
 
 
-def _told(library: Library, kind: str, length: int | None, value: Any) -> object:  # noqa: ANN401  # of a field
+def _value_of(library: Library, kind: str, length: int | None, value: Any) -> object:  # noqa: ANN401  # of a field
     if length is not None:
-        return [_told(library, kind, None, one) for one in value]
+        return [_value_of(library, kind, None, one) for one in value]
     if "/" in kind:
-        return told(library, kind, value)
+        return message_of(library, kind, value)
     if isinstance(value, bytes):  # rclpy's byte
         return value[0]
     return plain(float(value)) if kind in _FLOATS else value
@@ -284,7 +284,7 @@ class TypedNode(Node):
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         found = self._types.find(kind)
-        self._hear(f"{self.topics}{topic}", found, lambda thing: heard(told(self._types, kind, thing)))
+        self._hear(f"{self.topics}{topic}", found, lambda thing: heard(message_of(self._types, kind, thing)))
 
     def publish(self, topic: str, kind: str, message: Message) -> None:
         thing = made(self._types, kind, message)
@@ -326,7 +326,7 @@ class TypedNode(Node):
 
     @abstractmethod
     def _client(self, service: str, kind: str) -> Client:
-        """Return what calls a service; `_finish` is told the number of a request, and what came of it."""
+        """Return what calls a service; `_finish` is given the number of a request, and what came of it."""
 
     @abstractmethod
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
@@ -383,12 +383,12 @@ class TypedNode(Node):
             failed = answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
             call.future.set_exception(failed)
         else:
-            call.future.set_result(told(self._types, f"{call.kind}_Response", answer))
+            call.future.set_result(message_of(self._types, f"{call.kind}_Response", answer))
 
     def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of the library
         """Return the answer to a call; refused, or failed, it is an empty one, as ROS 2 has no other word."""
         try:
-            return made(self._types, f"{kind}_Response", answer(told(self._types, f"{kind}_Request", request)))
+            return made(self._types, f"{kind}_Response", answer(message_of(self._types, f"{kind}_Request", request)))
         except RosError as error:
             _log.warning("a call of %s is refused: %s", kind, error)
         except Exception as error:  # ours is not the caller's to suffer

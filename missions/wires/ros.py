@@ -118,7 +118,7 @@ def json_text(value: object) -> Message:
 
 def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message:
     """Return an array of what a message of ours says; each status has `name`, `message` and `values`."""
-    told = [
+    statuses = [
         {
             "name": str(one.get("name", "")),
             "message": str(one["message"]),
@@ -126,23 +126,23 @@ def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message
         }
         for one in statuses
     ]
-    return {"header": _header(time_s, ""), "status": told}
+    return {"header": _header(time_s, ""), "status": statuses}
 
 
 def log(time_s: float, level: int, text: str) -> Message:
-    told = {"stamp": stamp(time_s), "level": level, "name": "rosa_kb", "msg": text}
-    return {**told, "file": "", "function": "", "line": 0}
+    entry = {"stamp": stamp(time_s), "level": level, "name": "rosa_kb", "msg": text}
+    return {**entry, "file": "", "function": "", "line": 0}
 
 
 def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Message:
     """Return Nav2's message of status changes: (node name, uid, previous status, current status) of each."""
     now, names = stamp(time_s), ("node_name", "uid", "previous_status", "current_status")
-    told = [{"timestamp": now, **dict(zip(names, change, strict=True))} for change in changes]
-    return {"timestamp": now, "event_log": told}
+    changed = [{"timestamp": now, **dict(zip(names, change, strict=True))} for change in changes]
+    return {"timestamp": now, "event_log": changed}
 
 
 def pose(time_s: float, position: Sequence[float]) -> Message:
-    """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not told."""
+    """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not known."""
     where = dict(zip("xyz", position, strict=True))
     return {"header": _header(time_s, FRAME), "pose": {"position": where, "orientation": _UPRIGHT}}
 

@@ -58,10 +58,10 @@ class RosaServices:
             ("action/request", "ActionQuery", self._request_action),
             ("action/exists", "ActionQuery", lambda one: {"action": self._thing("action", _name(one, "action"))}),
             ("action/selectable", "ActionQueryArray", self._selectable_actions),
-            ("function/adaptable", "AdaptableFunctions", lambda _: self._told("functions", kb.adaptable_functions())),
+            ("function/adaptable", "AdaptableFunctions", lambda _: self._all("functions", kb.adaptable_functions())),
             ("component/adaptable", "AdaptableComponents", self._adaptable_components),
             ("component/active/set", "ComponentQuery", self._set_active),
-            ("component/active/get", "ComponentQuery", lambda one: self._told_component(_name(one, "component"))),
+            ("component/active/get", "ComponentQuery", lambda one: self._component(_name(one, "component"))),
             ("component_parameters/get", "GetComponentParameters", self._parameters),
             ("select_configuration", "SelectedConfigurations", self._select),
             ("reconfiguration_plan/get", "ReconfigurationPlanQuery", lambda one: self._plan(self._meant_plan(one))),
@@ -80,8 +80,8 @@ class RosaServices:
         try:
             return {**answer(request), "success": True}
         except (KnowledgeBaseError, RosError) as error:
-            told = ros.log(self._kb.now, ros.WARN, f"/rosa_kb/{name} is refused: {error}")
-            self._node.publish(LOG, ros.LOG, told)
+            entry = ros.log(self._kb.now, ros.WARN, f"/rosa_kb/{name} is refused: {error}")
+            self._node.publish(LOG, ros.LOG, entry)
             return {"success": False}
 
     # ---------------------------------------------------------------- what requests do
@@ -97,17 +97,17 @@ class RosaServices:
 
     def _selectable_actions(self, one: Message) -> Message:
         asked = _names(one, "actions")
-        return self._told("actions", [name for name in self._kb.selectable_actions() if name in asked or not asked])
+        return self._all("actions", [name for name in self._kb.selectable_actions() if name in asked or not asked])
 
     def _selectable(self, field: str, whole: str, ask: Callable[[str], Iterable[str]], one: Message) -> Message:
-        return self._told(field, ask(_name(one, whole)))
+        return self._all(field, ask(_name(one, whole)))
 
     def _named(self, field: str, one: Message) -> Message:
-        return self._told(field, _names(one, field))
+        return self._all(field, _names(one, field))
 
     def _adaptable_components(self, one: Message) -> Message:
         designs = tuple(map(str, one.get("selected_fds") or ()))
-        return self._told("components", self._kb.adaptable_components(designs))
+        return self._all("components", self._kb.adaptable_components(designs))
 
     def _select(self, one: Message) -> Message:
         designs, configurations = _names(one, "selected_fds"), _names(one, "selected_component_configs")
@@ -131,14 +131,14 @@ class RosaServices:
 
     def _set_active(self, one: Message) -> Message:
         self._kb.component_active(_name(one, "component"), bool(one["component"].get("is_active")))
-        return self._told_component(_name(one, "component"))
+        return self._component(_name(one, "component"))
 
-    def _told_component(self, name: str) -> Message:
+    def _component(self, name: str) -> Message:
         return {"component": self._thing("component", name)}
 
     def _parameters(self, one: Message) -> Message:
         view = self._kb.configurations[_name(one, "c_config")]
-        return {**self._told_component(view.component), "parameters": parameter_messages(view.parameters)}
+        return {**self._component(view.component), "parameters": parameter_messages(view.parameters)}
 
     def _process_started(self, one: Message) -> Message:
         given = _part(one, "component_process")
@@ -176,7 +176,7 @@ class RosaServices:
 
     # ---------------------------------------------------------------- things as the original's types have them
 
-    def _told(self, field: str, names: Iterable[str]) -> Message:
+    def _all(self, field: str, names: Iterable[str]) -> Message:
         """Return a field of an answer: these things, each as the type that its field is of."""
         kind = {"fds": "design", "c_configs": "configuration"}.get(field, field.removesuffix("s"))
         return {field: self._things(kind, names)}
@@ -186,30 +186,30 @@ class RosaServices:
 
     def _thing(self, kind: str, name: str) -> Message:
         view = getattr(self._kb, f"{kind}s")[name]
-        told: Message = {field: getattr(view, field) for field in _FIELDS[kind]} | {"status": str(view.status)}
+        fields: Message = {field: getattr(view, field) for field in _FIELDS[kind]} | {"status": str(view.status)}
         if kind == "component":
-            told |= {"node_type": str(view.kind), "parameters": parameter_messages(view.parameters_in_force)}
+            fields |= {"node_type": str(view.kind), "parameters": parameter_messages(view.parameters_in_force)}
         elif kind == "design":
-            told |= {"priority": float(view.priority or 0.0), "function": self._thing("function", view.function)}
-            told["required_components"] = self._things("component", view.components)
+            fields |= {"priority": float(view.priority or 0.0), "function": self._thing("function", view.function)}
+            fields["required_components"] = self._things("component", view.components)
         elif kind == "configuration":
-            told |= {"priority": float(view.priority or 0.0), "component": self._thing("component", view.component)}
-        return told
+            fields |= {"priority": float(view.priority or 0.0), "component": self._thing("component", view.component)}
+        return fields
 
     def _plan(self, plan: ReconfigurationPlan | None) -> Message:
         if plan is None:
             raise RosError("there is no reconfiguration plan yet")
-        told = {
+        message = {
             **_span(plan),
             "result": plan.result or "",
             "components_activate": self._things("component", plan.activate),
             "components_deactivate": self._things("component", plan.deactivate),
             "component_configurations": self._things("configuration", plan.parameters),
         }
-        return {"reconfig_plan": told}
+        return {"reconfig_plan": message}
 
     def _process(self, one: Process) -> Message:
-        return {"pid": one.pid, **_span(one), **self._told_component(one.component)}
+        return {"pid": one.pid, **_span(one), **self._component(one.component)}
 
 
 def _refuse_query(one: Message) -> Message:

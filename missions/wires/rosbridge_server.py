@@ -18,7 +18,7 @@ from missions.views.facts import plain
 from missions.wires.node import LOOPBACK, NONSENSE, Answer, Message
 from missions.wires.rosbridge import LARGEST, PORT, Peer, Wire, dict_of, read, text_of
 
-_REFUSALS_TOLD: Final = 100
+_REFUSALS_LOGGED: Final = 100
 """To one client; more are only counted."""
 _log = logging.getLogger(__name__)
 
@@ -44,7 +44,7 @@ class _Call(NamedTuple):
 
 
 class RosbridgeServer(Wire):
-    """Serves rosbridge's protocol, on this machine unless told otherwise.
+    """Serves rosbridge's protocol, on this machine unless set otherwise.
 
     Args:
         port: TCP port; 0 for any that is free.
@@ -117,7 +117,7 @@ class RosbridgeServer(Wire):
         except NONSENSE as error:
             why = self.refused.add(error)
             client.refusals += 1
-            if client.refusals <= _REFUSALS_TOLD:
+            if client.refusals <= _REFUSALS_LOGGED:
                 client.send({"op": "status", "level": "error", "msg": why})
 
     def _send(self, message: Message) -> bool:
@@ -193,14 +193,14 @@ class RosbridgeServer(Wire):
         call.caller.send(made)
 
     def _introspect(self) -> None:
-        told: dict[str, Answer] = {
+        answers: dict[str, Answer] = {
             "Topics": lambda _: {"topics": list(known := self._known("types")), "types": list(known.values())},
             "TopicType": lambda one: {"type": self._known("types").get(str(one.get("topic")), "")},
             "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
             "Services": lambda _: {"services": list(self._known("services"))},
             "ServiceType": lambda one: {"type": self._known("services").get(str(one.get("service")), "")},
         }
-        for kind, answer in told.items():
+        for kind, answer in answers.items():
             name = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind).lstrip("_")
             self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
 

@@ -33,7 +33,7 @@ Ticking = Generator[Behaviour, None, Status]
 
 
 class NodeError(RosaBtError, RuntimeError):
-    """A node was told what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
+    """A node was given what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
 
 
 @dataclass(frozen=True)

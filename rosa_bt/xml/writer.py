@@ -46,7 +46,7 @@ _UNSAID: Final = (None, False, inf)
 
 
 def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
-    """Return what a behaviour of ours was told beside its name, as far as what makes it takes that."""
+    """Return what a behaviour of ours was given beside its name, as far as what makes it takes that."""
     names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
     if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
         taken = {*inspect.signature(maker).parameters, *node.input_ports()}

@@ -20,7 +20,7 @@ from ros_peer import ARRAY, ASK, DIAGNOSTICS, STRING, attend
 from missions.engine.mission import MissionError
 from missions.wires import ros
 from missions.wires.dds import DdsNode, Structs
-from missions.wires.node import RosError, made, told
+from missions.wires.node import RosError, made, message_of
 from missions.wires.rclpy_node import Messages, RclpyNode
 from missions.wires.rosbridge import Rosbridge
 from missions.wires.rosbridge_server import RosbridgeServer
@@ -249,7 +249,7 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
     for one in messages:
         thing, data = made(structs, one["type"], one["fields"]), bytes.fromhex(one["cdr"])
         assert thing.serialize() == data
-        assert told(structs, one["type"], structs.find(one["type"]).deserialize(data)) == one["fields"]
+        assert message_of(structs, one["type"], structs.find(one["type"]).deserialize(data)) == one["fields"]
         kept = ros.types()
         assert kept.store.serialize_cdr(kept.decode(one["type"], data), one["type"])[: len(data)] == data
 
@@ -259,7 +259,7 @@ def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
         messages = Messages()
         for one in recorded("ros2_cdr.json")["messages"]:
             assert list(messages.fields(one["type"])) == list(one["fields"])
-            assert told(messages, one["type"], made(messages, one["type"], one["fields"])) == one["fields"]
+            assert message_of(messages, one["type"], made(messages, one["type"], one["fields"])) == one["fields"]
         answered = recorded("ros2_service_wire.json")["reply_to_us"]["decoded"]
         names = re.findall(r"(\w+)=", answered.split("component=Component(")[1].split(")")[0])
         assert list(messages.fields("rosa_msgs/msg/Component"))[: len(names)] == names
@@ -275,7 +275,7 @@ def test_service_header_is_that_of_rmw_cyclonedds():
     reply = wire["reply_to_us"]
     kind = "rosa_msgs/srv/ComponentQuery_Response"
     answer = structs.find(kind, has_header=True).deserialize(bytes.fromhex(reply["raw_cdr"]))
-    assert told(structs, kind, answer)["component"]["status"] == "from_ros"
+    assert message_of(structs, kind, answer)["component"]["status"] == "from_ros"
     request = made(structs, "rosa_msgs/srv/ComponentQuery_Request", {"component": {"name": "c_thruster_1"}})
     sent = structs.with_header("rosa_msgs/srv/ComponentQuery_Request", answer.rmw_guid, 1, request).serialize()
     assert bytes.fromhex(reply["our_request_cdr"])[: len(sent)] == sent

@@ -73,8 +73,8 @@ TOLD = {
     "recover": lambda kb, number: kb.component_recovered("camera"),
     "stop": lambda kb, number: kb.component_active("radar", False, "crashed" if number % 2 else ""),
     "assert": lambda kb, number: kb.assert_status(kb.actions["explore"], "unfeasible", "a person says so", kb.now + 1),
-    "condemn": lambda kb, number: kb.assert_status("by_camera", "unfeasible"),
-    "acquit": lambda kb, number: kb.retract_status("by_camera"),
+    "forbid": lambda kb, number: kb.assert_status("by_camera", "unfeasible"),
+    "allow": lambda kb, number: kb.retract_status("by_camera"),
     "ask": lambda kb, number: kb.request_action("charge"),
     "stop asking": lambda kb, number: kb.cancel_action("charge", "failed", "a person says so"),
 }
@@ -291,7 +291,7 @@ def tree_between(kb, told):
     return Sequence("root", memory=False, children=[mission, either, Between("late", kb, told[1::2])])
 
 
-TOLD_WITHIN = st.sampled_from(["light", "energy", "fail", "recover", "assert", "condemn", "acquit"])
+TOLD_WITHIN = st.sampled_from(["light", "energy", "fail", "recover", "assert", "forbid", "allow"])
 
 
 @settings(max_examples=60, deadline=None)

@@ -234,7 +234,7 @@ def test_old_measurements_have_no_say_once_the_latest_was_stale():
     assert kb.is_feasible("look")
 
 
-def test_steadiness_can_be_changed_while_the_base_is_at_work():
+def test_debouncing_can_be_changed_while_the_base_is_at_work():
     kb = KnowledgeBase(rover(), clock=Clock(0.0))
     kb.measure("light", 0.4)
     (bound,) = kb.model.constraints
