@@ -709,7 +709,7 @@ class _Time:
     def __call__(self) -> float:
         if self._model.pending is not None:
             self._model.settle()
-        now, last = self.clock(), self.known.log.time
+        last, now = self.known.log.time, self.clock()  # in this order, as another thread may tell something meanwhile
         if type(now) is float and last <= now < math.inf:
             return now
         try:

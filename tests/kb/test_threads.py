@@ -187,6 +187,22 @@ def test_a_name_is_said_to_be_unknown_though_the_model_grows_meanwhile():
         table["nothing like it"]
 
 
+def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_back(kb):
+    clock, teller = kb._time.clock, threading.Thread(target=kb.measure, args=("light 1", 1.0))
+
+    def read_slowly():
+        shown = clock()
+        if threading.current_thread() is not teller:
+            clock.now = 6.0
+            teller.start()
+            teller.join()
+        return shown
+
+    kb._time.clock = read_slowly
+    kb.measure("light 2", 1.0)
+    assert [event.time for event in kb.log] == [6.0, 6.0]
+
+
 def test_a_measurement_grows_old_for_all_threads_at_once():
     model, clock = Model("old"), Clock(0.0)
     gas = model.environmental_attribute("gas", max_age=1.0, when_stale="violated")
