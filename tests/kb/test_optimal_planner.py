@@ -389,7 +389,7 @@ def test_nobody_waits_while_the_question_is_posed_and_it_is_of_one_model(model, 
         def pose(self):
             telling = Thread(target=kb.measure, args=("power", float(len(posed))))
             telling.start()
-            telling.join(10.0)
+            telling.join(60.0)
             posed.append(telling.is_alive())
             if len(posed) == 1:
                 model.remove("coarse")

@@ -716,7 +716,7 @@ def test_a_fork_waits_for_the_file_since_sqlite_has_locks_that_a_child_would_inh
         def use():
             with kb.store.using:
                 begun.set()
-                time.sleep(0.2)
+                time.sleep(0.05)
                 done.append(True)
 
         user = threading.Thread(target=use)

@@ -375,6 +375,7 @@ def test_node_that_is_closed_while_it_connects_ends(robot, monkeypatch):
 
 
 def test_what_waited_to_be_sent_when_the_connection_was_cut_is_published_on_the_next(robot, monkeypatch):
+    monkeypatch.setattr("missions.wires.node._FLUSH_S", 60.0)
     node, heard, cut = Rosbridge(robot.url), [], Event()
     robot.server.subscribe("/news", "x", lambda one: heard.append(one["number"]))
     until(lambda: node.is_connected)
@@ -413,10 +414,17 @@ def test_full_queue_of_what_is_late_pushes_out_nothing_that_is_declared():
 
 def test_queue_that_is_closed_sends_no_more_than_what_was_under_way(monkeypatch):
     monkeypatch.setattr("missions.wires.node._FLUSH_S", 0.01)
-    go_on, written = Event(), []
-    queue = Outbox(lambda one: go_on.wait(60.0) and written.append(one))
+    begun, go_on, written = Event(), Event(), []
+
+    def write(one):
+        begun.set()
+        assert go_on.wait(60.0)
+        written.append(one)
+
+    queue = Outbox(write)
     for number in range(3):
         queue.put(number)
+    assert begun.wait(60.0)
     assert queue.close() == [0, 1, 2]
     go_on.set()
     queue._thread.join(60.0)

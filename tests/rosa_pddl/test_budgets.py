@@ -222,8 +222,11 @@ def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large
     )
     problem = Problem(domain, initial_state(domain))
     beyond = {"moves": 1000, "warm": False}
-    late = Planner("label-setting", timeout_s=0.5, **beyond).plan(problem)
-    assert late.outcome is Outcome.OUT_OF_TIME, late
+    for timeout_s in (0.5, 4.0):  # on a busy machine nothing of a short time may be left for the process
+        late = Planner("label-setting", timeout_s=timeout_s, **beyond).plan(problem)
+        assert late.outcome is Outcome.OUT_OF_TIME, late
+        if asked:
+            break
     large = Planner("label-setting", timeout_s=300.0, memory_mb=24, **beyond).plan(problem)
     assert large.outcome is Outcome.OUT_OF_MEMORY, large
     assert [Path(program).name for program in asked] == ["search.py", "search.py"]
