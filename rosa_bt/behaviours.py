@@ -10,7 +10,7 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 from weakref import WeakKeyDictionary, finalize, ref
 
 from py_trees.behaviour import Behaviour
@@ -214,11 +214,6 @@ class ActionRequest:
         self._held = None
 
 
-def _ports(of: type = str, default: str | None = None, **described: str) -> dict[str, PortInformation]:
-    """Return ports that need not be written."""
-    return {name: PortInformation(of, False, said, default) for name, said in described.items()}
-
-
 class Careful(Behaviour):
     """A behaviour whose exceptions are its FAILURE, with the text as feedback; an interrupt stops it."""
 
@@ -249,40 +244,19 @@ class Careful(Behaviour):
             self.stop(Status.INVALID)
 
 
-class KbBehaviour(PortsMixin, Careful):
-    """A leaf that knows a knowledge base; what its constructor is not given, its ports carry.
-
-    An exception in it is its FAILURE, with the text as feedback.
-
-    Args:
-        port_arguments: what the constructor was given of the ports; None where the port carries the value.
+class KbBehaviour(Careful):
+    """A leaf that knows a knowledge base; an exception in it is its FAILURE, with the text as feedback.
 
     Attributes:
         known: number of the last event that it knew of when it was ticked; None of an action, which takes its time.
     """
 
     BOOKKEEPING = "known"
-    INPUT_PORTS = _ports()
-    OUTPUT_PORTS = _ports()
 
-    def __init_subclass__(cls, *, tag: str | None = None, register: bool = False) -> None:
-        """Leave py_trees' process-wide registry of tags alone unless asked: names of classes need not be unique."""
-        super().__init_subclass__(tag=tag, register=register)
-
-    def __init__(self, name: str, kb: KnowledgeBase, **port_arguments: Any) -> None:  # noqa: ANN401  # as ports declare
+    def __init__(self, name: str, kb: KnowledgeBase) -> None:
         super().__init__(name)
         self.kb = kb
         self.known: int | None = None
-        self.port_arguments = port_arguments
-        self.check_ports({port: value for port, value in port_arguments.items() if value is not None})
-
-    def check_ports(self, given: Mapping[str, Any]) -> None:
-        """Raise if what ports are given is nothing that the knowledge base has: before the mission, not in it."""
-
-    def argument(self, port: str) -> Any:  # noqa: ANN401  # of the type that the port declares
-        """Return what the constructor was given, or else what the port of that name carries."""
-        value = self.port_arguments[port]
-        return self.get_input(port) if value is None else value
 
     def stop(self, new_status: Status) -> None:
         """Terminate the round; an exception in that turns success into failure, an interruption stays one."""
@@ -320,22 +294,30 @@ class KbBehaviour(PortsMixin, Careful):
         return Status.FAILURE if objection else Status.SUCCESS
 
 
-class ActionBehaviour(KbBehaviour):
-    """A behaviour about one ROSA action, named directly or through the port `action`."""
+class ActionBehaviour(PortsMixin, KbBehaviour):
+    """A behaviour about one ROSA action, named directly or through the port `action`.
 
-    INPUT_PORTS = _ports(action="name of the ROSA action")
+    Attributes:
+        given: the name with which it was constructed; None where the port carries it.
+    """
+
+    INPUT_PORTS = {"action": PortInformation(str, False, "name of the ROSA action")}  # noqa: RUF012  # as py_trees has it
+    OUTPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
+
+    def __init_subclass__(cls, *, tag: str | None = None, register: bool = False) -> None:
+        """Leave py_trees' process-wide registry of tags alone unless asked: names of classes need not be unique."""
+        super().__init_subclass__(tag=tag, register=register)
 
     def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None) -> None:
-        super().__init__(name, kb, action=action)
-
-    def check_ports(self, given: Mapping[str, Any]) -> None:
-        if "action" in given:
-            self.kb.is_feasible(given["action"])
+        super().__init__(name, kb)
+        self.given: Final = action
+        if action is not None:
+            kb.is_feasible(action)  # an unknown action is found here, not in the middle of a mission
 
     @property
     def action(self) -> str:
         """Name of the ROSA action: as constructed, or else what the port `action` carries."""
-        return str(self.argument("action"))
+        return str(self.get_input("action") if self.given is None else self.given)
 
 
 class IsActionFeasible(ActionBehaviour):
@@ -375,56 +357,37 @@ class HasStatus(KbBehaviour):
 
     Args:
         element: name of an action, function, component, design or configuration, or a view such as
-            `kb.components["camera"]` where elements of several kinds share the name; also a port, for names.
-        status: one that an element of this kind can have, e.g. "failure"; also a port.
+            `kb.components["camera"]` where elements of several kinds share the name.
+        status: one that an element of this kind can have, e.g. "failure".
 
     Raises:
         kb.UnknownName, kb.AmbiguousName, kb.InvalidValue: there is no such element, several, or never that status.
     """
 
-    INPUT_PORTS = _ports(element="name of an element of the model", status="a status that it can have")
-
-    def __init__(
-        self, name: str, kb: KnowledgeBase, element: str | StatusView | None = None, status: str | None = None
-    ) -> None:
-        super().__init__(name, kb, element=None if element is None else _find(kb, element), status=status)
-
-    def check_ports(self, given: Mapping[str, Any]) -> None:
-        if "element" in given:
-            element = _find(self.kb, given["element"])
-            if "status" in given:
-                _check_status(element, given["status"])
+    def __init__(self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str) -> None:
+        super().__init__(name, kb)
+        if isinstance(element, str):
+            tables: dict[str, Mapping[str, StatusView]] = {"action": kb.actions, "function": kb.functions}
+            tables |= {"component": kb.components, "function design": kb.designs, "configuration": kb.configurations}
+            element = meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
+        possible = STATUSES[element.node.kind]
+        if status not in possible:
+            known = ", ".join(repr(str(one)) for one in possible)
+            raise InvalidValue(f"{element.node.kind} {element.name!r} is never {status!r}; it can be {known}")
+        self.element, self.wanted = element, status
 
     def update(self) -> Status:
-        element, wanted = _find(self.kb, self.argument("element")), str(self.argument("status"))
-        _check_status(element, wanted)
-        status = element.status
-        return self._answer("" if status == wanted else f"{element.name} is not {wanted} but {status}")
-
-
-def _find(kb: KnowledgeBase, element: str | StatusView) -> StatusView:
-    """Return the view of the one element of that name, whatever its kind; a view is returned as it is."""
-    if not isinstance(element, str):
-        return element
-    tables: dict[str, Mapping[str, StatusView]] = {"action": kb.actions, "function": kb.functions}
-    tables |= {"component": kb.components, "function design": kb.designs, "configuration": kb.configurations}
-    return meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
-
-
-def _check_status(element: StatusView, status: str) -> None:
-    possible = STATUSES[element.node.kind]
-    if status not in possible:
-        known = ", ".join(repr(str(one)) for one in possible)
-        raise InvalidValue(f"{element.node.kind} {element.name!r} is never {status!r}; it can be {known}")
+        status = self.element.status
+        return self._answer("" if status == self.wanted else f"{self.element.name} is not {self.wanted} but {status}")
 
 
 class Measurement(KbBehaviour):
     """Condition: SUCCESS while the latest measurement of an attribute compares as asked, FAILURE otherwise.
 
     Args:
-        attribute: its name; also a port.
-        operator: one of `>=`, `>`, `<=`, `<`; also a port.
-        value: what to compare with, in the attribute's unit; also a port.
+        attribute: its name.
+        operator: one of `>=`, `>`, `<=`, `<`.
+        value: what to compare with, in the attribute's unit.
         unknown: what to return while the attribute is not measured, or was too long ago.
 
     Raises:
@@ -432,40 +395,29 @@ class Measurement(KbBehaviour):
         ValueError: no such operator.
     """
 
-    INPUT_PORTS = _ports(attribute="name of what is measured", operator="one of >=, >, <=, <") | _ports(
-        float, value="what to compare with"
-    )
-
     def __init__(
         self,
         name: str,
         kb: KnowledgeBase,
-        attribute: str | None = None,
-        operator: str | None = None,
-        value: float | None = None,
+        attribute: str,
+        operator: str,
+        value: float,
         *,
         unknown: Status = Status.FAILURE,
     ) -> None:
-        super().__init__(name, kb, attribute=attribute, operator=operator, value=value)
+        super().__init__(name, kb)
+        if operator not in OPERATORS:
+            raise ValueError(f"{operator!r} compares nothing; an operator is one of {', '.join(OPERATORS)}")
+        self.attribute, self.operator, self.value = kb.attributes[attribute], operator, float(value)
         self._unknown = unknown
 
-    def check_ports(self, given: Mapping[str, Any]) -> None:
-        if "attribute" in given:
-            self.kb.attributes[given["attribute"]]
-        if given.get("operator", ">=") not in OPERATORS:
-            known = ", ".join(OPERATORS)
-            raise ValueError(f"{given['operator']!r} compares nothing; an operator is one of {known}")
-
     def update(self) -> Status:
-        attribute = self.kb.attributes[str(self.argument("attribute"))]
-        sign, threshold = str(self.argument("operator")), float(self.argument("value"))
-        self.check_ports({"operator": sign})
-        measured = attribute.value
+        attribute, measured = self.attribute, self.attribute.value
         if measured is None or attribute.is_stale:
             self.feedback_message = f"{attribute.name} is not measured{'' if measured is None else ' any more'}"
             return self._unknown
-        holds = OPERATORS[sign](measured, threshold)
-        return self._answer("" if holds else f"{attribute.name} {measured:.6g} is not {sign} {threshold:.6g}")
+        holds = OPERATORS[self.operator](measured, self.value)
+        return self._answer("" if holds else f"{attribute.name} {measured:.6g} is not {self.operator} {self.value:.6g}")
 
 
 class RosaAction(ActionBehaviour):
@@ -495,7 +447,7 @@ class RosaAction(ActionBehaviour):
     """
 
     BOOKKEEPING = "_saved_s"
-    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | _ports(default="", preference="attribute to favour")
+    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {"preference": PortInformation(str, False, "attribute to favour", "")}
 
     def __init__(
         self,

@@ -77,8 +77,7 @@ class Surroundings:
         self.values = {name: _distinct(asked[name], known[name]) for name in kb.attributes if asked[name]}
         self.worst = {name: min(found, key=partial(satisfied, asked[name])) for name, found in self.values.items()}
         names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
-        asking = [one.port_arguments.get("element") for one in nodes(root) if isinstance(one, HasStatus)]
-        named = {str(getattr(one, "name", one)) for one in asking}
+        named = {one.element.name for one in nodes(root) if isinstance(one, HasStatus)}
         self.alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
         self._ageing = [name for name in self.values if kb.model.attributes[name].max_age != inf]
 
@@ -123,9 +122,7 @@ def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tupl
                 found[one.attribute] |= {(one.operator, one.value + side * one.hysteresis) for side in (1, 0, -1)}
     for leaf in nodes(root):
         if isinstance(leaf, Measurement):
-            given = leaf.port_arguments
-            if None not in (given["attribute"], given["operator"], given["value"]):
-                found[given["attribute"]].add((given["operator"], float(given["value"])))
+            found[leaf.attribute.name].add((leaf.operator, leaf.value))
     return found
 
 

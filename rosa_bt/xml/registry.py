@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
 from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
-from rosa_bt.behaviours import HasStatus, IsActionFeasible, KbBehaviour, Measurement
+from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Measurement
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
@@ -62,8 +62,8 @@ class Entry:
         if isinstance(behaviour, PortsMixin):
             ports.check_required(frozenset(outputs) | mine.keys())
             ports.connect(behaviour)
-        if isinstance(behaviour, KbBehaviour):
-            _check_leaf(behaviour, rest, mine, ports)
+        if isinstance(behaviour, ActionBehaviour):
+            _check_action(behaviour, rest, ports)
         return behaviour
 
     @cached_property
@@ -134,21 +134,18 @@ def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> d
     return {name: ports.get(name) for name in mine}
 
 
-def _check_leaf(leaf: KbBehaviour, rest: Mapping[str, str], mine: Mapping[str, str], ports: Ports) -> None:
-    """Find here, not in the middle of a mission, what is missing, said twice, or not in the knowledge base."""
-    known = {}
-    for name, value in leaf.port_arguments.items():
-        said = getattr(value, "name", value)  # a leaf may hold the view of what was named
-        if said is None and name not in rest:
-            raise PortError(f"{name!r} is missing; write {name}=... in the element")
-        if said is None and ports.is_literal(name):
-            known[name] = ports.get(name)
-        elif said is not None and name not in mine and rest.get(name, str(said)) != str(said):
-            raise PortError(
-                f"the constructor says already that {name!r} is {said!r}, so {rest[name]!r} would never be read; "
-                f"leave {name}=... out, or let the constructor do without it"
-            )
-    leaf.check_ports(known)
+def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) -> None:
+    """Find here, not in the middle of a mission, an action that is missing, said twice, or not in the model."""
+    said = leaf.given
+    if said is not None and rest.get("action", said) != said:
+        raise PortError(
+            f"the constructor says already that 'action' is {said!r}, so {rest['action']!r} would never be read; "
+            "leave action=... out, or let the constructor do without it"
+        )
+    if said is None and "action" not in rest:
+        raise PortError("'action' is missing; write action=... in the element")
+    if said is None and ports.is_literal("action"):
+        leaf.kb.is_feasible(ports.get("action"))
 
 
 def _do_until_unfeasible(name: str, children: Sequence[Branch], *, memory: bool = False) -> DoUntilUnfeasible:

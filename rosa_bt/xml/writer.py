@@ -48,7 +48,7 @@ _UNSAID: Final = (None, False, inf)
 def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
     """Return what a behaviour of ours was given beside its name, as far as what makes it takes that."""
     names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
-    if isinstance(node, ActionBehaviour) and node.port_arguments["action"] is not None:
+    if isinstance(node, ActionBehaviour) and node.given is not None:
         taken = {*inspect.signature(maker).parameters, *node.input_ports()}
         names = ("action", *(name for name in _NAMES[1:] if name in taken))
     said = {name: getattr(node, name, None) for name in names}
@@ -157,7 +157,7 @@ class _Writer:
             raise ExportError(f"{leaf.name!r} is registered under a name that is refused: {problem}")
         if tag in BUILT_IN:
             raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
-        if isinstance(leaf, ActionBehaviour) and leaf.port_arguments["action"] is None:
+        if isinstance(leaf, ActionBehaviour) and leaf.given is None:
             raise ExportError(f"{leaf.name!r} names no action; make it with one")
         maker = kind if self._registry is None else self._registry[tag].factory
         if maker is kind:

@@ -8,7 +8,7 @@ from py_trees.common import Access, Status
 from py_trees.composites import Selector
 
 from kb import KnowledgeBase, Model, UnknownName
-from rosa_bt import HasStatus, IsActionFeasible, Measurement, RosaAction, TreeRunner
+from rosa_bt import IsActionFeasible, RosaAction, TreeRunner
 
 
 def rover() -> Model:
@@ -173,22 +173,6 @@ def test_ports_carry_the_action_when_the_constructor_does_not(kb):
     kb.measure("light", 0.0)
     condition.tick_once()
     assert condition.status is Status.FAILURE
-    Blackboard.clear()
-
-
-def test_conditions_take_their_arguments_from_typed_ports_too(kb):
-    Blackboard.clear()
-    status, light = HasStatus("resting?", kb), Measurement("light enough?", kb)
-    status.setup_ports({"element": "__const_rest", "status": "__const_solved"})
-    light.setup_ports(
-        {"attribute": "__const_light", "operator": "__const_>=", "value": f"__const_{'0.5'.replace('.', '__DOT__')}"}
-    )
-    for value, expected in ((0.4, Status.FAILURE), (0.6, Status.SUCCESS)):
-        kb.measure("light", value)
-        status.tick_once()
-        light.tick_once()
-        assert (status.status, light.status) == (expected, expected)
-        kb.request_action("rest")
     Blackboard.clear()
 
 

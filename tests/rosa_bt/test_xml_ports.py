@@ -16,7 +16,6 @@ from kb import KnowledgeBase, Model
 from rosa_bt import (
     BehaviourRegistry,
     IsActionFeasible,
-    Measurement,
     RegistryError,
     RosaAction,
     TreeRunner,
@@ -453,20 +452,13 @@ def test_literal_wins_over_the_default_of_the_constructor():
         ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
         ('<fixed action="{a}"/>', "says already that 'action' is 'scan', so '{a}' would never be read"),
         ('<fixed action="drive"/>', "leave action=... out"),
-        ('<bright operator="=>" attribute="light" value="1"/>', "'=>' compares nothing"),
-        ('<bright attribute="{a}" value="1"/>', "'operator' is missing; write operator=..."),
+        ('<Measurement attribute="{a}" operator=">" value="1"/>', "'attribute' is needed when the tree is made"),
     ],
 )
 def test_what_our_leaves_cannot_mean_is_found_when_the_tree_is_made(element, message):
     _, registry = rover()
     registry.register("water", Water)
     registry.register("fixed", Fixed)
-
-    @registry.register("bright")
-    class Bright(Measurement):
-        def __init__(self, name, kb):
-            super().__init__(name, kb)
-
     with pytest.raises(XmlError, match=f"<text>:1: .*{re.escape(message)}"):
         load_xml(wrapped(element), registry)
 
@@ -478,15 +470,6 @@ def test_action_that_the_constructor_says_needs_not_be_written(element):
     kb.measure("light", 0.7)
     load_xml(wrapped(element), registry).tick_once()
     assert [one.action for one in kb.required_actions] == ["scan"]
-
-
-def test_keys_are_known_when_our_leaves_are_ticked():
-    kb, registry = rover()
-    kb.measure("light", 0.7)
-    tree = load_xml(wrapped('<Measurement attribute="{a}" operator="{o}" value="{v}"/>'), registry)
-    tree.blackboard.update(a="light", o=">=", v=0.6)
-    tree.tick_once()
-    assert tree.status is Status.SUCCESS
 
 
 @pytest.mark.parametrize("text", ["", " \n"])
