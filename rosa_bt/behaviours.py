@@ -10,14 +10,14 @@ import math
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final
-from weakref import WeakKeyDictionary, finalize, ref
+from typing import Any, Final
+from weakref import WeakKeyDictionary
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.ports import PortInformation, PortsMixin
 
-from kb import Event, InvalidValue, KnowledgeBase, KnowledgeBaseError, Reply, UnknownName
+from kb import Event, InvalidValue, KnowledgeBase, UnknownName
 from kb import Status as ElementStatus
 from kb.elements import meant_by
 from kb.status import OPERATORS, STATUSES
@@ -58,7 +58,7 @@ _SAVE_S: Final = 1.0  # how often where a running action is goes to the store [s
 _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
 
-@dataclass(slots=True, weakref_slot=True)
+@dataclass(slots=True)
 class _Ledger:
     """What is kept for one knowledge base."""
 
@@ -82,21 +82,11 @@ def _ledger(kb: KnowledgeBase) -> _Ledger:
     found = _ledgers.get(kb)
     if found is None:
         found = _ledgers.setdefault(kb, _Ledger())
-        finalize(found, _release_all, ref(kb), found.holders)
         found.left.update({key: json.loads(saved) for key, saved in kb.history.progress.items()})
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 kb.cancel_action(action, "abandoned", "the program that requested it has ended")
     return found
-
-
-def _release_all(kb: "ref[KnowledgeBase]", holders: dict[str, dict[object, str | None]]) -> None:
-    """Release what is held when the program ends: before the store of the knowledge base is closed."""
-    alive = kb()
-    for action in [action for action, held in holders.items() if held] if alive is not None else ():
-        if alive is not None and action in alive.actions:
-            with suppress(KnowledgeBaseError):  # closed by then; the next program that opens its store abandons it
-                alive.cancel_action(action, "abandoned", "the program has ended")
 
 
 def begin_mission(root: Behaviour) -> None:
@@ -134,7 +124,7 @@ def why(kb: KnowledgeBase, action: str) -> str:
 
 
 class ActionRequest:
-    """One behaviour's part in the request of an action, from `open` to the first `close`; waits for the robot.
+    """One behaviour's part in the request of an action, from when it is admitted to the first `close`.
 
     Args:
         timeout: how long to wait until the robot is configured [s], by the clock of the knowledge base; None if the
@@ -150,41 +140,55 @@ class ActionRequest:
         self._kb = kb
         self._since = math.nan
         self._held: str | None = None
+        self._is_ready = False
         self._token = object()
         _ledger(kb)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the action is held."""
-        return self._held is not None
+    def admit(self, owner: Any, *, even_if_unfeasible: bool = False) -> Status:  # noqa: ANN401  # RosaAction, ForAction
+        """Return SUCCESS when the owner may do its work, RUNNING while it waits for the robot, FAILURE if it must not.
 
-    def open(self, action: str, preference: str | None) -> Reply:
-        """Request an action, or join those who hold it; what is requested is held before it is."""
-        if self.timeout is not None:
-            self._since = self._kb.now
-        self._held = action
-        _ledger(self._kb).holders.setdefault(action, {})[self._token] = preference
-        reply = self._kb.request_action(action, preference)
+        The reason is its feedback. An action that cannot be done any more is given up: the owner is stopped.
+        """
+        if self._held is None:
+            refusal = self._open(owner.action, owner.preference)
+            if refusal:
+                owner.feedback_message = refusal
+                return Status.FAILURE
+        elif not even_if_unfeasible and (objection := self._objection(self._held)):
+            owner.stop(Status.INVALID)  # it has not failed, it cannot be done any more
+            owner.feedback_message = objection
+            return Status.FAILURE
+        if not self._is_ready:
+            status, owner.feedback_message = self._look(str(self._held))
+            self._is_ready = status is Status.SUCCESS
+            return status
+        return Status.SUCCESS
+
+    def _open(self, action: str, preference: str | None) -> str:
+        """Request an action, or join those who hold it; return why not. What is requested is held before it is."""
+        kb = self._kb
+        if not kb.is_feasible(action):
+            return why(kb, action)
+        self._since, self._is_ready, self._held = kb.now, False, action
+        _ledger(kb).holders.setdefault(action, {})[self._token] = preference
+        reply = kb.request_action(action, preference)
         if not reply:
-            del _ledger(self._kb).holders[action][self._token]
+            del _ledger(kb).holders[action][self._token]
             self._held = None
-        return reply
+        return "" if reply else reply.reason
 
-    def objection(self) -> str:
-        """Return why the action that is held cannot be done any more; empty if it can."""
-        action, kb = self._held, self._kb
+    def _objection(self, action: str) -> str:
+        """Return why an action that is held cannot be done any more; empty if it can."""
         try:
-            return "" if action is None or kb.is_feasible(action) else why(kb, action)
+            return "" if self._kb.is_feasible(action) else why(self._kb, action)
         except UnknownName:
             return f"{action} is no longer in the model"
 
-    def look(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS when the behaviour may begin, RUNNING before that, FAILURE if it never may; and why."""
+    def _look(self, action: str) -> tuple[Status, str]:
+        """Return SUCCESS when the robot is configured, RUNNING before that, FAILURE after the time-out; and why."""
         kb = self._kb
         if self.timeout is None:
             return Status.SUCCESS, ""
-        if not kb.is_feasible(action):
-            return Status.FAILURE, why(kb, action)
         if kb.actions[action].status is not ElementStatus.SOLVED:
             lacking = why(kb, action)
         elif kb.pending_plan is not None:
@@ -525,19 +529,10 @@ class RosaAction(ActionBehaviour):
         self.iterator = self.tick()
 
     def _advance(self) -> Status:
-        if not self._request.is_open:
-            reply = self._request.open(self.action, self.preference)
-            if not reply:
-                self.feedback_message = reply.reason
-                return Status.FAILURE
-        elif not self.even_if_unfeasible and (objection := self._request.objection()):
-            self.stop(Status.INVALID)  # it has not failed, it cannot be done any more
-            self.feedback_message = objection
-            return Status.FAILURE
+        status = self._request.admit(self, even_if_unfeasible=self.even_if_unfeasible)
+        if status is not Status.SUCCESS:
+            return status
         if not self._has_begun:
-            status, self.feedback_message = self._request.look(self.action)
-            if status is not Status.SUCCESS:
-                return status
             self._begin()
         status = self._updated()
         if status is Status.RUNNING and self.kb.store is not None and self.kb.now >= self._saved_s + _SAVE_S:

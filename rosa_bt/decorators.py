@@ -8,7 +8,7 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase
-from rosa_bt.behaviours import ActionRequest, Careful, halt, why
+from rosa_bt.behaviours import ActionRequest, Careful, halt
 from rosa_bt.exceptions import in_words
 
 
@@ -49,10 +49,9 @@ class ForAction(Careful, Decorator):
         self.preference = preference
         self.wait, self.timeout = wait, timeout
         self._request = ActionRequest(kb, timeout if wait else None)
-        self._is_ready = False
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        new_status = self._admit()
+        new_status = self._request.admit(self)
         if new_status is Status.SUCCESS:
             yield from self.decorated.tick()
             new_status = self.update()
@@ -77,23 +76,6 @@ class ForAction(Careful, Decorator):
             halt(self.decorated)
             self._request.close(new_status, self.feedback_message)
         self.status = new_status
-
-    def _admit(self) -> Status:
-        """Return SUCCESS if the child may be ticked, what to return otherwise."""
-        if not self.kb.is_feasible(self.action):
-            self.feedback_message = why(self.kb, self.action)
-            halt(self.decorated)
-            self._request.close(Status.INVALID, "")  # it has not failed, it cannot be done now
-            return Status.FAILURE
-        if not self._request.is_open:
-            self._is_ready = False
-            self._request.open(self.action, self.preference)
-        if not self._is_ready:
-            status, self.feedback_message = self._request.look(self.action)
-            if status is not Status.SUCCESS:
-                return status
-            self._is_ready = True
-        return Status.SUCCESS
 
 
 class UntilSuccess(Decorator):
