@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from kb.explanation import why
-from kb.inference import is_adaptable
 from kb.network import Node
 from kb.notebook import table
-from kb.planners import ranked
-from kb.reconfiguration import reselect
-from kb.state import Overlay, State
+from kb.planners import choice_by_priority, ranked
+from kb.state import State
 from kb.status import Status
 
 _PARTS: Final = {"function": "design", "component": "configuration"}
@@ -84,25 +82,12 @@ def note_nothing(state: State, reason: str) -> None:
         state.give_reason(_NOTED, node, reason if node in concerned else "")
 
 
-def _first_designs(state: State) -> list[Node]:
-    """Return the first design by priority for each adaptable function, but for what is selected for another reason."""
-    chosen = []
-    for function in state.adaptable.nodes():
-        possible = ranked(state, function) if function.kind == "function" else []
-        if not any(state.selected[part.index] and state.reason("selected", part).text for part in possible):
-            chosen += possible[:1]
-    return chosen
-
-
 class _Choosing:
-    """One choice; the following state is the one in which it is made anew."""
+    """One choice: what it is, and the sentences about it."""
 
     def __init__(self, state: State, node: Node, now: float) -> None:
-        self.state, self.following, self.node, self.now = state, state, node, now
+        self.state, self.node, self.now = state, node, now
         self.nothing = state.reason(_NOTED, node).text
-        if node.kind == "component":
-            self.following = Overlay(state)
-            reselect(self.following, () if self.nothing else _first_designs(state), ())
         self.possible = ranked(state, node)
         self.selected = next((part for part in node.parts if state.selected[part.index]), None)
         self.said = state.reason("selected", self.selected).text if self.selected else ""
@@ -126,16 +111,7 @@ class _Choosing:
         if chosen not in self.possible:
             return f"it was possible before; now {why(self.state, chosen, self.now)}"
         advantage = self._advantage(chosen)
-        if not self.following.required[node.index]:
-            given_up = self.state.required[node.index]
-            idle = f"the {node.kind} is about to be given up" if given_up else f"nothing requires the {node.kind} now"
-            return f"{advantage}; {idle}"
-        if self.selected is None and self._is_useless():
-            return f"{advantage}; it is not, for no required function could use the component"
-        return advantage
-
-    def _is_useless(self) -> bool:
-        return self.node.kind == "component" and not self.following.served[self.node.index]
+        return advantage if self.state.required[node.index] else f"{advantage}; nothing requires the {node.kind} now"
 
     def _advantage(self, chosen: Node) -> str:
         what, priority = _PARTS[self.node.kind], chosen.element.priority
@@ -157,7 +133,7 @@ class _Choosing:
         if self.nothing:
             return "no choice with it would do either"
         if part is self.first:
-            return self._why_not_yet()
+            return self._why_not_yet(part)
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
         assert self.first is not None  # something is possible, so something is preferred
@@ -166,15 +142,15 @@ class _Choosing:
             return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"
         return f"it has {_in_words(mine)}, which comes after {best}"
 
-    def _why_not_yet(self) -> str:
-        node, status = self.node, self.following.status[self.node.index]
-        if not self.following.required[node.index] or self._is_useless():
-            return f"nothing is selected anew while nothing requires the {node.kind}"
-        if is_adaptable(self.following, node):
+    def _why_not_yet(self, part: Node) -> str:
+        node, status, due = self.node, self.state.status[self.node.index], choice_by_priority(self.state)
+        if due is not None and part.name in (due.designs.get(node.name), due.configurations.get(node.name)):
             return "it is to be selected next"
+        if not self.state.required[node.index]:
+            return f"nothing is selected anew while nothing requires the {node.kind}"
         if status is Status.SOLVED:
             return f"the {node.kind} works, and is not to be improved while it does"
-        return f"nothing is selected anew while the {node.kind} has the status {status}"
+        return f"nothing is selected anew for the {node.kind}, whose status is {status}"
 
 
 def _in_words(priority: float | None) -> str:

@@ -7,9 +7,8 @@ Each way through it is a box: an interval for every attribute that matters, and 
 
 import math
 import sys
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import islice
 from typing import Final, NamedTuple
 
 from kb.elements import Component, Constraint, Element, Function, StalePolicy, exact
@@ -24,8 +23,6 @@ WORK: Final = 20_000
 """How many pairs of boxes are looked at for one element before fewer are kept on the way."""
 MOST_REMEDIES: Final = 16
 """How many remedies are given at most."""
-LOOKS: Final = 1_000_000
-"""How many elements are looked at to make remedies smaller, when there are too many to look at all."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -139,28 +136,17 @@ class Requirements:
             and repairs are asked for. None asks what is possible at all: every constraint counts, nothing has failed
             and a function without a design is impossible.
         limit: how many boxes are kept for each element.
-        changing: if given, only these attributes (by name) and repairs may change.
     """
 
-    def __init__(
-        self,
-        state: State | None = None,
-        limit: int = LIMIT,
-        changing: Collection[str | Repair] | None = None,
-    ) -> None:
-        self._state, self._limit, self._changing = state, limit, changing
+    def __init__(self, state: State | None = None, limit: int = LIMIT) -> None:
+        self._state, self._limit = state, limit
         self._known: dict[int, Alternatives] = {}
-        self._fixed: dict[int, bool] = {}
+        self._holding: dict[int, bool] = {}
 
     def of(self, node: Node) -> Alternatives:
         if node.index not in self._known:
             self._known[node.index] = self._with_assertion(node)
         return self._known[node.index]
-
-    @property
-    def size(self) -> int:
-        """How many elements were looked at."""
-        return len(self._known)
 
     def _with_assertion(self, node: Node) -> Alternatives:
         asserted = None if self._state is None else self._state.asserted[node.index]
@@ -169,7 +155,7 @@ class Requirements:
         if asserted not in IMPOSSIBLE:
             return FREE
         repair = Repair("recovered" if asserted is Status.FAILURE else "retracted", node.element)
-        return self._all_of([self._repaired(repair), self._needs(node)])
+        return self._all_of([_repaired(repair), self._needs(node)])
 
     def _needs(self, node: Node) -> Alternatives:
         element = node.element
@@ -178,20 +164,15 @@ class Requirements:
         if isinstance(element, Function):
             if node.parts:
                 return self._any_of(self.of(part) for part in node.parts)
-            return NOTHING if self._state is None else self._repaired(Repair("designed", element))
+            return NOTHING if self._state is None else _repaired(Repair("designed", element))
         needed = [self.of(constraint) for constraint in node.constraints]
         if not isinstance(element, Component):
             return self._all_of([*needed, *(self.of(part) for part in node.parts)])
         if self._state is not None and self._state.failed[node.index]:
-            needed.append(self._repaired(Repair("recovered", element)))
+            needed.append(_repaired(Repair("recovered", element)))
         if node.parts:
             needed.append(self._any_of(self.of(part) for part in node.parts))
         return self._all_of(needed)
-
-    def _repaired(self, repair: Repair) -> Alternatives:
-        if self._changing is not None and repair not in self._changing:
-            return NOTHING
-        return Alternatives((Box(repairs=frozenset((repair,))),), True)
 
     def _bound(self, node: Node, attribute: Node) -> Alternatives:
         state = self._state
@@ -199,18 +180,12 @@ class Requirements:
             is_known = state.value[attribute.index] is not None and not state.stale[attribute.index]
             if not is_known and not _is_counted_violated(state, attribute):
                 return FREE
-            if self._is_fixed(state, attribute):
-                return FREE if _holds(state, attribute, node) else NOTHING
+            if attribute.index not in self._holding:
+                self._holding[attribute.index] = all(_holds(state, attribute, one) for one in attribute.constraints)
+            if self._holding[attribute.index]:
+                return FREE
         interval = _wanted(node, None if state is None else state.verdict[node.index])
         return NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
-
-    def _is_fixed(self, state: State, attribute: Node) -> bool:
-        """Tell whether an attribute stays as it is: it may not change, or violates nothing and so need not."""
-        if attribute.index not in self._fixed:
-            may = self._changing is None or attribute.name in self._changing
-            holds = all(_holds(state, attribute, one) for one in attribute.constraints)
-            self._fixed[attribute.index] = not may or holds
-        return self._fixed[attribute.index]
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
         boxes: list[Box] = []
@@ -251,6 +226,10 @@ class Requirements:
         table = state.network.attributes
         changed = sum(_is_outside(state, table[name], interval) for name, interval in box.intervals.items())
         return changed + len(box.repairs), len(box.intervals)
+
+
+def _repaired(repair: Repair) -> Alternatives:
+    return Alternatives((Box(repairs=frozenset((repair,))),), True)
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
@@ -314,7 +293,7 @@ class Measured:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """Facts that together would make an element feasible, measurements first; no fewer would, whatever their values."""
+    """Facts that together would make an element feasible, measurements first."""
 
     facts: tuple[Measured | Repair, ...]
 
@@ -335,14 +314,14 @@ class Remedy:
 
 
 def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
-    """Return what would make an element feasible that is not, the smallest first, and whether these are all."""
+    """Return what would make an element feasible that is not, the smallest first, and whether these are all.
+
+    If they are all, no fewer facts than those of one would do, whatever their values.
+    """
     if node.kind == "constraint" or state.status[node.index] not in IMPOSSIBLE:
         return (), True
-    requirements = Requirements(state)
-    ways = requirements.of(node)
+    ways = Requirements(state).of(node)
     found = _smallest(_remedy(state, box) for box in ways.boxes)
-    if not ways.complete:
-        found = _reduced(state, node, requirements, found)
     return tuple(found[:MOST_REMEDIES]), ways.complete and len(found) <= MOST_REMEDIES
 
 
@@ -364,19 +343,3 @@ def _smallest(candidates: Iterable[Remedy]) -> list[Remedy]:
         if not any(other.covers(remedy) for other in kept):
             kept = [*(other for other in kept if not remedy.covers(other)), remedy]
     return kept
-
-
-def _reduced(state: State, node: Node, requirements: Requirements, found: list[Remedy]) -> list[Remedy]:
-    """Take from remedies what is not needed: where not every way was looked at, a smaller one may have been missed."""
-    looks = LOOKS // requirements.size
-    reduced: list[Remedy] = []
-    for remedy in islice(found, MOST_REMEDIES):
-        looks -= len(remedy.facts)
-        if looks < 0:
-            break
-        subjects = remedy.subjects
-        for subject in sorted(subjects, key=str):
-            if Requirements(state, changing=subjects - {subject}).of(node).boxes:
-                subjects -= {subject}
-        reduced += [_remedy(state, box) for box in Requirements(state, changing=subjects).of(node).boxes]
-    return _smallest(reduced) or found

@@ -5,7 +5,7 @@ from itertools import combinations, product
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
-from models import NUMBERS, OPERATORS, RANDOMS, Clock, amount, compare, some_of, state_of
+from models import NUMBERS, OPERATORS, RANDOMS, Clock, amount, compare, some_of
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, Repair, remedies
@@ -281,17 +281,3 @@ def test_more_remedies_than_can_be_told_are_counted(model):
     assert len(explanation.remedies) == 16
     assert not explanation.has_all_remedies
     assert str(explanation).endswith("wheel_0 recovered or wheel_1 recovered or wheel_10 recovered or at least 13 more")
-
-
-def test_where_there_are_too_many_ways_to_look_at_a_remedy_still_has_no_idle_fact():
-    model = Model("many")
-    see = model.function("see")
-    for number in range(70):
-        see.design(f"by eye {number}", [model.component(f"eye {number}")])
-    model.function("look ahead").design("by the last eye", ["eye 69"])
-    model.action("go", requires=list(model.functions))
-    kb = KnowledgeBase(model)
-    for name in model.components:
-        kb.component_failed(name)
-    assert not remedies(state_of(kb), state_of(kb).network.actions["go"])[1]
-    assert told(kb, "go") == ["eye 69 recovered"]
