@@ -130,8 +130,7 @@ class Domain:
         rosa_actions: names of the objects of type `action`, in the order of the files.
         goals: the conditions of the problem file that shall hold in the end, as text.
         oversights: what may be one in the files, in sentences.
-        derived: what derived predicates stand for, by their names in lower case; it is put in where they are met.
-        axioms: the same of those that are derived from themselves, in each state.
+        axioms: what derived predicates stand for, by their names in lower case.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
         metric: `cost`, `makespan`, or empty for the number of steps.
         limits: what may be used up in all, such as `(<= (energy_used) 5)`; no goals of `up_problem`.
@@ -152,7 +151,6 @@ class Domain:
     metric: str = ""
     limits: tuple[UpThing, ...] = ()
     computed: frozenset[str] = frozenset()
-    derived: dict[str, Derived] = field(default_factory=dict, repr=False)
     axioms: dict[str, Derived] = field(default_factory=dict, repr=False)
     _atoms: dict[str, str] = field(default_factory=dict, init=False, repr=False)
     worked_out: dict[str, Any] = field(default_factory=dict, init=False, repr=False)

@@ -59,7 +59,7 @@ class Formulas:
 
     def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
         self._domain, self.source, self._unknown = domain, source, unknown or source.error
-        self._problem, self._mark = domain.up_problem, ""
+        self._problem = domain.up_problem
         self.manager = domain.up_problem.environment.expression_manager
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
@@ -95,18 +95,12 @@ class Formulas:
                 return (self.manager.And if head == "and" else self.manager.Or)(parts)
             self._expect(node, 1 if head == "not" else 2)
             return (self.manager.Not if head == "not" else self.manager.Implies)(*parts)
-        is_inner = head in self._domain.derived
-        return self._derived(node, scope) if is_inner else self.atom(node, scope, is_condition=True)
+        return self.atom(node, scope, is_condition=True)
 
-    def derive(self, head: str, rules: Mapping[str, Sequence[Node]], layer: int) -> None:
-        """Work out what a derived predicate stands for, after those in its rules; it is put in where it is met.
-
-        One that is derived from itself, of a layer above 0, is not put in, but derived in each state.
-        The variables of its condition are named after it, so that they are none of those where it is put in.
-        """
+    def derived(self, rules: Sequence[Node], layer: int) -> Derived:
+        """Return what a derived predicate stands for, by all of its rules."""
         variables, conditions = tuple[UpThing, ...](), list[UpThing]()
-        self._mark = f".{head}"
-        for _, target, body in [rule.children for rule in rules[head]]:
+        for _, target, body in [rule.children for rule in rules]:
             scope = self._variables(target.children[1:])
             kinds = [one.variable().type for one in scope.values()]
             # numbers, as a variable of one rule may be called as one in the condition of another
@@ -115,19 +109,9 @@ class Formulas:
                 raise self.source.error(target, f"found {start_of(target)!r}, expected the types of the rule before")
             renamed = dict(zip(scope, variables, strict=True))
             within = self.within(target.children[1:], renamed)
-            conditions.append(self.manager.And(within, self.condition(body, renamed, f"what {head} is derived from")))
-        self._mark = ""
-        kept = self._domain.axioms if layer else self._domain.derived
-        kept[head] = Derived(variables, self.manager.Or(conditions), layer)
-
-    def _derived(self, node: Node, scope: Scope) -> UpThing:
-        variables, condition, _ = self._domain.derived[node.head]
-        arguments = [self._term(part, scope) for part in node.children[1:]]
-        kinds = [one.type for one in variables]
-        if not _are_compatible(kinds, arguments):
-            names = " ".join(self._domain.outside[kind.name] for kind in kinds)
-            raise self._unknown(node, f"found {start_of(node)!r}, expected objects of the types ({names})")
-        return condition.substitute(dict(zip(variables, arguments, strict=True)))
+            place = f"what {target.head} is derived from"
+            conditions.append(self.manager.And(within, self.condition(body, renamed, place)))
+        return Derived(variables, self.manager.Or(conditions), layer)
 
     def quantified(self, node: Node) -> tuple[Scope, UpThing, Node]:
         """Return the variables, the condition that keeps them within their types, and what is said of them."""
@@ -154,7 +138,7 @@ class Formulas:
     def _variable(self, name: str, kind: UpThing) -> UpThing:
         from unified_planning.model import Variable
 
-        return self.manager.VariableExp(Variable(name + self._mark, kind, self._problem.environment))
+        return self.manager.VariableExp(Variable(name, kind, self._problem.environment))
 
     def type_of(self, node: Node) -> UpThing:
         """Return a type; of several, as in `(either a b)`, the least one above them."""
@@ -172,7 +156,7 @@ class Formulas:
         if not node.head:
             raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
         inside = self._domain.inside.get(("predicate", node.head))
-        if node.head in (self._domain.derived if is_condition else {**self._domain.derived, **self._domain.axioms}):
+        if node.head in self._domain.axioms and not is_condition:
             message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
             raise self.source.error(node, message)
         if inside is None:

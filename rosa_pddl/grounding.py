@@ -101,7 +101,7 @@ class _Fitted:
 class _Variables:
     """Which variable, and which of its values, says that an atom holds; the last value says that none does.
 
-    The variables of atoms that are derived from themselves have layers.
+    The variables of derived atoms have layers.
     """
 
     def __init__(self) -> None:

@@ -167,7 +167,7 @@ def patterns_of(domain: Domain, actions: Iterable[UpThing]) -> tuple[ActionPatte
 
 
 def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
-    """Return the rules of predicates that are derived from themselves, as what makes an atom so."""
+    """Return the rules of derived predicates, as what makes an atom so."""
     found = []
     for name, one in domain.axioms.items():
         spelled = domain.outside[domain.inside["predicate", name]]

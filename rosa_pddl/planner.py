@@ -350,7 +350,7 @@ class _Portfolio:
             return self._searched(task, deadline, self._engine_of(way))
         if self._problem.domain.axioms:
             names = ", ".join(self._problem.domain.axioms)
-            message = f"{names} is derived from itself, which {way} does not know; Planner('fast-downward-opt') does"
+            message = f"{names} is derived, which {way} does not know; Planner('fast-downward-opt') does"
             raise Trouble(Outcome.UNSUPPORTED, message)
         overlapping = self._planner.overlapping
         if overlapping:

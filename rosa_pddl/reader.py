@@ -128,12 +128,12 @@ class _Reader:
         domain, problem = self._domain.source, self._problem.source
         self._read_types(domain)
         rules = _rules(domain)
-        above = _closures(rules)
-        recursive = {head: rules[head][0].children[1] for head in rules if head in above[head]}
+        made_of = _closures(rules)
+        undeclared = {head: each[0].children[1] for head, each in rules.items()}
         for node in _signatures(domain, ":predicates"):
-            if recursive.pop(node.head, node) is not node or node.head not in rules:
-                self._read_fluent(node, self._types.BoolType())
-        for node in recursive.values():  # that are declared nowhere else
+            undeclared.pop(node.head, None)
+            self._read_fluent(node, self._types.BoolType())
+        for node in undeclared.values():
             self._read_fluent(node, self._types.BoolType())
         if self._actions and ("predicate", FEASIBLE) not in self._inside:
             self._read_fluent(listed(FEASIBLE, "?a", "-", ACTION_TYPE), self._types.BoolType())
@@ -143,12 +143,12 @@ class _Reader:
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
         self._read_rosa_actions()
-        for head in sorted(rules, key=lambda one: len(above[one])):
-            self._domain.derive(head, rules, len(above[head]) if head in above[head] else 0)
-        for name in self._draft.axioms:
-            for part in (part for rule in rules[name] for part in nodes_of(rule) if part.head in ("not", "imply")):
-                if any(above[name] == above.get(one.head) for one in nodes_of(part)):
-                    message = f"{name!r} is derived from its own negation, which means nothing. Sense it, or make it"
+        self._draft.axioms.update(dict.fromkeys(rules))  # a rule may look at one that comes later
+        for head, each in rules.items():
+            self._draft.axioms[head] = self._domain.derived(each, len(made_of[head]))
+            for part in (part for rule in each for part in nodes_of(rule) if part.head in ("not", "imply")):
+                if any(made_of[head] == made_of.get(one.head) for one in nodes_of(part)):
+                    message = f"{head!r} is derived from its own negation, which means nothing. Sense it, or make it"
                     raise domain.unsupported(part, f"{message} an effect of actions")
         for node in domain.root.children[2:]:
             if node.head in BODY:
@@ -306,7 +306,7 @@ class _Reader:
 
     def _sort_numbers(self, goals: Sequence[UpThing]) -> NumberUses:
         """Find out what numbers are for; leave what is only added up out of goals and effects."""
-        derived = (one.condition for one in (*self._draft.derived.values(), *self._draft.axioms.values()))
+        derived = (one.condition for one in self._draft.axioms.values())
         uses = NumberUses(self._schemas.values(), self._costs.values(), derived, goals)
         self._up_problem.clear_goals()
         for goal in goals:
@@ -501,9 +501,9 @@ def _rules(source: Source) -> Mapping[str, list[Node]]:
 
 
 def _closures(rules: Mapping[str, list[Node]]) -> dict[str, set[str]]:
-    """Return the derived predicates that each derived one is made of, at whatever depth."""
+    """Return the derived predicates that each derived one is made of, at whatever depth, itself included."""
     found = {
-        head: {part.head for rule in each for part in nodes_of(rule.children[2]) if part.head in rules}
+        head: {head, *(part.head for rule in each for part in nodes_of(rule.children[2]) if part.head in rules)}
         for head, each in rules.items()
     }
     for _ in rules:

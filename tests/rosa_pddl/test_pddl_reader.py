@@ -290,7 +290,7 @@ def test_derived_predicates_hold_where_what_they_are_derived_from_does():
             "(bright ?y)', which is derived: it is neither stated nor",
         ),
         ("(bright ?y - room) (lamp ?y)", "(bright ?y - robot) (lamp b)", "expected the types of the rule before"),
-        ("(bright ?x))", "(bright ?r))", "expected objects of the types (room)"),
+        ("(bright ?x))", "(bright ?r))", "of other types than declared: (bright ?x - room)"),
         ("(:derived (bright ?y - room) (lamp ?y))", "(:derived (bright ?y - room))", "expected '(:derived (NAME"),
     ],
 )
