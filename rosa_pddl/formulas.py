@@ -1,8 +1,6 @@
 """Formulas and numbers written as PDDL, such as `(and (lit hall) (not (broken hall)))`, in the names of a domain."""
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
@@ -202,26 +200,17 @@ class Formulas:
                 self._expect(node, 2)
             try:
                 return operators[node.head](*parts)
-            except ZeroDivisionError:
-                raise self.source.error(node, f"found {start_of(node)!r}, which divides by 0") from None
-            except OverflowError:
+            except (ZeroDivisionError, OverflowError):
                 raise self._no_number(node) from None
-        if node.is_list:
-            return self.atom(node, scope, is_number=True)
+        return self.atom(node, scope, is_number=True) if node.is_list else self.constant(node)
+
+    def constant(self, node: Node) -> UpThing:
         try:
             value = Fraction(node.lower)
             float(value)
         except (ValueError, OverflowError, ZeroDivisionError):
             raise self._no_number(node) from None
-        return manager.Int(value.numerator) if value.denominator == 1 else manager.Real(value)
-
-    def stated(self, node: Node) -> UpThing:
-        """Return a number that is stated to be so; it may be computed."""
-        with suppress(ZeroDivisionError, OverflowError):
-            number = self.number(node, {}).simplify()
-            if number.is_constant() and math.isfinite(number.constant_value()):
-                return number
-        raise self._no_number(node)
+        return self.manager.Int(value.numerator) if value.denominator == 1 else self.manager.Real(value)
 
     def _no_number(self, node: Node) -> PddlError:
         return self.source.error(node, f"found {start_of(node)!r}, expected a number of at most 1e308")

@@ -102,7 +102,6 @@ class _Reader:
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
         self._actions = actions
-        self._again: list[str] = []
         self._inside: dict[tuple[str, str], str] = {}
         self._outside = {"object": "object"}
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
@@ -167,10 +166,7 @@ class _Reader:
             goals=tuple(text for text, goal in goals if goal not in uses.limits),
             computed=frozenset(self._outside[one.name] for one in uses.computed),
             metric=metric,
-            oversights=(
-                *(note for one in (domain, problem) for note in glued_types(one)),
-                *self._again,
-            ),
+            oversights=tuple(note for one in (domain, problem) for note in glued_types(one)),
             limits=tuple(uses.limits),
         )
 
@@ -230,11 +226,9 @@ class _Reader:
 
     def _read_object(self, formulas: Formulas, node: Node, kind: Node) -> None:
         type_, known = formulas.type_of(kind), self._inside.get(("object", node.lower))
-        if known is not None and formulas is self._problem and self._up_problem.object(known).type == type_:
-            file, line = self._places["object", self._outside[known]]
-            if file == self._domain.source.file:
-                note = f"the object {node.word!r} is a constant already, in line {line} of {file}"
-                self._again.append(f"{formulas.source.file}:{node.line}: {note}")
+        if known is not None and formulas is self._problem:
+            is_constant = self._places["object", self._outside[known]][0] == self._domain.source.file
+            if is_constant and self._up_problem.object(known).type == type_:
                 return
         self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
         self._lineages[str(node)] = lineage_of(type_, self._outside)
@@ -292,7 +286,7 @@ class _Reader:
             _, target, value = node.children
             if target.head != _COST or not self._has_cost:
                 fluent = formulas.atom(target, {}, is_number=True)
-                self._up_problem.set_initial_value(fluent, formulas.stated(value))
+                self._up_problem.set_initial_value(fluent, formulas.constant(value))
         elif node.head == "not" and len(node.children) == 2:
             formulas.atom(node.children[1], {})
         else:
@@ -548,9 +542,8 @@ def _time_of(node: Node) -> str | None:
 
 
 def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iterator[tuple[str, Node]]:
-    """Yield what an action needs, or does, and when: durative actions say when, and others must not."""
+    """Yield what an action needs, or does, and when: durative actions say when."""
     if schema.head == ":action":
-        _refuse_times(source, schema, node)
         yield ("end" if is_effect else "start"), node
         return
     time = _time_of(node)
@@ -574,12 +567,3 @@ def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iter
         expected = " or ".join(f"'({' '.join(time)} ...)'" for time in _TIMES if not is_effect or time[0] == "at")
         message = f"found {start_of(node)!r} in (:durative-action {schema.children[1]}, expected {expected} around it"
         raise source.error(node, message)
-
-
-def _refuse_times(source: Source, schema: Node, node: Node) -> None:
-    if _time_of(node) is not None:
-        message = f"found {start_of(node)!r} in (:action {schema.children[1]}, which takes no time; leave out "
-        message += f"'{node.head} {node.children[1].lower}', or write (:durative-action"
-        raise source.error(node, message)
-    for child in node.children:
-        _refuse_times(source, schema, child)
