@@ -67,7 +67,7 @@ class Certificate:
         if not self.entries[()].outcome.is_solved:
             return ()
         alone = {out[0]: result.outcome for out, result in self.entries.items() if len(out) == 1}
-        return tuple(action for action, outcome in alone.items() if not outcome.is_solved and not outcome.is_trouble)
+        return tuple(action for action, outcome in alone.items() if outcome.is_unsolvable)
 
 
 class Plans(Protocol):

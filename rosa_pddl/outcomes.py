@@ -25,10 +25,14 @@ class Outcome(Enum):
         return self in (Outcome.SOLVED, Outcome.SOLVED_OPTIMALLY)
 
     @property
+    def is_unsolvable(self) -> bool:
+        """Whether the problem is why there is no plan."""
+        return self in (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
+
+    @property
     def is_trouble(self) -> bool:
         """Whether the engine, not the problem, is why there is no plan."""
-        unsolvable = (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
-        return not self.is_solved and self not in unsolvable
+        return not self.is_solved and not self.is_unsolvable
 
     @property
     def is_passing(self) -> bool:

@@ -1,7 +1,7 @@
 """When to plan anew, the dialogue with the planner, and why there is no plan."""
 
 import logging
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from html import escape
@@ -269,18 +269,19 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
 
     First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
     """
-    domain, found = problem.domain, list[str]()
-    answered = [(str(goals[0]), Outcome.UNSOLVABLE_PROVEN)] if len(goals) == 1 else []
-    for goal in goals if len(goals) > 1 else ():
-        answered.append((goal.text, (yield replace(problem, goals=(goal.expression,))).outcome))
-    found += _of_singles(answered)
+    domain, outcomes = problem.domain, [Outcome.UNSOLVABLE_PROVEN] if len(goals) < 2 else []
+    for goal in goals[len(outcomes) :]:
+        outcomes.append((yield replace(problem, goals=(goal.expression,))).outcome)
+    missed = [goal.text for goal, outcome in zip(goals, outcomes, strict=False) if outcome.is_unsolvable]
+    found = [f"out of reach: {', '.join(missed)}"] if missed else []
+    if all(outcome.is_solved for outcome in outcomes):
+        found.append("each goal can be reached alone, but not all together")
     feasible = {one: domain.feasible_atom(one) for one in domain.rosa_actions if domain.tracks_feasibility}
-    out = {name: atom for name, atom in feasible.items() if atom not in problem.state}
-    if out:
+    if out := {name: atom for name, atom in feasible.items() if atom not in problem.state}:
         outcome = (yield replace(problem, state=problem.state.union(out.values()))).outcome
         if outcome.is_solved:
             found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if they were feasible")
-        elif not outcome.is_trouble:
+        elif outcome.is_unsolvable:
             found.append("there would be no plan even if every action were feasible")
     others = dict[str, Problem]()
     if limited := ", ".join(domain.limited):
@@ -288,25 +289,9 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
     if lasting := ", ".join(f"{atom} for {left_s:.3g} s" for atom, left_s in problem.until.items()):
         others[f"what is forecast to hold no longer: {lasting}"] = replace(problem, until={})
     for what, other in others.items():
-        outcome = (yield other).outcome
-        if not outcome.is_trouble:
-            would = "would" if outcome.is_solved else "would not"
-            found.append(f"there {would} be a plan without {what}")
+        if (yield other).outcome.is_solved:
+            found.append(f"there would be a plan without {what}")
     return found
-
-
-def _of_singles(answered: Sequence[tuple[str, Outcome]]) -> Iterator[str]:
-    if answered and all(outcome.is_solved for _, outcome in answered):
-        yield "each goal can be reached alone, but not all together"
-        return
-    for words, is_so in (
-        ("out of reach", lambda outcome: not outcome.is_solved and not outcome.is_trouble),
-        ("in reach alone", lambda outcome: outcome.is_solved),
-        ("not known", lambda outcome: outcome.is_trouble),
-    ):
-        texts = [text for text, outcome in answered if is_so(outcome)]
-        if texts:
-            yield f"{words}: {', '.join(texts)}"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from math import ceil, floor, lcm
 from rosa_pddl.domain import Domain, Exact, Schema, State, Step, UpThing, exact, fluents_in, head_of, numbers_in
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
-from rosa_pddl.search import Number, note_signs, value_of
+from rosa_pddl.search import Number, value_of
 from rosa_pddl.validate import ended, started, text_of
 
 
@@ -146,9 +146,7 @@ class ResourceUsage:
             amount = bound_number(_compiled(domain, one.arg(1)), ())
             self._limits[text_of(domain, one.arg(0), {})].append((amount, one.is_lt()))
         used = [amount for uses in self._uses for amount in uses.values()]
-        self._signs: dict[str, set[int]] = {name: set() for amount in used for name in numeric_facts(amount)}
-        for amount in used:
-            note_signs(amount, 1, self._signs)
+        self._used = frozenset(name for amount in used for name in numeric_facts(amount))
 
     def cost_of(self, step: Step) -> Number:
         return bound_number(self._costs[step.schema], step.arguments)
@@ -217,7 +215,7 @@ class ResourceUsage:
         return None
 
     def leave_no_more(self, now: Mapping[str, float], then: Mapping[str, float]) -> bool:
-        """Whether what is impossible with some numbers is so with others: no limit leaves more, no step uses less."""
+        """Whether what is impossible with some numbers is so with others: no limit leaves more, steps use the same."""
         if now is then or not self._limits:
             return True
         known, before = self.numbers(now), self.numbers(then)
@@ -227,9 +225,7 @@ class ResourceUsage:
             return now == then
         if any(new.amount > old.amount or new.is_strict < old.is_strict for old, new in limits):
             return False
-        only_grow = all(found == {1} for found in self._signs.values())
-        pairs = [(known[key], before.get(key)) for key in now if head_of(key) in self._signs]
-        return all(new == old or (only_grow and old is not None and new > old) for new, old in pairs)
+        return all(known[key] == before.get(key) for key in now if head_of(key) in self._used)
 
 
 def usage_of(domain: Domain) -> ResourceUsage:

@@ -382,24 +382,24 @@ def _directions(task: Task) -> dict[int, int]:
     changes = [change for operation in task.operations for change in operation.changes]
     signs: dict[int, set[int]] = {-1 - place: set() for place in range(task.numbers)}
     for operation in task.operations:
-        note_signs(operation.more, 1, signs)
+        _note_signs(operation.more, 1, signs)
     for kind, one, other in asked:
         for number, sign in ((one, 1), (other, -1)):
-            note_signs(number, sign if kind in ("<", "<=") else 0, signs)
+            _note_signs(number, sign if kind in ("<", "<=") else 0, signs)
     given = {variable for one in task.operations for needs, variable, _ in one.effects for variable, _ in needs}
     derived = {rule.variable for rule in task.rules}
     for change in changes:
         # what one number does to another, or whether anything changes, is not looked into
-        note_signs(change.amount, 0, signs)
+        _note_signs(change.amount, 0, signs)
         given |= {variable for variable, _ in change.needs}
         for _, one, other in change.tests:
-            note_signs(("+", one, other), 0, signs)
+            _note_signs(("+", one, other), 0, signs)
     if given & derived:
         return {}
     return {place: min(found, default=0) for place, found in signs.items() if len(found) < 2 and 0 not in found}
 
 
-def note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
+def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
     """Note whether what a number is made of makes it greater (1) or smaller (-1), or may do either (0)."""
     if isinstance(number, tuple):
         head, *parts = number
@@ -409,7 +409,7 @@ def note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None
         is_scaled = head == "*" and len([one for one in parts if isinstance(one, tuple) or one is None or one < 0]) < 2
         for at, part in enumerate(parts):
             kept = sign if head == "+" or is_scaled else -sign if head == "-" and at else sign if head == "-" else 0
-            note_signs(part, kept, signs)
+            _note_signs(part, kept, signs)
 
 
 def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:

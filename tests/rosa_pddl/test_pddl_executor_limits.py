@@ -97,9 +97,8 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert [world.tick() for _ in range(3)] == [Status.FAILURE] * 3
     assert len(world.executor.plans) == 1
     assert world.executor.feedback_message.endswith("there would be a plan without the limits of used")
-    # that there is still less, or that steps use more, changes nothing
-    for left, need in ((0.15, 0.2), (0.1, 0.3), (0.2, 0.2)):
-        world.facts = {"(left)": left, "(need b)": need}
+    for left in (0.15, 0.1, 0.2):  # that there is still less changes nothing
+        world.facts = {"(left)": left}
         assert world.tick() is Status.FAILURE
     assert len(world.executor.plans) == 1
     world.facts = {"(left)": 0.3}
@@ -111,7 +110,7 @@ def test_limits_that_are_not_in_the_way_are_said_not_to_be(legs):
     world = world_of(legs["0.2"])
     world.facts = {"(next c d)": False}
     assert world.run() is Status.FAILURE
-    assert world.executor.feedback_message.endswith("there would not be a plan without the limits of used")
+    assert "without the limits" not in world.executor.feedback_message
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 3])
