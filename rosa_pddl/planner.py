@@ -106,16 +106,12 @@ class Planner:
         if self.overlapping and sequential:
             message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
             raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
-        for way, budget_s in self.budgets_s.items():
+        for way in self.budgets_s:
             if way not in self.ways:
                 hint = nearest(way, self.ways)
                 raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
-            if not budget_s > 0.0:
-                raise PlannerSettingError(f"the budget of {way!r} is {budget_s:g} s, expected more than 0")
         if not 0.0 < self.timeout_s < inf:
             raise PlannerSettingError(f"timeout_s is {self.timeout_s:g}, expected more than 0, and finite")
-        if self.moves < 0:
-            raise PlannerSettingError(f"moves is {self.moves}, expected 0 or more")
 
     def missing(self, domain: Domain) -> str | None:
         """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
@@ -146,21 +142,21 @@ class Planner:
     def prepared(self, problem: Problem) -> PlanningResult | None:
         """Return the plan that the certificate has for it, or the rest of that, if it works. Never waits."""
         found = None if self.certificate is None else self.certificate.prepared(problem)
-        return None if found is None else self._portfolio(problem).confirmed(found)
+        return None if found is None else _Portfolio(self, problem).confirmed(found)
 
     def plan(self, problem: Problem) -> PlanningResult:
         """Plan now and wait for the answer; trouble with an engine is an outcome, never an exception."""
-        return self._portfolio(problem).result()
+        return _Portfolio(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
         """Plan in a thread of its own, unless a tick is enough. Cancelling the future kills the engine's processes."""
         future: Future[PlanningResult] = Future()
-        portfolio = self._portfolio(problem)
+        portfolio = _Portfolio(self, problem)
         at_once = self.prepared(problem) or portfolio.at_once()
         if at_once is not None:
             future.set_result(at_once)
             return future
-        future.add_done_callback(lambda done: portfolio.cancel() if done.cancelled() else None)
+        future.add_done_callback(lambda done: portfolio.process.cancel() if done.cancelled() else None)
 
         def work() -> None:
             result = portfolio.result()
@@ -176,9 +172,6 @@ class Planner:
         for process in tuple(self.processes):
             process.cancel()
         self.groundings.close()
-
-    def _portfolio(self, problem: Problem) -> "_Portfolio":
-        return _Portfolio(self, problem)
 
 
 def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
@@ -236,10 +229,7 @@ class _Portfolio:
     def __init__(self, planner: Planner, problem: Problem) -> None:
         self._planner, self._problem = planner, problem
         self._safe_step = None if planner.safe_step is None else _step(problem.domain, planner.safe_step)
-        self._process = ProcessHandle(planner.memory_bytes)
-
-    def cancel(self) -> None:
-        self._process.cancel()
+        self.process = ProcessHandle(planner.memory_bytes)
 
     def at_once(self) -> PlanningResult | None:
         """Return the answer if it is there without waiting, in the work of a tick."""
@@ -272,13 +262,13 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        self._planner.processes.add(self._process)
+        self._planner.processes.add(self.process)
         try:
             return self._kept(self._tried_in_order())
         except Cancelled:
             return PlanningResult(Outcome.ENGINE_CRASHED, (), self._planner.engine, "the planner was closed")
         finally:
-            self._planner.processes.discard(self._process)
+            self._planner.processes.discard(self.process)
 
     def _remembered(self) -> PlanningResult | None:
         known = self._planner.cache.get(self._key)
@@ -346,7 +336,7 @@ class _Portfolio:
             raise Trouble(Outcome.UNSUPPORTED, message)
         if way in ("warm", "cold", LABEL_SETTING):
             groundings = self._planner.groundings if way == "warm" else Groundings()
-            task = groundings.ask(self._problem, self._process, _left_s(deadline))
+            task = groundings.ask(self._problem, self.process, _left_s(deadline))
             return self._searched(task, deadline, self._engine_of(way))
         if self._problem.domain.axioms:
             names = ", ".join(self._problem.domain.axioms)
@@ -358,7 +348,7 @@ class _Portfolio:
                 if is_out_of_reach(self._problem.domain, self._problem.state, self._problem.wanted):
                     message = "not even if nothing that was made so were ever undone"
                     return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
-        return asked(way, self._problem, self._process, limit_s=_left_s(deadline), overlapping=overlapping)
+        return asked(way, self._problem, self.process, limit_s=_left_s(deadline), overlapping=overlapping)
 
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:
@@ -394,7 +384,7 @@ class _Portfolio:
         if task.numbers or task.tests:
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
         command = [sys.executable, "-I", "-S", search.__file__]
-        ended = self._process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
+        ended = self.process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
         if kind == "plan":
             return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
@@ -419,7 +409,7 @@ class _Portfolio:
         # each line that is written wakes this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
         strategy = f"{how}, verbosity=silent)"
-        found = fast_downward.search(text, strategy, self._process, limit_s=_left_s(deadline))
+        found = fast_downward.search(text, strategy, self.process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
         try:

@@ -3,7 +3,6 @@
 Imported late, as unified-planning is slow to import.
 """
 
-from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import IO, Any
 
@@ -25,7 +24,6 @@ _FEATURES = (
     *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
     *("NEGATIVE_CONDITIONS", "DISJUNCTIVE_CONDITIONS", "EQUALITIES", "EXISTENTIAL_CONDITIONS"),
     *("UNIVERSAL_CONDITIONS", "CONDITIONAL_EFFECTS", "FORALL_EFFECTS", "INCREASE_EFFECTS"),
-    *("STATIC_FLUENTS_IN_BOOLEAN_ASSIGNMENTS", "FLUENTS_IN_BOOLEAN_ASSIGNMENTS"),
     *("STATIC_FLUENTS_IN_NUMERIC_ASSIGNMENTS", "FLUENTS_IN_NUMERIC_ASSIGNMENTS"),
     *("INT_FLUENTS", "REAL_FLUENTS", "ACTIONS_COST", "PLAN_LENGTH", "STATIC_FLUENTS_IN_ACTIONS_COST"),
     *("FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST", "REAL_NUMBERS_IN_ACTIONS_COST"),
@@ -56,7 +54,6 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
 
     @staticmethod
     def supports(problem_kind: ProblemKind) -> bool:
-        """Whether problems of a kind may be asked."""
         return bool(problem_kind <= LabelSetting.supported_kind())
 
     @staticmethod
@@ -128,21 +125,6 @@ def _domain_of(problem: UpThing) -> Domain:
     schemas = {}
     for one in problem.actions:
         parameters = tuple((each.name, each.type.name) for each in one.parameters)
-        needs, effects = tuple(conjuncts(one.preconditions)), tuple(_decided(one.effects))
-        cost = costs and costs.get_action_cost(one)
-        schemas[one.name] = Schema(one.name, parameters, needs, (), (), (), effects, None, cost=cost)
+        needs, cost = tuple(conjuncts(one.preconditions)), costs and costs.get_action_cost(one)
+        schemas[one.name] = Schema(one.name, parameters, needs, (), (), (), tuple(one.effects), None, cost=cost)
     return replace(draft, schema_of=schemas, metric="" if costs is None else "cost")
-
-
-def _decided(effects: Iterable[UpThing]) -> Iterator[UpThing]:
-    """Yield effects of which each makes an atom true, or makes it false: what it depends on becomes a condition."""
-    for effect in effects:
-        manager, value = effect.environment.expression_manager, effect.value
-        is_open = effect.fluent.type.is_bool_type() and not value.is_bool_constant()
-        for truth in (True, False) if is_open else ():
-            part = effect.clone()
-            part.set_value(manager.Bool(truth))
-            part.set_condition(manager.And(effect.condition, value if truth else manager.Not(value)))
-            yield part
-        if not is_open:
-            yield effect

@@ -235,9 +235,7 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
     ("settings", "words"),
     [
         ({"budgets_s": {"wram": 1.0}}, "nearest: warm"),
-        ({"budgets_s": {"warm": 0.0}}, "expected more than 0"),
         ({"timeout_s": float("nan")}, "expected more than 0"),
-        ({"moves": -1}, "expected 0 or more"),
         ({"overlapping": True}, "rosa-taca\\[temporal\\]"),
     ],
 )

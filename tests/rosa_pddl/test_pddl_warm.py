@@ -13,6 +13,7 @@ from pddl_world import load_text
 from waypoints import Waypoints
 
 from rosa_pddl import Outcome, Planner, Problem, UnknownNameError, initial_state
+from rosa_pddl.planner import _Portfolio
 from rosa_pddl.validate import flaw
 
 
@@ -266,13 +267,13 @@ def test_what_takes_no_longer_than_a_tick_is_answered_at_once(extended):
 
 def test_what_takes_longer_is_not(extended, world):
     planner = Planner(cached=0)
-    assert Planner("fast-downward")._portfolio(Problem(extended, initial_state(extended))).at_once() is None
+    assert _Portfolio(Planner("fast-downward"), Problem(extended, initial_state(extended))).at_once() is None
     state, costs = world.situation()
     problem = Problem(world.domain, state, costs=costs)
     assert planner.plan(problem).outcome is Outcome.SOLVED_OPTIMALLY
     left_out = Planner(cached=0, moves=0)
     assert left_out.plan(problem).cost == planner.plan(problem).cost
-    assert left_out._portfolio(problem).at_once() is None
+    assert _Portfolio(left_out, problem).at_once() is None
 
 
 def test_beyond_its_cap_the_search_is_left_to_fast_downward(world):
