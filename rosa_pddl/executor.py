@@ -234,7 +234,8 @@ class PlanExecutor(Behaviour):
             self._domain = domain
             for part in (self._belief, self._effects, self.goals):
                 part.use(domain)
-            self._replanning.objects_changed()
+            if self._client.is_under_way:
+                self._replanning.want(Decision("the objects changed", is_needed=True))
         self._found_valid = self._expected = None
 
     @property
@@ -246,11 +247,6 @@ class PlanExecutor(Behaviour):
     def plans(self) -> tuple[PlanRecord, ...]:
         """Every planning that was answered: when, why, with what result. One that was interrupted has no result."""
         return tuple(self._replanning.records)
-
-    @property
-    def current_step(self) -> Step | None:
-        """The step that runs; of several the one that started first."""
-        return self._running[0].step if self._running else None
 
     @property
     def current_steps(self) -> tuple[Step, ...]:

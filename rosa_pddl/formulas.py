@@ -170,7 +170,7 @@ class Formulas:
             message = f"found {len(arguments)} arguments of {str(node.children[0])!r}, expected {len(signature)}"
             place = f" as declared in line {line} of {file}" if line else ""
             raise self._unknown(node.children[0], message + place)
-        if not _are_compatible([one.type for one in signature], arguments):
+        if not all(one.type.is_compatible(given.type) for one, given in zip(signature, arguments, strict=True)):
             typed_as = (f"?{one.name} - {self._domain.outside[one.type.name]}" for one in signature)
             message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
             raise self._unknown(node, message)
@@ -239,8 +239,3 @@ class Formulas:
         known = [self._domain.outside[inside] for (other, _), inside in self._domain.inside.items() if other == kind]
         message = f"found the unknown {kind} {node.word!r}, expected a declared one; "
         return self._unknown(node, message + nearest(node.lower, [*known, *others]))
-
-
-def _are_compatible(kinds: Sequence[UpThing], arguments: Sequence[UpThing]) -> bool:
-    pairs = zip(kinds, arguments, strict=True)
-    return len(kinds) == len(arguments) and all(kind.is_compatible(given.type) for kind, given in pairs)

@@ -8,7 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain, Schema, UpThing, conjuncts, lineage_of
+from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Derived, Domain, Schema, UpThing, conjuncts, lineage_of
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
@@ -142,7 +142,8 @@ class _Reader:
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
         self._read_rosa_actions()
-        self._draft.axioms.update(dict.fromkeys(rules))  # a rule may look at one that comes later
+        for head in rules:  # a rule may look at one that comes later
+            self._draft.axioms[head] = Derived((), None, len(made_of[head]))
         for head, each in rules.items():
             self._draft.axioms[head] = self._domain.derived(each, len(made_of[head]))
             for part in (part for rule in each for part in nodes_of(rule) if part.head in ("not", "imply")):
@@ -156,7 +157,10 @@ class _Reader:
         for fact in (part for node in section(problem, ":init") for part in _parts_of(node)):
             with _located(problem, fact):
                 self._read_fact(fact)
-        goals = [(str(one), self._read_goal(one)) for node in section(problem, ":goal") for one in _parts_of(node)]
+        goals = list[tuple[str, UpThing]]()
+        for goal in (part for node in section(problem, ":goal") for part in _parts_of(node)):
+            with _located(problem, goal):
+                goals.append((str(goal), self._problem.condition(goal, {}, "the goal")))
         uses = self._sort_numbers([goal for _, goal in goals])
         metric = self._read_metric({self._outside[one.name].lower(): rises for one, rises in uses.rises.items()})
         self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
@@ -292,17 +296,10 @@ class _Reader:
         else:
             self._up_problem.set_initial_value(formulas.atom(node, {}), True)
 
-    def _read_goal(self, node: Node) -> UpThing:
-        with _located(self._problem.source, node):
-            goal = self._problem.condition(node, {}, "the goal")
-            self._up_problem.add_goal(goal)
-            return goal
-
     def _sort_numbers(self, goals: Sequence[UpThing]) -> NumberUses:
         """Find out what numbers are for; leave what is only added up out of goals and effects."""
         derived = (one.condition for one in self._draft.axioms.values())
         uses = NumberUses(self._schemas.values(), self._costs.values(), derived, goals)
-        self._up_problem.clear_goals()
         for goal in goals:
             if goal not in uses.limits:
                 self._up_problem.add_goal(goal)
@@ -320,38 +317,31 @@ class _Reader:
             node = word if word.is_list else replace(word, word=None, children=(word,))  # `minimize c` is `(c)`
             if node.head == "total-time":
                 return "makespan"
-            for name, cost in self._minimized(node, rising).items():
+            costs = dict[str, UpThing]()
+            for name, amount in self._minimized(node, {**rising, **({_COST: self._costs} if self._has_cost else {})}):
+                costs[name] = costs[name] + amount if name in costs else amount
+            for name, cost in costs.items():
                 self._schemas[name] = replace(self._schemas[name], cost=cost)
             return "cost"
         return ""
 
-    def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Mapping[str, UpThing]:
-        """Return what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
-        source, manager = self._problem.source, self._up_problem.environment.expression_manager
+    def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Iterator[tuple[str, UpThing]]:
+        """Yield what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
         head, parts = node.head, node.children[1:]
-        if head in rising or (head == _COST and self._has_cost):
-            return rising.get(head, self._costs)
-        if head == "+":
-            return self._summed([self._minimized(part, rising) for part in parts])
-        constant = [part for part in parts if _NUMBER.fullmatch(part.lower)]
-        if head == "*" and len(parts) == 2 and len(constant) == 1:
-            factor = self._problem.number(constant[0], {})
-            given = self._minimized(next(part for part in parts if part is not constant[0]), rising)
-            return {action: manager.Times(factor, amount) for action, amount in given.items()}
-        if head == _COST:
-            raise source.error(node, "found (total-cost), expected it among the :functions of the domain")
-        names = ", ".join(sorted(f"({one})" for one in rising)) or "none"
-        message = (
-            f"found {start_of(node)!r}, expected (total-cost), (total-time), or a sum of numbers without arguments"
-        )
-        raise source.unsupported(node, f"{message} that actions only increase, by what none changes; here: {names}")
-
-    def _summed(self, parts: Iterable[Mapping[str, UpThing]]) -> dict[str, UpThing]:
-        manager, found = self._up_problem.environment.expression_manager, dict[str, UpThing]()
-        for part in parts:
-            for action, amount in part.items():
-                found[action] = manager.Plus(found[action], amount) if action in found else amount
-        return found
+        constants = [part for part in parts if _NUMBER.fullmatch(part.lower)]
+        if head in rising:
+            yield from rising[head].items()
+        elif head == "+":
+            for part in parts:
+                yield from self._minimized(part, rising)
+        elif head == "*" and len(parts) == 2 and len(constants) == 1:
+            factor, other = self._problem.constant(constants[0]), parts[parts[0] is constants[0]]
+            yield from ((action, factor * amount) for action, amount in self._minimized(other, rising))
+        else:
+            names = ", ".join(sorted(f"({one})" for one in rising)) or "none"
+            message = f"found {start_of(node)!r}, expected (total-cost), (total-time), or a sum of numbers that actions"
+            message += f" only increase, by what none changes; here: {names}"
+            raise self._problem.source.unsupported(node, message)
 
 
 class _ActionReader:

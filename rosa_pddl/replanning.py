@@ -327,7 +327,6 @@ class PlanRecord:
 class _DeadEnd:
     """What there is no plan from, and why, until it is tried again whatever is so then [s]."""
 
-    state: State
     domain: Domain
     problem: Problem
     why: str
@@ -363,11 +362,6 @@ class Replanning:
         self.setbacks, self._in_vain = Setbacks(clock, policy), Setbacks(clock, policy)
         self.records: list[PlanRecord] = []
 
-    def objects_changed(self) -> None:
-        """Plan for the objects that there are now, if a plan was being made."""
-        if self._client.is_under_way:
-            self.want(Decision("the objects changed", is_needed=True))
-
     def wait_no_more(self) -> None:
         """Forget when it was asked last, and what has failed."""
         self._last_asked_s = -inf
@@ -387,7 +381,7 @@ class Replanning:
         dead_end = self._dead_end
         if dead_end is None or dead_end.domain is not self._effects.domain or self._clock() >= dead_end.until_s:
             return None
-        is_known = self._is_same(dead_end.state, state) and self._monitor.is_no_easier(dead_end.problem)
+        is_known = self._is_same(dead_end.problem.state, state) and self._monitor.is_no_easier(dead_end.problem)
         return dead_end.why if is_known else None
 
     @property
@@ -531,7 +525,7 @@ class Replanning:
             left_s = self.setbacks.wait_s(step)
             why += f"; {step} has failed {self.setbacks.count(step)} times and is left out for {left_s:.3g} s"
             until_s = min(until_s, self._clock() + left_s)
-        self._dead_end = _DeadEnd(state, self._effects.domain, problem, why, until_s)
+        self._dead_end = _DeadEnd(self._effects.domain, replace(problem, state=state), why, until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
         """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""

@@ -134,7 +134,7 @@ class World:
         """Tick until a schema runs, or until the end; returns the last status."""
         for _ in range(limit):
             status = self.tick()
-            step = self.executor.current_step
+            step = next(iter(self.executor.current_steps), None)
             if status is not Status.RUNNING or (step is not None and step.schema == until):
                 return status
         raise AssertionError(f"neither ended nor reached {until} in {limit} ticks: {self.log}")

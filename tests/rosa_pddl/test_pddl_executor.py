@@ -53,7 +53,7 @@ def test_the_plan_is_executed_step_by_step_to_success(world):
         "inspect_pipeline(inspect_pipeline, pipeline, bluerov)",
     ]
     assert (record.engine, record.steps[0].action) == ("fast-downward-opt", "search_pipeline")
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
 
 
 def test_a_goal_that_holds_already_needs_no_planning(world):
@@ -69,7 +69,7 @@ def test_what_becomes_unfeasible_stops_in_the_same_tick_and_the_new_plan_starts_
     dropped_s = world.now_s
     assert world.tick() is Status.RUNNING
     assert world.log[-1] == (dropped_s, during, "INVALID")
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
     world.run(until="recharge")
     assert world.log[-1] == (pytest.approx(dropped_s + 0.2), "recharge", "begins")
     world.kb.unfeasible = set()
@@ -107,7 +107,7 @@ def test_a_later_step_that_becomes_unfeasible_leads_to_a_new_plan_at_once(extend
     assert world.executor.feedback_message == "planning: inspect_pipeline is unfeasible"
     world.tick()
     world.tick()
-    assert world.executor.current_step is not None
+    assert world.executor.current_steps
     assert world.executor.plans[1].reason == "inspect_pipeline is unfeasible"
     assert sorted(world.plans()[1]) == ["inspect_pipeline", "recharge", "search_pipeline"]
 
@@ -117,7 +117,7 @@ def test_a_later_step_that_the_plan_itself_will_make_feasible_is_no_reason(world
     world.run(until="recharge")
     world.kb.unfeasible = set(BOTH)
     world.tick()
-    assert world.executor.current_step.schema == "recharge"
+    assert world.executor.current_steps[0].schema == "recharge"
     assert len(world.executor.plans) == 1
 
 
@@ -177,7 +177,7 @@ def test_a_step_that_ends_although_its_condition_at_the_end_does_not_hold_has_fa
     for _ in range(2):
         assert world.tick() is Status.RUNNING
     assert happened(world) == [("scan", "begins"), ("scan", "SUCCESS")]
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
     world.facts = {}
     assert world.run() is Status.SUCCESS
     assert world.executor.plans[1].reason == "scan(look, robby, hall) ended although (not (broken hall)) does not hold"
@@ -210,7 +210,7 @@ def test_an_unknown_sensed_atom_is_an_error_and_leaves_nothing_running(world):
     with pytest.raises(UnknownNameError, match="nearest: pipeline_found"):
         world.tick()
     assert happened(world)[-1] == ("search_pipeline", "INVALID")
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
 
 
 def test_without_a_plan_it_fails_by_name_and_plans_again_only_when_something_changed(world):
@@ -345,7 +345,7 @@ def test_inside_a_tree_it_is_interrupted_and_carries_on(world):
     alarm.on = True
     world.tick()
     assert happened(world)[-1] == ("inspect_pipeline", "INVALID")
-    assert (world.executor.status, world.executor.current_step) == (Status.INVALID, None)
+    assert (world.executor.status, world.executor.current_steps) == (Status.INVALID, ())
     alarm.on = False
     assert world.run() is Status.SUCCESS
     assert after.status is Status.SUCCESS

@@ -101,7 +101,7 @@ def test_what_sense_raises_comes_out_as_it_is_and_nothing_runs_on(world):
         world.tick()
     assert caught.value.__notes__ == ["this came of what `sense` returned or raised"]
     assert happened(world)[-1] == ("search_pipeline", "INVALID")
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
 
 
 def test_a_behaviour_that_raises_when_it_is_shut_down_keeps_no_other_from_being_let_go_of(world):

@@ -115,7 +115,7 @@ def test_plans_are_asked_for_no_more_often_than_the_policy_allows(ways):
     world.events = {"left": Status.FAILURE}
     world.run(until="left")
     world.kb.unfeasible = {"right"}
-    while world.executor.current_step is not None:
+    while world.executor.current_steps:
         world.tick()
     assert world.executor.feedback_message.startswith("planning in 1.")
     assert "left(left) failed" in world.executor.feedback_message
@@ -384,7 +384,7 @@ def test_what_a_planner_answers_at_once_is_begun_in_the_same_tick_unless_there_i
     World(extended, planner).run(until="search_pipeline")  # now the task is translated
     world = World(extended, planner, delay_s=None)
     world.tick()
-    assert world.executor.current_step.schema == "search_pipeline"
+    assert world.executor.current_steps[0].schema == "search_pipeline"
     world = World(extended, planner)
     world.tick()
-    assert world.executor.current_step is None
+    assert not world.executor.current_steps
