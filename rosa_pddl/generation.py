@@ -194,7 +194,7 @@ class Declarations:
         )
 
     def _signatures(self) -> tuple[list[Node], list[Node]]:
-        """Return the predicates and the numbers, with the least types that fit all that they are used for."""
+        """Return the predicates and the numbers, of the types that they are used with, or of any where those differ."""
         objects = {name.lower(): kind for name, kind in self._objects}
         own = (FEASIBLE, *(f"{action}_action" for action in self.rosa_actions))
         predicates: dict[str, list[list[str]]] = {name.lower(): [[ACTION_TYPE]] for name in own}
@@ -212,19 +212,10 @@ class Declarations:
     def _declared(self, used: Mapping[str, list[list[str]]]) -> list[Node]:
         found = []
         for name, places in used.items():
-            typed_as = ((f"?x{number}", "-", self._least(kinds)) for number, kinds in enumerate(places, 1))
+            kinds = (used[0] if len({*used}) == 1 else "object" for used in places)
+            typed_as = ((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1))
             found.append(listed(name, *chain.from_iterable(typed_as)))
         return found
-
-    def _least(self, kinds: Iterable[str]) -> str:
-        first, *others = [self._lineage(kind) for kind in dict.fromkeys(kinds)]
-        return next((kind for kind in first if all(kind in other for other in others)), "object")
-
-    def _lineage(self, kind: str) -> list[str]:
-        lineage = [kind]
-        while (kind := self.problem.types.get(kind, kind)) not in lineage:
-            lineage.append(kind)
-        return lineage
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
@@ -289,12 +280,6 @@ def _check(schema: ActionSchema) -> None:
     if schema.duration_s is None and (schema.over_all or schema.end or schema.start_effects):
         message = "over_all, end and start_effects are for an action that takes time; state duration_s"
         raise PddlError(message, place)
-    for node in _formulas(schema):
-        when = " ".join(str(one) for one in node.children[:2]).lower()
-        if when in ("at start", "at end", "over all") and node.children[2:]:
-            raise PddlError(f"found {node}; say only {node.children[2]}, in start, over_all or end", place)
-        if any(word.lower == "total-cost" for word in nodes_of(node)):
-            raise PddlError(f"found {node}; state a cost as cost=...", place)
 
 
 def _parameters(schema: ActionSchema) -> Node:

@@ -1,6 +1,6 @@
 """How a planning can end, and what is reported of it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 
 from rosa_pddl.domain import Step, TimedStep
@@ -59,13 +59,11 @@ class Attempt:
         way: `warm`, `cold`, `cache`, `certificate`, or the name of an engine of unified-planning.
         outcome: how it ended.
         message: what went wrong and what to do about it; empty when solved.
-        took_s: how long it took by the wall clock [s]; not compared, as it is never the same twice.
     """
 
     way: str
     outcome: Outcome
     message: str = ""
-    took_s: float = field(default=0.0, compare=False)
 
     def __str__(self) -> str:
         return f"{self.way}: {self.outcome}" + (f" ({self.message})" if self.message else "")

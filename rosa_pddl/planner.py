@@ -238,7 +238,6 @@ class _Portfolio:
             return known
         if "warm" not in self._planner.ways or self._planner.engine not in _EXACT or not self._planner.moves:
             return None
-        began = time.monotonic()
         try:
             task = self._planner.groundings.made(self._problem)
             if task is None or task.size * task.work > _MOVES_IN_A_TICK:
@@ -246,8 +245,7 @@ class _Portfolio:
             answer = self._checked("warm", self._exact(task, _MOVES_IN_A_TICK))
         except Exception:  # whatever keeps from an answer here is reported by the ways
             return None
-        attempt = Attempt("warm", answer.outcome, took_s=time.monotonic() - began)
-        return self._kept(self._report(answer, "warm", [attempt]))
+        return self._kept(self._report(answer, "warm", [Attempt("warm", answer.outcome)]))
 
     def confirmed(self, prepared: PlanningResult) -> PlanningResult | None:
         """Return a plan that was made before, if it keeps all limits."""
@@ -288,10 +286,8 @@ class _Portfolio:
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
         for way, budget_s in self._budgeted():
-            began = time.monotonic()
             answer = self._tried(way, budget_s)
-            message = answer.message if answer.outcome.is_trouble else ""
-            attempts.append(Attempt(way, answer.outcome, message, time.monotonic() - began))
+            attempts.append(Attempt(way, answer.outcome, answer.message if answer.outcome.is_trouble else ""))
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
         outcomes = [attempt.outcome for attempt in attempts]

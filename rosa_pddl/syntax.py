@@ -207,10 +207,10 @@ def _unclosed(left_open: _Open, file: str, before: str) -> PddlError:
 
 
 def check_frames(domain: Source, problem: Source) -> None:
-    """Assure that both files have the sections that they need, no others, and belong together."""
+    """Assure that both files have the sections that they need, and no others."""
     _check_frame(domain, "domain", _DOMAIN)
     _check_frame(problem, "problem", _PROBLEM)
-    _check_problem(problem, domain)
+    _check_problem(problem)
 
 
 def section(source: Source, *heads: str) -> list[Node]:
@@ -250,24 +250,14 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
             raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
         if node.head not in sections:
             raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
-        if node.head in (":goal", ":metric") and [one.head for one in root.children].count(node.head) > 1:
-            raise source.error(node, f"found several '({node.head}', expected one; put all together")
 
 
-def _check_problem(source: Source, domain: Source) -> None:
-    root, title = source.root, domain.root.children[1].children[1]
-    if all(node.head != ":goal" for node in root.children):
-        raise source.error(root, "the problem has no '(:goal ...)'")
-    for node in root.children[2:]:
-        parts = node.children[1:]
-        if node.head == ":domain" and [part.lower for part in parts] != [title.lower]:
-            message = f"found {start_of(node)!r}, expected '(:domain {title})', as {domain.file} is called"
-            raise source.error(node, message)
-        if node.head == ":goal" and len(parts) != 1:
-            message = f"found {len(parts)} conditions in (:goal ...), expected one; join them with (and ...)"
-            raise source.error(node, message)
-        if node.head == ":metric" and (len(parts) != 2 or parts[0].is_list):
-            raise source.error(node, f"found {start_of(node)!r}, expected '(:metric minimize (NAME))'")
-        if node.head == ":metric" and parts[0].lower != "minimize":
-            message = f"found {start_of(node)!r}: costs are minimized here; minimize what is lost instead"
-            raise source.unsupported(node, message)
+def _check_problem(source: Source) -> None:
+    places = {node.head: node for node in source.root.children}
+    goals, metric = section(source, ":goal"), section(source, ":metric")
+    if len(goals) != 1:
+        message = f"found {len(goals)} conditions in (:goal ...), expected one; join them with (and ...)"
+        raise source.error(places.get(":goal", source.root), message)
+    if metric and (len(metric) != 2 or metric[0].lower != "minimize"):
+        message = f"found {start_of(places[':metric'])!r}, expected '(:metric minimize (NAME))'"
+        raise source.unsupported(places[":metric"], f"{message}; instead of maximizing, minimize what is lost")

@@ -201,7 +201,6 @@ def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
     assert result.engine == "aries"
     assert [step.schema for step in result.steps] == ["search_pipeline", "inspect_pipeline"]
     assert all("oh dear" in attempt.message for attempt in result.attempts[:2])
-    assert all(attempt.took_s > 0.0 for attempt in result.attempts)
 
 
 def test_a_fallback_that_is_not_installed_is_passed_over_and_told(naughty, broken_search):

@@ -108,7 +108,9 @@ def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
 
 
 def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
-    with pytest.raises(UnsupportedPddlError, match=r"problem\.pddl:\d+:\d+: .*costs are minimized here"):
+    with pytest.raises(
+        UnsupportedPddlError, match=r"problem\.pddl:\d+:\d+: .*instead of maximizing, minimize what is lost"
+    ):
         load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
 
 
