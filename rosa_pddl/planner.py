@@ -408,10 +408,7 @@ class _Portfolio:
         found = fast_downward.search(text, strategy, self.process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
-        try:
-            steps = tuple([grounded.step(number) for number in found])
-        except IndexError as error:
-            raise Trouble(Outcome.ENGINE_CRASHED, "the search named steps that the task does not have") from error
+        steps = tuple([grounded.step(number) for number in found])
         if is_optimal and lost:  # what this plan seems to cost there, no other costs less than
             message = f"within {float(len(steps) * lost):.3g} of the least cost, as costs too far apart were rounded"
             return PlanningResult(Outcome.SOLVED, steps, message=message)

@@ -78,8 +78,6 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         plan = _plan(problem, result) if result.outcome.is_solved else None
         level = engines.LogLevel.ERROR if result.outcome.is_trouble else engines.LogLevel.INFO
         logs = [engines.LogMessage(level, result.message)] if result.message else []
-        if output_stream is not None:
-            output_stream.write(f"{result.message or result.outcome}\n")
         return engines.PlanGenerationResult(status, plan, self.name, log_messages=logs)
 
 

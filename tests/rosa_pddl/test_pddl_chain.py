@@ -148,7 +148,7 @@ def told(result):
     ("engine", "outcome", "words"),
     [
         ("lies", Outcome.ENGINE_CRASHED, "does not work: the rest of the plan does not reach the goal"),
-        ("boasts", Outcome.ENGINE_CRASHED, "promised a plan but gave none"),
+        ("boasts", Outcome.ENGINE_CRASHED, "returned a plan that does not work"),
         ("raises", Outcome.ENGINE_CRASHED, "ZeroDivisionError: oh dear"),
         ("dies", Outcome.ENGINE_CRASHED, "here I am"),
         ("quits", Outcome.ENGINE_CRASHED, "enough"),
