@@ -300,7 +300,6 @@ class ExpectedEffects:
         self._without = lru_cache(_MOST_DOMAINS)(self._made)
 
     def use(self, domain: Domain) -> None:
-        """Go on with a domain of other objects."""
         self._domain = domain
         self._without.cache_clear()
 

@@ -61,7 +61,6 @@ class Formulas:
         self.manager = domain.up_problem.environment.expression_manager
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
-        """Read a condition, without times and numbers."""
         head, rest = node.head, node.children[1:]
         if not node.is_list:
             raise self.source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")

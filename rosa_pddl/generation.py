@@ -253,7 +253,6 @@ def _atoms(node: Node, scope: _Scope, is_number: bool = False) -> Iterator[tuple
 
 
 def _parsed(text: str, place: str) -> Node:
-    """Return a formula, which stands at no line of a file."""
     if not text.strip().startswith("("):
         raise PddlError(f"found {text!r}, expected a formula such as '({text.strip() or 'lit ?room'})'", place)
     return formula(text, f"{place}, in {text!r}")

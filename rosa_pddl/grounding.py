@@ -129,7 +129,6 @@ class _Rules:
 
     @property
     def derived(self) -> int:
-        """How many variables are derived."""
         return len(self._known)
 
     def taken(self, node: Node) -> tuple[list[Fact], list[Test]]:
@@ -219,7 +218,6 @@ class Grounded:
         return self._operators[number].step
 
     def covers(self, state: State) -> bool:
-        """Whether the task fits a state."""
         strange = (atom for atom in state - self._possible if head_of(atom) in self._asked)
         if next(strange, None) is not None or self._values(state) is None:
             return False
@@ -605,5 +603,4 @@ class Groundings:
             self._making.release()
 
     def close(self) -> None:
-        """Forget what was made."""
         self._made.clear()

@@ -211,7 +211,6 @@ class PlanCache(dict[Hashable, PlanningResult]):
         self._size, self._weight = size, 0
 
     def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
-        """Remember an answer that takes so much to hold."""
         self._weight += weight
         if len(self) >= self._size or self._weight > _MOST_ATOMS:
             self.clear()

@@ -209,7 +209,6 @@ def without_feasibility(domain: Domain, state: State) -> State:
 
 
 def _without_quantifiers(formula: UpThing, problem: UpThing) -> UpThing:
-    """Return a condition as temporal engines know it."""
     from unified_planning.model.walkers import ExpressionQuantifiersRemover
 
     return ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(formula, problem).simplify()
@@ -287,7 +286,6 @@ def _is_certain(effect: UpThing) -> bool:
 
 
 def _after(effect: UpThing) -> UpThing:
-    """Return what a number is after an effect."""
     manager, fluent = effect.environment.expression_manager, effect.fluent
     if effect.is_assignment():
         return effect.value

@@ -68,7 +68,6 @@ def parse_domain(
 
 
 def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
-    """Make the domain of two PDDL files, as `load_domain` does."""
     check_frames(domain, problem)
     read = _Reader(domain, problem, actions or {}).domain()
     # what cannot be planned for is refused here, not at the first planning
@@ -375,7 +374,6 @@ class _ActionReader:
             self._read_effect(effect, _Where(time, self._scope))
 
     def require(self, node: Node, schema: Node) -> None:
-        """Take in what the action needs, and when."""
         for time, condition in _timed(self._source, schema, node, is_effect=False):
             self.parts[time] += conjuncts([self._formulas.condition(condition, self._scope, self._name)])
 
@@ -460,12 +458,10 @@ class _Where(NamedTuple):
     variables: tuple[UpThing, ...] = ()
 
     def on(self, condition: UpThing) -> "_Where":
-        """Return the same on one more condition."""
         return self._replace(conditions=(*self.conditions, *conjuncts([condition])))
 
 
 def _parts_of(node: Node) -> Iterator[Node]:
-    """Yield the parts of a conjunction that are none."""
     if node.head == "and":
         for part in node.children[1:]:
             yield from _parts_of(part)

@@ -373,7 +373,6 @@ class Replanning:
         return self._wanted is not None or self._client.is_under_way
 
     def matters(self, atom: str) -> bool:
-        """Whether a plan or a goal may depend on an atom."""
         return self._relevance.matters(atom)
 
     def why_no_plan(self, state: State) -> str | None:

@@ -152,7 +152,6 @@ class ResourceUsage:
         return bound_number(self._costs[step.schema], step.arguments)
 
     def uses_of(self, step: Step) -> tuple[Number, ...]:
-        """Return what a step uses up of each limited resource."""
         return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses])
 
     def duration_of(self, step: Step) -> Number:
@@ -193,7 +192,6 @@ class ResourceUsage:
                 state = ended(domain, step, state if number < begun else started(domain, step, state))
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
-        """Return what may still be used up of each limited resource."""
         found = []
         for text, limits in self._limits.items():
             used = self.value(("n", text), numbers)

@@ -207,7 +207,6 @@ def _unclosed(left_open: _Open, file: str, before: str) -> PddlError:
 
 
 def check_frames(domain: Source, problem: Source) -> None:
-    """Assure that both files have the sections that they need, and no others."""
     _check_frame(domain, "domain", _DOMAIN)
     _check_frame(problem, "problem", _PROBLEM)
     _check_problem(problem)
@@ -219,7 +218,6 @@ def section(source: Source, *heads: str) -> list[Node]:
 
 
 def body_of(source: Source, schema: Node) -> dict[str, Node]:
-    """Return the parts of an action by their keywords."""
     if len(schema.children) < 2 or schema.children[1].is_list or schema.children[1].lower.startswith(":"):
         raise source.error(schema, f"found {start_of(schema)!r}, expected '({schema.head} NAME ...)'")
     allowed, name = BODY[schema.head], schema.children[1]

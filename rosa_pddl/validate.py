@@ -224,7 +224,6 @@ def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
 
 
 def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
-    """Turn a missing condition into a reason to plan anew."""
     if step.action is not None and missing == domain.feasible_atom(step.action):
         return f"{step.action} {verb} unfeasible"
     return f"{step} needs {missing}, which does not hold"

@@ -36,10 +36,9 @@ def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) 
     command = [str(program()), "--search", strategy, "--internal-plan-file", "/dev/null"]
     ended = process.ask(command, given=text.encode(), limit_s=limit_s)
     if ended.code in (0, 1, 2, 3):
-        numbers = tuple(int(number) for number in _STEP.findall(ended.output))
-        if not numbers:
+        if b"Plan length:" not in ended.output:
             raise Trouble(Outcome.ENGINE_CRASHED, f"the search promised a plan but showed none: {ended.last_words}")
-        return numbers
+        return tuple(int(number) for number in _STEP.findall(ended.output))
     outcome = _OUTCOMES.get(ended.code, Outcome.ENGINE_CRASHED)
     if not outcome.is_trouble:
         return outcome
