@@ -181,9 +181,7 @@ class PlanExecutor(Behaviour):
         self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
-        self._replanning = Replanning(
-            self.goals, self._effects, self._monitor, self._client, clock, self._policy, clash
-        )
+        self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy, clash)
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []

@@ -260,7 +260,7 @@ class PlanMonitor:
     """Whether the plan that is executed will still do."""
 
     def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers], forecasts: _Forecasts) -> None:
-        self._effects, self.numbers, self._forecasts = effects, numbers, forecasts
+        self.effects, self.numbers, self._forecasts = effects, numbers, forecasts
 
     def until(self) -> dict[str, float]:
         """Return how much longer facts hold to plan with [s]: to the worse end of what is forecast, less some."""
@@ -271,7 +271,7 @@ class PlanMonitor:
         """Whether what could not be reached cannot be reached now, by its limits and by what is forecast."""
         now = self.until() if then.until else {}
         lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
-        return not lasts_longer and usage_of(self._effects.domain).leave_no_more(self.numbers(), then.costs)
+        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(self.numbers(), then.costs)
 
     def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
         """Return which step of a plan that works would end too late by what is expected, in words; None if none."""
@@ -279,7 +279,7 @@ class PlanMonitor:
         found = {atom: one.at - one.now for atom, one in forecasts.items() if one.at is not None}
         if not found or not plan.goals:  # what is safe is done also where nothing can be planned
             return None
-        domain, usage = self._effects.domain, usage_of(self._effects.domain)
+        domain, usage = self.effects.domain, usage_of(self.effects.domain)
         numbers = usage.numbers(self.numbers(), state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
         flaw = plan.prediction(domain, state, found, ends_s).flaw if max((0.0, *ends_s)) > min(found.values()) else None
@@ -295,13 +295,13 @@ class PlanMonitor:
         """
         with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
             steps = (plan.steps[number] for number in plan.remaining)
-            over = usage_of(self._effects.domain).overspent(self.numbers(), steps)
+            over = usage_of(self.effects.domain).overspent(self.numbers(), steps)
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
     def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
         """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
-        facts = plan.prediction(self._effects.domain, state).facts
+        facts = plan.prediction(self.effects.domain, state).facts
         return replace(plan, goals=goals.hard + self._holding(goals.soft, facts))
 
     def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
@@ -323,7 +323,7 @@ class PlanMonitor:
         Of running steps so much is left, and some steps count several times.
         """
         plan, after = new
-        if plan.prediction(self._effects.domain, after).flaw is not None or self.overspent(plan) is not None:
+        if plan.prediction(self.effects.domain, after).flaw is not None or self.overspent(plan) is not None:
             return False
         try:
             mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
@@ -335,7 +335,7 @@ class PlanMonitor:
         self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
     ) -> float:
         """Return the cost of what has not ended, and the worth of the goals that are forgone."""
-        domain, usage = self._effects.domain, usage_of(self._effects.domain)
+        domain, usage = self.effects.domain, usage_of(self.effects.domain)
         held = self._holding(goals.soft, plan.prediction(domain, state).facts)
         price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         steps, begun = plan.unfinished_steps, len(plan.running)
@@ -345,4 +345,4 @@ class PlanMonitor:
         return price
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
-        return tuple(goal for goal in goals if goal_holds(self._effects.domain, facts, [goal.expression]))
+        return tuple(goal for goal in goals if goal_holds(self.effects.domain, facts, [goal.expression]))

@@ -370,12 +370,12 @@ class _Portfolio:
         graph, task = grounded.search_task(self._problem, self._numbers)
         found = graph.plan(task.start, task.limits, cap // grounded.work)
         if found is None:
-            return self._unsolvable(graph, task)
+            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which delays no tick and may be killed; without what is forecast."""
-        graph, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
+        _, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
         if task.numbers or task.tests:
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
         command = [sys.executable, "-I", "-S", search.__file__]
@@ -384,16 +384,11 @@ class _Portfolio:
         if kind == "plan":
             return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
         if kind == "none":
-            return self._unsolvable(graph, task)
+            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         if MemoryError.__name__ in ended.last_words:
             raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
         raise Trouble(Outcome.ENGINE_CRASHED, message)
-
-    def _unsolvable(self, graph: search.TaskGraph, task: search.Task) -> PlanningResult:
-        limited = ", ".join(self._problem.domain.limited)
-        message = f"no plan keeps the limits of {limited}" if limited and graph.is_in_reach(task.start) else ""
-        return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
 
     def _by_fast_downward(self, grounded: Grounded, deadline: float, engine: str) -> PlanningResult:
         written = grounded.written(self._problem, self._numbers)

@@ -56,15 +56,9 @@ def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str
     return build_domain(read_source(domain), read_source(problem), actions or {})
 
 
-def parse_domain(
-    domain: str,
-    problem: str,
-    *,
-    names: tuple[str, str] = ("domain.pddl", "problem.pddl"),
-    actions: Mapping[str, str] | None = None,
-) -> Domain:
-    """Read a PDDL domain and problem that are texts, as `load_domain` does files; messages call them by `names`."""
-    return build_domain(parse(domain, names[0]), parse(problem, names[1]), actions or {})
+def parse_domain(domain: str, problem: str, *, actions: Mapping[str, str] | None = None) -> Domain:
+    """Read a PDDL domain and problem that are texts, as `load_domain` does files."""
+    return build_domain(parse(domain, "domain.pddl"), parse(problem, "problem.pddl"), actions or {})
 
 
 def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:

@@ -8,7 +8,6 @@ from html import escape
 from math import inf
 from typing import Literal, Protocol, TypeAlias
 
-from rosa_pddl.belief import ExpectedEffects
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.formulas import Goal
@@ -181,7 +180,7 @@ class PlannerClient:
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
         if delay_s is not None and not 0.0 <= delay_s < inf:
             raise PlannerSettingError(f"delay_s is {delay_s:g} s, expected 0 or more, or None")
-        self._planner, self._clock, self._delay_s = planner, clock, delay_s
+        self._planner, self.clock, self._delay_s = planner, clock, delay_s
         self._question: _Question | None = None
         self.was_answered_at_once = False
 
@@ -191,7 +190,7 @@ class PlannerClient:
 
     def ask(self, problem: Problem, decision: Decision | None) -> None:
         self.give_up()
-        at_s = self._clock()
+        at_s = self.clock()
         future: Future[PlanningResult]
         try:
             future = self._planner.start(problem)
@@ -242,16 +241,16 @@ class PlannerClient:
         self._question, self.was_answered_at_once = None, False
 
     def _is_due(self, question: _Question) -> bool:
-        return self._clock() - question.at_s >= question.delay_s - _CLOCK_RESOLUTION_S
+        return self.clock() - question.at_s >= question.delay_s - _CLOCK_RESOLUTION_S
 
     def _is_late(self, question: _Question) -> bool:
         """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
-        return self._delay_s is None and self._clock() - question.at_s > self._planner.timeout_s + _GRACE_S
+        return self._delay_s is None and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
 
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         if not question.future.done():
-            passed_s = self._clock() - question.at_s
+            passed_s = self.clock() - question.at_s
             message = f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
             return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
@@ -339,27 +338,19 @@ class Replanning:
     BOOKKEEPING = "records _last_asked_s _soft"
 
     def __init__(
-        self,
-        goals: Goals,
-        effects: ExpectedEffects,
-        monitor: PlanMonitor,
-        client: PlannerClient,
-        clock: Callable[[], float],
-        policy: ReplanningPolicy,
-        clash: Clash | None,
+        self, goals: Goals, monitor: PlanMonitor, client: PlannerClient, policy: ReplanningPolicy, clash: Clash | None
     ) -> None:
-        self._clash = clash
-        self._goals, self._effects, self._monitor = goals, effects, monitor
-        self._client, self._clock, self._policy = client, clock, policy
-        self._relevance = Relevance(effects.domain, goals)
+        self._goals, self._monitor, self._client, self._policy, self._clash = goals, monitor, client, policy, clash
+        self._effects, self._clock = monitor.effects, client.clock
+        self._relevance = Relevance(monitor.effects.domain, goals)
         self._last_asked_s = -inf
         self._soft: SoftGoals | None = None
         self._wanted: Decision | None = None
         self._diagnosis: tuple[Problem, str, Diagnosis] | None = None
-        self._asked_in = effects.domain
+        self._asked_in = monitor.effects.domain
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
-        self.setbacks, self._in_vain = Setbacks(clock, policy), Setbacks(clock, policy)
+        self.setbacks, self._in_vain = Setbacks(client.clock, policy), Setbacks(client.clock, policy)
         self.records: list[PlanRecord] = []
 
     def wait_no_more(self) -> None:

@@ -273,10 +273,6 @@ class TaskGraph:
             self._moves, self._least, self._known = {}, {}, 0
         return cheapest(self, self._closed(list(start)), limits, cap)
 
-    def is_in_reach(self, start: State) -> bool:
-        """Whether the goal is, as far as can be seen without searching, were nothing limited."""
-        return self.least(self._closed(list(start)))[0] < inf
-
     def is_goal(self, state: State) -> bool:
         return _hold(self._task.goal, state) and _pass(self._task.tests, state)
 
