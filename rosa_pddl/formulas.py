@@ -62,14 +62,10 @@ class Formulas:
 
     def condition(self, node: Node, scope: Scope, place: str) -> UpThing:
         head, rest = node.head, node.children[1:]
-        if not node.is_list:
-            raise self.source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
-        if not node.children:
+        if node.is_list and not node.children:
             return self.manager.TRUE()
         if head in COMPARISONS or (head == "=" and any(part.is_list for part in rest)):
             return self._comparison(node, scope, place)
-        if head in CHANGES:
-            raise self.numeric(node, place, "is an effect")
         if head == "preference":
             message = f"found {start_of(node)!r}: no installed engine takes preferences; LPG (up-lpg) by itself would "
             message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
@@ -151,7 +147,7 @@ class Formulas:
 
     def atom(self, node: Node, scope: Scope, *, is_condition: bool = False, is_number: bool = False) -> UpThing:
         if not node.head:
-            raise self.source.error(node, f"found {start_of(node)!r}, expected the name of a predicate first")
+            raise self.source.error(node, f"found {start_of(node)!r}, expected a list such as '(predicate object)'")
         inside = self._domain.inside.get(("predicate", node.head))
         if node.head in self._domain.axioms and not is_condition:
             message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"

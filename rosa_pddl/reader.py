@@ -274,8 +274,6 @@ class _Reader:
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
-        if not node.is_list:
-            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if node.head == "at" and len(node.children) == 3 and _NUMBER.fullmatch(node.children[1].lower):
             message = f"found {start_of(node)!r}: facts that become true at a time are not supported; Aries (up-aries) "
             raise source.unsupported(node, message + "by itself would do. Sense the fact instead")
@@ -393,8 +391,6 @@ class _ActionReader:
 
     def _read_effect(self, node: Node, where: "_Where") -> None:
         formulas, head, parts = self._formulas, node.head, node.children[1:]
-        if not node.is_list:
-            raise self._source.error(node, f"found {node.word!r}, expected a list such as '({node.word})'")
         if head == "and":
             for part in parts:
                 self._read_effect(part, where)
@@ -408,7 +404,7 @@ class _ActionReader:
                 self._read_effect(parts[1], where.on(needed))
         elif head in CHANGES:
             self._read_change(node, where)
-        elif node.children:
+        elif node.children or not node.is_list:
             is_deleted = head == "not" and len(parts) == 1 and parts[0].is_list
             fluent = formulas.atom(parts[0] if is_deleted else node, where.scope)
             self._add(fluent, formulas.manager.Bool(not is_deleted), "ASSIGN", where)

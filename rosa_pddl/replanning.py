@@ -64,11 +64,9 @@ class ReplanningPolicy:
     side_by_side: bool = False
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.at_most_every_s < inf:
-            raise PlannerSettingError(f"at_most_every_s is {self.at_most_every_s:g} s, expected 0 or more")
-        if not (self.retries >= 0 and 0.0 <= self.hysteresis < inf):
-            message = f"retries is {self.retries} and hysteresis {self.hysteresis:g}, expected 0 or more"
-            raise PlannerSettingError(message)
+        for name in ("at_most_every_s", "retries", "hysteresis"):
+            if not 0.0 <= getattr(self, name) < inf:
+                raise PlannerSettingError(f"{name} is {getattr(self, name):g}, expected 0 or more")
         if self.while_planning not in ("continue", "hold"):
             message = f"while_planning is {self.while_planning!r}, expected 'continue' or 'hold'"
             raise PlannerSettingError(message)

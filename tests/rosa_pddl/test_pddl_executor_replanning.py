@@ -286,7 +286,7 @@ def test_a_plan_is_given_up_exactly_when_it_has_a_flaw(policy, flaw, changed, ne
 
 @pytest.mark.parametrize(
     ("setting", "message"),
-    [({"at_most_every_s": -1.0}, "at_most_every_s is -1 s"), ({"while_planning": "wait"}, "'continue' or 'hold'")],
+    [({"at_most_every_s": -1.0}, "at_most_every_s is -1"), ({"while_planning": "wait"}, "'continue' or 'hold'")],
 )
 def test_a_policy_that_makes_no_sense_is_refused(setting, message):
     with pytest.raises(PlannerSettingError, match=message):
