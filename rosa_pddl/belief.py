@@ -6,7 +6,6 @@ action from being feasible then has done so ever since.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from math import isfinite
@@ -77,7 +76,7 @@ class Belief:
         self._now = _Believed(without_feasibility(domain, initial_state(domain)))
         self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
-        self._sensed = _Sensed()
+        self.sensed = _Sensed()
         self._taken_in: tuple[State, Mapping[str, bool], Mapping[str, float] | None] | None = None
         self.passed_over: dict[str, None] = {}
 
@@ -86,11 +85,6 @@ class Belief:
         """The numbers that are no more what the problem file says, by their text."""
         return self._now.numbers
 
-    @property
-    def sensed_atoms(self) -> AbstractSet[str]:
-        """The atoms that were spoken of when it was last sensed."""
-        return self._sensed.facts.keys()
-
     def use(self, domain: Domain) -> None:
         """Go on with a domain of other objects; what was known of objects that it lacks is forgotten."""
         gone = {*self.domain.types} - {*domain.types}
@@ -98,7 +92,7 @@ class Belief:
         kept = frozenset(fact for fact in self._now.facts if gone.isdisjoint(_names_in(fact)))
         numbers = {text: value for text, value in self._now.numbers.items() if gone.isdisjoint(_names_in(text))}
         self._now = replace(self._now, facts=kept, numbers=numbers)
-        self._answer, self._sensed, self._taken_in = {}, _Sensed(), None
+        self._answer, self.sensed, self._taken_in = {}, _Sensed(), None
         self.passed_over.clear()
 
     def appeared(self) -> Iterator[tuple[str, str, bool]]:
@@ -161,7 +155,7 @@ class Belief:
         except UnsupportedPddlError:
             return known  # nothing can be planned within limits of which nothing is known
         for key, amount in zip(map("({})".format, self.domain.limited), used, strict=True):
-            if amount and key not in self._sensed.numbers:
+            if amount and key not in self.sensed.numbers:
                 known = {**known, key: float(numbers.get(key, 0) + amount)}
         return known
 
@@ -171,21 +165,16 @@ class Belief:
             if not isinstance(answer, Mapping):
                 raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
             if answer != self._answer:
-                self._sensed = self._changed_by(answer)
-                self._now = replace(self._now, numbers={**self._now.numbers, **self._sensed.numbers})
+                grows = self._answer.keys() <= answer.keys()
+                old, before = (self._answer, self.sensed) if grows else ({}, _Sensed())
+                new = {text: value for text, value in answer.items() if text not in old or old[text] != value}
+                self.sensed = before.updated(*self._sorted(new))
+                self._now = replace(self._now, numbers={**self._now.numbers, **self.sensed.numbers})
                 self._answer = dict(answer)
         except Exception as error:
             error.add_note("this came of what `sense` returned or raised")
             raise
-        return self._sensed
-
-    def _changed_by(self, answer: Mapping[str, bool | float]) -> _Sensed:
-        """Return what is sensed by an answer; only what differs from the last one is read."""
-        old, before = self._answer, self._sensed
-        if not old.keys() <= answer.keys():
-            old, before = {}, _Sensed()
-        new = {text: value for text, value in answer.items() if text not in old or old[text] != value}
-        return before.updated(*self._sorted(new))
+        return self.sensed
 
     def _sorted(self, answer: Mapping[str, bool | float]) -> tuple[Mapping[str, bool], Mapping[str, float]]:
         facts: dict[str, bool] = {}

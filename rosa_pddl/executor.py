@@ -178,7 +178,7 @@ class PlanExecutor(Behaviour):
         self._effects = ExpectedEffects(domain, kb)
         self._feasibility = FeasibilityEvents(domain, kb)
         forecasts = kb.forecasts if isinstance(kb, LastingFeasibility) else dict
-        self._monitor = PlanMonitor(self._effects, lambda: self._belief.numbers, forecasts)
+        self._monitor = PlanMonitor(self._effects, self._belief, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
         self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy, clash)
@@ -272,7 +272,7 @@ class PlanExecutor(Behaviour):
         self._setup_arguments = kwargs
         if isinstance(self._planner, Planner):
             problem = Problem(self._domain, self._belief.observe())
-            self._planner.prepare(problem, self._belief.sensed_atoms)
+            self._planner.prepare(problem, self._belief.sensed.facts)
 
     def initialise(self) -> None:
         """Forget the plan of the last round, keep what is believed; called on the first tick of a round."""

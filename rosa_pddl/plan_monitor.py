@@ -9,7 +9,7 @@ from math import inf
 from typing import NamedTuple
 
 from kb.forecasts import FeasibleUntil
-from rosa_pddl.belief import ExpectedEffects
+from rosa_pddl.belief import Belief, ExpectedEffects
 from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.formulas import Goal
@@ -34,7 +34,6 @@ _SAME_COST = 1e-9
 _LONGER = 1.1
 
 _Touched = tuple[frozenset[str], frozenset[str]]
-_Numbers = Mapping[str, float]
 _Forecasts = Callable[[], Mapping[str, FeasibleUntil]]
 Clash = Callable[[Step, Step], bool]
 """Whether two steps may not be done at once, whatever their conditions and effects say."""
@@ -259,8 +258,8 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
 class PlanMonitor:
     """Whether the plan that is executed will still do."""
 
-    def __init__(self, effects: ExpectedEffects, numbers: Callable[[], _Numbers], forecasts: _Forecasts) -> None:
-        self.effects, self.numbers, self._forecasts = effects, numbers, forecasts
+    def __init__(self, effects: ExpectedEffects, belief: Belief, forecasts: _Forecasts) -> None:
+        self.effects, self.belief, self._forecasts = effects, belief, forecasts
 
     def until(self) -> dict[str, float]:
         """Return how much longer facts hold to plan with [s]: to the worse end of what is forecast, less some."""
@@ -271,7 +270,7 @@ class PlanMonitor:
         """Whether what could not be reached cannot be reached now, by its limits and by what is forecast."""
         now = self.until() if then.until else {}
         lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
-        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(self.numbers(), then.costs)
+        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(self.belief.numbers, then.costs)
 
     def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
         """Return which step of a plan that works would end too late by what is expected, in words; None if none."""
@@ -280,7 +279,7 @@ class PlanMonitor:
         if not found or not plan.goals:  # what is safe is done also where nothing can be planned
             return None
         domain, usage = self.effects.domain, usage_of(self.effects.domain)
-        numbers = usage.numbers(self.numbers(), state)
+        numbers = usage.numbers(self.belief.numbers, state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
         flaw = plan.prediction(domain, state, found, ends_s).flaw if max((0.0, *ends_s)) > min(found.values()) else None
         if flaw is None:
@@ -295,7 +294,7 @@ class PlanMonitor:
         """
         with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
             steps = (plan.steps[number] for number in plan.remaining)
-            over = usage_of(self.effects.domain).overspent(self.numbers(), steps)
+            over = usage_of(self.effects.domain).overspent(self.belief.numbers, steps)
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
@@ -339,7 +338,7 @@ class PlanMonitor:
         held = self._holding(goals.soft, plan.prediction(domain, state).facts)
         price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)
         steps, begun = plan.unfinished_steps, len(plan.running)
-        for step, numbers in usage.in_turn(self.numbers(), state, steps, begun):
+        for step, numbers in usage.in_turn(self.belief.numbers, state, steps, begun):
             cost = float(usage.value(usage.cost_of(step), numbers))
             price += cost * shares.get(step, 1.0) * weights.get(step, 1)
         return price

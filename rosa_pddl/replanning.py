@@ -416,7 +416,7 @@ class Replanning:
         soft, until = self._softened(), self._monitor.until()
         domain, wanted = (soft.domain, [soft.goal]) if soft else (self._effects.domain, [])
         goals = (*(goal.expression for goal in self._goals.hard), *wanted)
-        numbers, weights = self._monitor.numbers(), self.setbacks.weights
+        numbers, weights = self._monitor.belief.numbers, self.setbacks.weights
         return Problem(domain, state, goals, numbers, weights, until, shares if until else {})
 
     def _softened(self) -> SoftGoals | None:
