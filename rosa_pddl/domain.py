@@ -126,7 +126,7 @@ class Domain:
         outside: the files' spelling by the unique name that unified-planning was given.
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
         types: for each object its type and the ancestors of that, in lower case.
-        places: file and line of what is declared, by kind (object, action) and name, and of (section, `:metric`).
+        places: file and line of what is declared, by kind (object, action) and name.
         rosa_actions: names of the objects of type `action`, in the order of the files.
         goals: the conditions of the problem file that shall hold in the end, as text.
         oversights: what may be one in the files, in sentences.

@@ -58,9 +58,6 @@ class UnreachableGoalError(RosaPddlError):
     """A fact of the goal cannot become true from any state that the task fits; the message names it."""
 
 
-# ---------------------------------------------------------------- the grounded task
-
-
 @dataclass(frozen=True, eq=False)
 class _Ready:
     """An operator, or a rule of a layer: what it needs of facts that nothing changes is asked before the search."""
@@ -302,8 +299,6 @@ class Grounded:
         is_blind = math.prod(map(float, sizes)) <= _FEW_STATES or self._is_conditional or rules
         return "".join(text), "blind" if is_blind else "lmcut", lost
 
-    # ------------------------------------------------------------ making
-
     def _instances(self, pattern: ActionPattern, rows: Iterable[Row]) -> Iterator["_Instance"]:
         order = {name: number for number, name in enumerate(self.domain.types)}
         for row in sorted(rows, key=lambda one: [order[word] for word in one]):
@@ -416,8 +411,6 @@ class Grounded:
         if head == "n":
             return (self._known if known is None else known).get(parts[0])
         return head, *(self._number(part, known) for part in parts)
-
-    # ------------------------------------------------------------ putting in
 
     def _values(self, state: State) -> tuple[int, ...] | None:
         """Return the values of the variables; None if more than one value of one says what holds."""
@@ -537,9 +530,6 @@ def _literals(node: Node) -> Iterator[tuple[str, bool]]:
     elif isinstance(node, tuple) and node[0] in ("and", "or"):
         for part in node[1:]:
             yield from _literals(part)
-
-
-# ---------------------------------------------------------------- kept
 
 
 @lru_cache(_MOST_DOMAINS)

@@ -219,9 +219,6 @@ class PlanCache(dict[Hashable, PlanningResult]):
             self[key] = result
 
 
-# ---------------------------------------------------------------- one planning
-
-
 class _Portfolio:
     """One planning: the ways in order, each within its budget, and what is reported of all of them."""
 
@@ -475,9 +472,6 @@ def _may_have_to_overlap(domain: Domain) -> bool:
 
 def _left_s(deadline: float) -> float:
     return max(deadline - time.monotonic(), 0.0)
-
-
-# ---------------------------------------------------------------- settings
 
 
 def _step(domain: Domain, text: str) -> Step:

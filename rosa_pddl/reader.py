@@ -156,7 +156,6 @@ class _Reader:
                 goals.append((str(goal), self._problem.condition(goal, {}, "the goal")))
         uses = self._sort_numbers([goal for _, goal in goals])
         metric = self._read_metric({self._outside[one.name].lower(): rises for one, rises in uses.rises.items()})
-        self._places |= {("section", node.head): (problem.file, node.line) for node in problem.root.children[2:]}
         return replace(
             self._draft,
             rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
