@@ -69,7 +69,7 @@ class Planner:
         warm: whether a task is tried that was translated before.
         moves: how many moves the search in this process may look at; 0 to leave it to other programs.
         memory_mb: how much data each program may hold [MB].
-        cached: how many answers are remembered; 0 for none.
+        cached: how many answers are remembered, fewer of large states; then all are forgotten; 0 for none.
         certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
             the tick of the question.
 
@@ -98,7 +98,8 @@ class Planner:
         self.moves, self.memory_bytes, self.certificate = moves, memory_mb << 20, certificate
         self._check()
         self.groundings = Groundings()
-        self.cache = PlanCache(cached)
+        self.cache: dict[Hashable, PlanningResult] = {}
+        self.cached = cached
         self.processes: set[ProcessHandle] = set()
 
     def _check(self) -> None:
@@ -201,24 +202,6 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
     return result
 
 
-class PlanCache(dict[Hashable, PlanningResult]):
-    """The answers that were last asked for, at most so many; when they take too much to hold, all are forgotten.
-
-    May be used by several threads, without a lock, which an interrupt could leave locked.
-    """
-
-    def __init__(self, size: int) -> None:
-        self._size, self._weight = size, 0
-
-    def put(self, key: Hashable, result: PlanningResult, weight: int = 1) -> None:
-        self._weight += weight
-        if len(self) >= self._size or self._weight > _MOST_ATOMS:
-            self.clear()
-            self._weight = weight
-        if self._size and weight <= _MOST_ATOMS:
-            self[key] = result
-
-
 class _Portfolio:
     """One planning: the ways in order, each within its budget, and what is reported of all of them."""
 
@@ -270,7 +253,12 @@ class _Portfolio:
 
     def _kept(self, result: PlanningResult) -> PlanningResult:
         if not result.outcome.is_trouble and not result.hangs_on_the_clock:
-            self._planner.cache.put(self._key, result, len(self._problem.state) + len(self._problem.costs) + 1)
+            cache, size = self._planner.cache, 1 + len(self._problem.state) + len(self._problem.costs)
+            most = min(self._planner.cached, _MOST_ATOMS // size)
+            if len(cache) >= most:
+                cache.clear()
+            if most:
+                cache[self._key] = result
         return result
 
     @cached_property

@@ -25,7 +25,6 @@ from rosa_pddl import (
     schedule_flaw,
 )
 from rosa_pddl.engines import fast_downward as downward
-from rosa_pddl.planner import PlanCache
 
 NAUGHTY = """
 import os, subprocess, sys, time
@@ -311,22 +310,18 @@ def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
     assert planner.plan(feasible(extended)).outcome is Outcome.SOLVED_OPTIMALLY
 
 
-def test_the_cache_holds_no_more_than_its_size_and_forgets_the_oldest():
-    cache, result = PlanCache(2), PlanningResult(Outcome.SOLVED)
-    for problem in ("first", "second"):
-        cache.put(problem, result)
-    assert [cache.get(problem) is result for problem in ("first", "second")] == [True, True]
-    cache.put("third", result)
-    assert list(cache) == ["third"]
-    PlanCache(0).put("first", result)
-
-
-def test_large_states_count_for_more_in_the_cache():
-    cache, known = PlanCache(100), []
+@pytest.mark.parametrize(
+    ("cached", "most_atoms", "held"), [(2, 1_000_000, [1, 2, 1, 2]), (0, 1_000_000, [0] * 4), (9, 15, [1, 2, 1, 2])]
+)
+def test_the_cache_holds_so_many_answers_and_fewer_of_large_states(extended, monkeypatch, cached, most_atoms, held):
+    monkeypatch.setattr("rosa_pddl.planner._MOST_ATOMS", most_atoms)
+    planner, state = Planner(cached=cached), feasible(extended).state  # of 6 facts
+    search = extended.step("search_pipeline", ["search_pipeline", "pipeline", "bluerov"])
+    known = []
     for number in range(4):
-        cache.put(number, PlanningResult(Outcome.SOLVED), 400_000)
-        known.append(list(cache))
-    assert known == [[0], [0, 1], [2], [2, 3]]
+        planner.plan(Problem(extended, state, weights={search: number + 2}))
+        known.append(len(planner.cache))
+    assert known == held
 
 
 # ------------------------------------------------------------------ overlapping steps
