@@ -209,7 +209,7 @@ def _unclosed(left_open: _Open, file: str, before: str) -> PddlError:
 def check_frames(domain: Source, problem: Source) -> None:
     _check_frame(domain, "domain", _DOMAIN)
     _check_frame(problem, "problem", _PROBLEM)
-    _check_problem(problem)
+    _check_problem(problem, str(domain.root.children[1].children[1]), domain.file)
 
 
 def section(source: Source, *heads: str) -> list[Node]:
@@ -250,8 +250,12 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
             raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
 
 
-def _check_problem(source: Source) -> None:
+def _check_problem(source: Source, domain: str, file: str) -> None:
     places = {node.head: node for node in source.root.children}
+    named = [one.lower for one in section(source, ":domain")]
+    if named not in ([], [domain.lower()]):
+        message = f"found {start_of(places[':domain'])!r}, expected '(:domain {domain})', as {file} is called"
+        raise source.error(places[":domain"], message)
     goals, metric = section(source, ":goal"), section(source, ":metric")
     if len(goals) != 1:
         message = f"found {len(goals)} conditions in (:goal ...), expected one; join them with (and ...)"
