@@ -9,7 +9,7 @@ from missions.engine.controller import OURS, TASK_KINDS, RosaRun, check_task
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry, needs
 from missions.engine.runner import Listener, MissionRun
-from missions.engine.settings import Setting, own_values, read_values
+from missions.engine.settings import Setting
 
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",
@@ -106,9 +106,7 @@ def open_run(
 
     managed_by, task = check_run(mission, manager, task)
     options = () if managed_by is None else managed_by.options
-    given, values = own_values(options, settings or {})
-    chosen = {one.name: one.default for one in options} | read_values(options, given)
-    run_settings, world_settings = split_settings(mission, values)
+    run_settings, world_settings, chosen = split_settings(mission, settings or {}, options)
     rng = numpy.random.default_rng(seed)
     with needs("sim", f"the world of {mission.name}"):
         world = mission.world.open(world_settings, rng)

@@ -6,10 +6,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
-from math import nan
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
@@ -17,7 +16,7 @@ from py_trees.trees import BehaviourTree
 
 from kb import KnowledgeBase, KnowledgeBaseError, ManagedSystem, Model
 from missions.engine.settings import MissionError as MissionError
-from missions.engine.settings import RunSettings, declared, near, own_values
+from missions.engine.settings import RunSettings, declared, full_names, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import in_words
 
@@ -119,12 +118,6 @@ class Sample:
     position: tuple[float, float, float]
     signals: Mapping[str, float]
 
-    @classmethod
-    def of(cls, time: float, measured: Mapping[str, float | None]) -> Self:
-        """Return what was measured, for a world that shows nothing of itself."""
-        signals = {name: nan if value is None else value for name, value in measured.items()}
-        return cls(time, (nan, nan, nan), signals)
-
 
 TIME_LIMIT: Final = "time_limit"
 NO_SUCCESS: Final = ("not_found", "aborted", "ended_early")
@@ -218,15 +211,7 @@ class WorldKind(ABC):
         return ()
 
 
-_FIELDS: Final[tuple[tuple[str, Callable[[object], bool], str], ...]] = (
-    ("model facts why_not", callable, "a function"),
-    ("tree by_hand", lambda given: given is None or callable(given), "a function"),
-    ("world", lambda given: isinstance(given, WorldKind), "an object of a subclass of WorldKind"),
-    ("actions", lambda given: isinstance(given, Mapping), "a mapping of PDDL actions to behaviours"),
-    ("domain problem", lambda given: not isinstance(given, str), "a pathlib.Path"),
-    ("engines", lambda given: not isinstance(given, str), "a tuple of names"),
-)
-_CALLED: Final = {  # what each function of a mission is called with
+_CALLED: Final = {  # what each function of a mission is called with; those of a tree may be left out
     **{"model": "", "tree": "kb, percepts", "by_hand": "kb, percepts, managed", "facts": "kb, percepts"},
     **{"why_not": "kb, percepts", "world.open": "values, rng", "world.verdict": "percepts, results, kb"},
 }
@@ -280,21 +265,30 @@ class Mission:
     waits_for_news: bool = False
 
     def __post_init__(self) -> None:
-        for names, is_fit, expected in _FIELDS:
-            for name in names.split():
-                if not is_fit(given := getattr(self, name)):
-                    raise MissionError(f"{name} of mission {self.name} is {given!r}; expected is {expected}")
+        self._check("world", isinstance(self.world, WorldKind), "an object of a subclass of WorldKind")
+        self._check("actions", isinstance(self.actions, Mapping), "a mapping of PDDL actions to behaviours")
+        self._check("domain", not isinstance(self.domain, str), "a pathlib.Path")
+        self._check("problem", not isinstance(self.problem, str), "a pathlib.Path")
+        self._check("engines", not isinstance(self.engines, str), "a tuple of names")
         for name, arguments in _CALLED.items():
-            if (given := attrgetter(name)(self)) is not None:
-                with suppress(ValueError):  # one that was not written in Python may not say how it is called
-                    takes = signature(given)
-                    try:
-                        takes.bind(*arguments.split())
-                    except TypeError as error:
-                        called = f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
-                        raise MissionError(f"{called}: {error}; give it these parameters") from error
+            if (given := attrgetter(name)(self)) is not None or name not in ("tree", "by_hand"):
+                self._check(name, callable(given), "a function")
+                self._check_call(name, given, arguments)
         if self.tree is None and self.problem is None:
             raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
+
+    def _check(self, name: str, is_fit: bool, expected: str) -> None:
+        if not is_fit:
+            raise MissionError(f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}")
+
+    def _check_call(self, name: str, given: Callable[..., object], arguments: str) -> None:
+        with suppress(ValueError):  # one that was not written in Python may not say how it is called
+            takes = signature(given)
+            try:
+                takes.bind(*arguments.split())
+            except TypeError as error:
+                called = f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
+                raise MissionError(f"{called}: {error}; give it these parameters") from error
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
@@ -322,21 +316,20 @@ def settings_of(mission: Mission) -> tuple[Setting, ...]:
     return (*declared(RunSettings), *mission.world.settings())
 
 
-def split_settings(mission: Mission, values: Mapping[str, str]) -> tuple[RunSettings, dict[str, str]]:
-    """Return how to run, and what remains for the world, whose values the world checks.
+def split_settings(
+    mission: Mission, values: Mapping[str, str], options: Sequence[Setting] = ()
+) -> tuple[RunSettings, dict[str, str], dict[str, Any]]:
+    """Return how to run, what is for the world, which checks it, and the values of the options of a manager.
 
     Values are by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
 
     Raises:
         MissionError: an unknown name or a value that is not allowed.
     """
-    run, rest = own_values(declared(RunSettings), values)
-    world, unknown = own_values(mission.world.settings(), rest)
-    for name in unknown:
-        known = [one.name for one in settings_of(mission)]
-        close = near(name, known)
-        some = f"there are {', '.join(known)}" if len(known) < 20 else f"`rosa settings {mission.name}` lists them"
-        hint = f"did you mean {' or '.join(close)}?" if close else some
-        raise MissionError(f"unknown setting {name!r} of mission {mission.name}; {hint}")
-    fixed_run, fixed_world = own_values(declared(RunSettings), mission.fixed)
-    return RunSettings.read({**fixed_run, **run}), {**fixed_world, **world}
+    known = (*options, *settings_of(mission))
+    chosen = full_names(known, mission.fixed, mission.name) | full_names(known, values, mission.name)
+    run, world, own = (
+        {one.name: chosen[one.name] for one in some if one.name in chosen}
+        for some in (declared(RunSettings), mission.world.settings(), options)
+    )
+    return RunSettings.read(run), world, {one.name: one.default for one in options} | read_values(options, own)

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
-from math import isfinite
+from math import isfinite, nan
 from numbers import Real
 from time import perf_counter
 from typing import TYPE_CHECKING
@@ -259,6 +259,9 @@ class MissionRun(ABC):
         if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
         self._sampled_at = self.world.now
-        sample = self.world.sample() or Sample.of(self.world.now, self.measured)
+        sample = self.world.sample()
+        if sample is None:
+            signals = {name: nan if value is None else value for name, value in self.measured.items()}
+            sample = Sample(self.world.now, (nan, nan, nan), signals)
         for listener in self.listeners:
             listener.sample(sample)

@@ -48,36 +48,35 @@ class Setting:
     def short_name(self) -> str:
         return self.name.removesuffix("_" + self.unit.replace("/", "_").replace(" ", "_"))
 
-    def read(self, text: str) -> Value:
-        """Return the value that a text means.
+    def read(self, given: object) -> Value:
+        """Return a value, or what a text means.
 
         Raises:
-            MissionError: it means none that is allowed.
+            MissionError: it is none that is allowed.
         """
-        if isinstance(self.default, str):
-            return text
-        value: object = text
-        with suppress(ValueError, KeyError):
-            truth = {"true": True, "false": False}
-            value = truth[text.strip().lower()] if isinstance(self.default, bool) else float(text)
-        if isinstance(value, float) and value.is_integer() and isinstance(self.default, int):
-            value = int(value)
-        return self.checked(text if value in (inf, -inf) else value, text)
-
-    def checked(self, value: object, given: object = None) -> Value:
-        """Return a value; MissionError if it is none that is allowed, which names what was given."""
-        if isinstance(self.default, bool | str):
-            allowed = "true or false" if isinstance(self.default, bool) else "a text"
-            if isinstance(value, type(self.default)):
-                return value
+        kind = type(self.default)
+        value: Any = _meant(given, kind) if isinstance(given, str) else given
+        if kind in (bool, str):
+            is_allowed = isinstance(value, kind)
         else:
-            is_whole = isinstance(self.default, int)
-            kind = "a whole number" if is_whole else "a number of seconds" if self.unit == "s" else "a number"
-            allowed = f"{kind} {self.allowed}".rstrip()
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            if is_number and self.low <= value <= self.high and (not is_whole or float(value).is_integer()):  # type: ignore[operator,arg-type]  # is a number
-                return value  # type: ignore[return-value]  # is a number
-        raise MissionError(f"setting {self.name} is {given or value!r}; allowed is {allowed}")
+            is_fit = is_number and (kind is float or float(value).is_integer())
+            is_allowed = is_fit and self.low <= value <= self.high
+        if is_allowed:
+            return value  # type: ignore[no-any-return]  # it was checked
+        what = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}[kind]
+        what += " of seconds" if kind is float and self.unit == "s" else ""
+        raise MissionError(f"setting {self.name} is {given!r}; allowed is {what} {self.allowed}".rstrip())
+
+
+def _meant(text: str, kind: type[Value]) -> Value:
+    """Return what a text means as a value of some type; the text itself if it means none, or no finite number."""
+    if kind is bool:
+        return {"true": True, "false": False}.get(text.strip().lower(), text)
+    with suppress(ValueError):
+        value = kind(text)
+        return text if value in (inf, -inf) else value
+    return text
 
 
 def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
@@ -97,10 +96,10 @@ class Constants:
 
     def __post_init__(self) -> None:
         for one in declared(type(self)):
-            one.checked(getattr(self, one.name))
+            one.read(getattr(self, one.name))
 
     @classmethod
-    def read(cls, values: Mapping[str, str]) -> Self:
+    def read(cls, values: Mapping[str, object]) -> Self:
         """Return the settings as they are given on a command line, by name; what is not among them has its default.
 
         Raises:
@@ -118,24 +117,28 @@ class RunSettings(Constants):
     planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
 
 
-def own_values(settings: Iterable[Setting], values: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Return which values belong to settings, by their full names, and which to none of them.
+def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: str) -> dict[str, str]:
+    """Return values by the full names of the settings of a mission; a unit at the end of a name may be left out.
 
     Raises:
-        MissionError: a setting is given twice, with and without its unit.
+        MissionError: an unknown name, or a setting that is given twice, with and without its unit.
     """
-    own: dict[str, str] = {}
+    named: dict[str, str] = {}
     rest = dict(values)
     for one in settings:
         given = [name for name in dict.fromkeys((one.short_name, one.name)) if name in rest]
         if len(given) > 1:
             raise MissionError(f"{' and '.join(given)} are the same setting; give it once")
         if given:
-            own[one.name] = rest.pop(given[0])
-    return own, rest
+            named[one.name] = rest.pop(given[0])
+    for name in rest:
+        close = near(name, [one.name for one in settings])
+        hint = f"did you mean {' or '.join(close)}?" if close else f"`rosa settings {mission}` lists them"
+        raise MissionError(f"unknown setting {name!r} of mission {mission}; {hint}")
+    return named
 
 
-def read_values(settings: Iterable[Setting], values: Mapping[str, str]) -> dict[str, Any]:
+def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
     """Return what texts mean, by full names of settings.
 
     Raises:

@@ -10,10 +10,9 @@ from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.baselines import Manager, Setting, open_run
 from missions.baselines.policies import Random
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
-from missions.engine.mission import MissionError
+from missions.engine.mission import MissionError, split_settings
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.engine.settings import own_values
 from missions.views.output import as_json, summary
 
 SUAVE = find_mission("suave")
@@ -144,11 +143,12 @@ def test_random_picks_every_mode_at_the_period_of_the_rules():
         assert all(min(time, period_s - time) < 0.1 for time in times)
 
 
-def test_options_are_set_with_or_without_their_unit_and_the_rest_is_left():
+def test_options_are_set_with_or_without_their_unit_and_the_rest_is_for_the_world():
     option = Setting("delay_s", 1.5, "s", "a delay", "own choice")
-    assert own_values([option], {"bias": "0"}) == ({}, {"bias": "0"})
+    assert split_settings(SUAVE, {"bias": "0"}, [option])[2] == {"delay_s": 1.5}
     for name in ("delay", "delay_s"):
-        assert own_values([option], {name: "2", "bias": "0"}) == ({"delay_s": "2"}, {"bias": "0"})
+        _, world, own = split_settings(SUAVE, {name: "2", "bias": "0"}, [option])
+        assert (world, own) == ({"battery": "false", "bias_m": "0"}, {"delay_s": 2.0})
 
 
 @pytest.mark.parametrize(
