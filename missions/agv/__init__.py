@@ -12,8 +12,8 @@ from missions.agv.modes import Modes
 from missions.agv.pddl import PddlNames, cross_schema, switch_schema
 from missions.agv.tree import Planned, PlanningState, Route, agv_tree
 from missions.agv.world import AgvKind
-from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts
+from missions.engine.task_layer import by_schema
 
 __all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 

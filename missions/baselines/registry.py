@@ -5,11 +5,11 @@ from typing import Any
 
 from missions.baselines.manager import BaselineRun, Manager
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.controller import OURS, TASK_KINDS, RosaRun, check_task
 from missions.engine.mission import Mission, MissionError, split_settings
 from missions.engine.registry import Registry, needs
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import OURS, Listener, MissionRun, RosaRun
 from missions.engine.settings import Setting
+from missions.engine.task_layer import TASK_KINDS, check_task
 
 MANAGERS: Registry[type[Manager]] = Registry(
     "manager",

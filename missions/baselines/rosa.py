@@ -14,9 +14,9 @@ from py_trees.common import Status
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
 from missions.baselines.manager import Manager, Robot
-from missions.engine.controller import build_task
 from missions.engine.mission import Message, Percepts
 from missions.engine.settings import Setting
+from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
 
 INSERTING = 1

@@ -14,9 +14,9 @@ from kb import KnowledgeBase, Model
 from kb.checks import Finding, found, rules
 from kb.files import read_text
 from missions.commands import FAILED, complain, open_console
-from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, MissionError
 from missions.engine.registry import find_mission
+from missions.engine.task_layer import mission_domain
 from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
 
 COLOURS = {"error": "red", "warning": "yellow"}

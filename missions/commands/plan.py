@@ -8,7 +8,7 @@ import typer
 
 from missions.commands import FAILED
 from missions.engine.mission import MissionError
-from missions.engine.question import Answer, answer, ask, certified, read_situation
+from missions.engine.question import Answer, answer, ask, certified
 from missions.engine.registry import find_mission
 from missions.views.output import as_json, open_files
 from missions.views.plan import as_data, causes_of, certificate_as_data, certificate_lines, lines_of, svg_of
@@ -33,8 +33,17 @@ def plan(
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
-    supposed = read_situation(situation or [], feasible)
-    question = ask(files or [], find_mission(mission) if mission else None, model or [], supposed, goal or [])
+    alone = (
+        None if feasible is None else [name.strip() for text in feasible for name in text.split(",") if name.strip()]
+    )
+    question = ask(
+        files or [],
+        find_mission(mission) if mission else None,
+        model or [],
+        situation=situation or [],
+        feasible=alone,
+        goals=goal or [],
+    )
     paths = {"json": json, "svg": svg}
     if certificate and svg:
         raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")

@@ -4,7 +4,8 @@ import heapq
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from typing import Final, NamedTuple, Protocol, Self
 
 from kb.elements import Parameters
@@ -16,15 +17,6 @@ _AT_ONCE_S: Final = 1e-9  # a clock that counts periods misses a time by roundin
 
 class CommandFailed(Exception):
     """A command failed because a script says so."""
-
-
-class Command(NamedTuple):
-    """A command to a component, given at that time [s]; the parameters are empty unless they are what is set."""
-
-    time: float
-    verb: str
-    component: str
-    parameters: Parameters
 
 
 class Components(Protocol):
@@ -69,8 +61,7 @@ class NamedComponents:
         return dict(self.taken.get(component, {}))
 
 
-@dataclass(frozen=True, slots=True)
-class Script:
+class Script(NamedTuple):
     """How a component takes one kind of command; `takes` None is as the system's other components."""
 
     takes: float | None = None
@@ -78,9 +69,6 @@ class Script:
     hangs: bool = False
     lies: bool = False
     crash_after: float = math.inf
-
-
-_OBEDIENT: Final = Script()
 
 
 class Operation:
@@ -128,10 +116,9 @@ class SimulatedComponents:
         self.takes = checked_times(takes or {})
         self._busy_until: dict[str, float] = {}
         self._under_way: list[tuple[float, int, Operation]] = []
-        self._entered = 0
+        self._entered = count()
         self._scripts: dict[tuple[str, str], Script] = {}
         self._given: Counter[tuple[str, str]] = Counter()
-        self.commands: list[Command] = []
         self._crash: dict[str, Operation] = {}
 
     @property
@@ -166,10 +153,8 @@ class SimulatedComponents:
         Raises:
             ValueError: no such command, or a number below 0.
         """
-        numbers = {"takes": takes or 0.0, "fail_first": fail_first, "crash_after": crash_after}
-        for name, number in numbers.items():
-            if not number >= 0:
-                raise ValueError(f"{name} of {component} is {number!r}; allowed is a number from 0")
+        for name, number in (("takes", takes or 0.0), ("fail_first", fail_first), ("crash_after", crash_after)):
+            _check_number(f"{name} of {component} is", number)
         for verb in verbs or VERBS:
             _check_verb(verb)
             self._given[verb, component] = 0
@@ -177,24 +162,11 @@ class SimulatedComponents:
         return self
 
     def activate(self, component: str, /) -> Operation:
-        crash_after = self._script("activate", component).crash_after
-
-        def start(time: float) -> None:
-            was_active = self._components.is_active(component)
-            self._components.activate(component)
-            if not was_active and crash_after < math.inf:
-                stop = self._components.deactivate
-                self._crash[component] = self._enter(time + crash_after, lambda _: stop(component))
-
+        start = partial(self._start, component, self._script("activate", component).crash_after)
         return self._command("activate", component, {}, start)
 
     def deactivate(self, component: str, /) -> Operation:
-        def stop(time: float) -> None:
-            self._components.deactivate(component)
-            if component in self._crash:
-                self._crash.pop(component).cancel()
-
-        return self._command("deactivate", component, {}, stop)
+        return self._command("deactivate", component, {}, partial(self._stop, component))
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
         taken, obey = dict(parameters), self._components.set_parameters
@@ -224,39 +196,48 @@ class SimulatedComponents:
             is_any = True
         return is_any
 
+    def _start(self, component: str, crash_after: float, time: float) -> None:
+        was_active = self._components.is_active(component)
+        self._components.activate(component)
+        if not was_active and crash_after < math.inf:
+            stop = self._components.deactivate
+            self._crash[component] = self._enter(time + crash_after, lambda _: stop(component))
+
+    def _stop(self, component: str, time: float) -> None:
+        self._components.deactivate(component)
+        if component in self._crash:
+            self._crash.pop(component).cancel()
+
     def _command(
         self, verb: str, component: str, parameters: Parameters, effect: Callable[[float], object]
     ) -> Operation:
         self._components.check(component, parameters)
-        now = self._clock()
-        self.commands.append(Command(now, verb, component, parameters))
-        script = self._script(verb, component)
+        now, script = self._clock(), self._script(verb, component)
         self._given[verb, component] += 1
         if script.hangs:
             return Operation(math.inf, effect, self.catch_up)
         takes = script.takes if script.takes is not None else self.takes.get(verb, 0.0)
         end = self._busy_until[component] = max(now, self._busy_until.get(component, 0.0)) + takes
-        given = self._given[verb, component]
-        if given <= script.fail_first:
-            return self._enter(end, lambda time: _fail(f"{verb} {component} fails by its script, time {given}"))
-        return self._enter(end, _nothing if script.lies else effect)
+        if self._given[verb, component] <= script.fail_first:
+            effect = partial(_fail, f"{verb} {component} fails by its script, time {self._given[verb, component]}")
+        elif script.lies:
+            effect = _nothing
+        return self._enter(end, effect)
 
     def _enter(self, end: float, effect: Callable[[float], object]) -> Operation:
         operation = Operation(end, effect, self.catch_up)
-        heapq.heappush(self._under_way, (end, self._entered, operation))
-        self._entered += 1
+        heapq.heappush(self._under_way, (end, next(self._entered), operation))
         return operation
 
     def _script(self, verb: str, component: str) -> Script:
-        return self._scripts.get((verb, component), _OBEDIENT)
+        return self._scripts.get((verb, component), Script())
 
 
 def checked_times(takes: Mapping[str, float]) -> Mapping[str, float]:
     """Return how long commands take by verb [s]; ValueError if there is no such command, or a number is below 0."""
     for verb, seconds in takes.items():
         _check_verb(verb)
-        if not (isinstance(seconds, int | float) and seconds >= 0):
-            raise ValueError(f"{verb} takes {seconds!r}; allowed is a number of seconds from 0")
+        _check_number(f"{verb} takes", seconds)
     return takes
 
 
@@ -265,9 +246,14 @@ def _check_verb(verb: str) -> None:
         raise ValueError(f"{verb!r} is no command; commands are {', '.join(VERBS)}")
 
 
+def _check_number(what: str, number: object) -> None:
+    if not (isinstance(number, int | float) and number >= 0):
+        raise ValueError(f"{what} {number!r}; allowed is a number from 0")
+
+
 def _nothing(time: float) -> None:
     """Have no effect."""
 
 
-def _fail(text: str) -> None:
+def _fail(text: str, time: float) -> None:
     raise CommandFailed(text)

@@ -1,6 +1,6 @@
 """A plan asked for by hand: what is to be planned in some situation, the planner's answer, and why there is no plan."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from kb import KnowledgeBase, Model
-from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, MissionError, Percepts
+from missions.engine.task_layer import mission_domain
 from rosa_pddl import (
     Certificate,
     Domain,
@@ -19,7 +19,6 @@ from rosa_pddl import (
     Problem,
     State,
     certificate,
-    feasible_atoms,
     initial_state,
     load_domain,
 )
@@ -32,30 +31,25 @@ FAILED: Final = "failed"
 
 
 @dataclass(frozen=True)
-class Supposed:
-    """What is supposed to be so: values of attributes, in their units, and components that have failed."""
-
-    feasible: tuple[str, ...] | None = None
-    """The ROSA actions that are feasible, and no others; None to have the knowledge base say it."""
-    measured: Mapping[str, float] = field(default_factory=dict)
-    failed: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class Question:
-    """A domain, the state to plan from, and what shall be reached."""
+    """A domain, the state to plan from, and what shall be reached.
+
+    Attributes:
+        kb: says which actions are feasible; that is no part of the state.
+        oversights: what may be one in the domain or the model, in sentences.
+        numbers: what costs and limits are made of, as far as the mission knows it.
+        engines: what plans; by default what the domain needs.
+        why_not: says why there is no plan, as far as the mission can tell; empty if it cannot.
+    """
 
     domain: Domain
     kb: KnowledgeBase
     state: State
     goals: tuple[Goal, ...]
     oversights: tuple[str, ...] = ()
-    """What may be one in the domain or the model, in sentences."""
     numbers: Mapping[str, float] = field(default_factory=dict)
-    """What costs and limits are made of, as far as the mission knows it."""
     engines: tuple[str, ...] = ()
     why_not: Callable[[], str] = str
-    """Says why there is no plan, as far as the mission can tell; empty if it cannot."""
 
     @property
     def problem(self) -> Problem:
@@ -67,12 +61,10 @@ class Question:
 
     def supposing(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which just these ROSA actions are unfeasible."""
-        left_out = set(unfeasible)
-        state = without_feasibility(self.domain, self.state)
-        if self.domain.tracks_feasibility:
-            kept = [action for action in self.domain.rosa_actions if action not in left_out]
-            state |= {self.domain.feasible_atom(action) for action in kept}
-        return Problem(self.domain, state, tuple(goal.expression for goal in self.goals), self.numbers)
+        domain, left_out, state = self.domain, set(unfeasible), self.state
+        if domain.tracks_feasibility:
+            state |= {domain.feasible_atom(action) for action in domain.rosa_actions if action not in left_out}
+        return Problem(domain, state, tuple(goal.expression for goal in self.goals), self.numbers)
 
 
 @dataclass(frozen=True)
@@ -85,68 +77,72 @@ class Answer:
 
 
 def ask(
-    files: Sequence[Path], mission: Mission | None, models: Sequence[Path], supposed: Supposed, goals: Sequence[str]
+    files: Sequence[Path] = (),
+    mission: Mission | None = None,
+    models: Sequence[Path] = (),
+    *,
+    situation: Iterable[str] = (),
+    feasible: Iterable[str] | None = None,
+    goals: Sequence[str] = (),
 ) -> Question:
     """Make a question of a domain and a problem file, or else of a mission, which gives the model, too.
 
-    Without a model every ROSA action is feasible, unless something else is supposed or the problem file says so.
-    Without goals, conditions as text, the goal is that of the problem.
+    Args:
+        files: the two PDDL files; none for a mission.
+        mission: what is planned for, if no files are given.
+        models: files of the model that says what is feasible. Without a model every ROSA action is, unless something
+            else is supposed or the problem file says so.
+        situation: what is supposed to be so, such as "battery_level=0.2" or "battery_level=0.2,camera=failed".
+        feasible: the ROSA actions that are feasible, and no others; None to have the knowledge base say it.
+        goals: conditions as text, instead of the goal of the problem.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be read.
     """
-    has_model = bool(models or mission)
     domain = _domain(files, mission)
-    if supposed.measured or supposed.failed:
-        if not has_model:
-            raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
-        if supposed.feasible is not None:
-            raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
+    supposed, has_model = dict(_read(situation)), bool(models or mission)
+    if supposed and not has_model:
+        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
+    if supposed and feasible is not None:
+        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
     oversights = domain.check(kb)
-    for attribute, value in supposed.measured.items():
-        kb.measure(attribute, value)
-    for component in supposed.failed:
-        kb.component_failed(component)
-    _suppose_feasible(kb, domain, supposed.feasible, has_model)
-    facts: Mapping[str, bool | float] = {}
-    if mission is not None and not files:
-        facts = mission.facts(kb, Percepts())  # nothing is sensed yet, so what is false there may be true
+    for name, value in supposed.items():
+        if value is None:
+            kb.component_failed(name)
+        else:
+            kb.measure(name, value)
+    _suppose_feasible(kb, domain, feasible, has_model)
+    percepts = Percepts()  # nothing is sensed yet, so what is false there may be true
+    facts = {} if mission is None else mission.facts(kb, percepts)
     true = {domain.atom(text) for text, value in facts.items() if value is True}
     numbers = {text: value for text, value in facts.items() if not isinstance(value, bool)}
-    state = without_feasibility(domain, initial_state(domain) | true) | feasible_atoms(domain, kb)
+    state = without_feasibility(domain, initial_state(domain) | true)
     if not all(text.strip() for text in goals):
         raise MissionError("--goal is empty; give a condition such as '(found it)', or leave it out")
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = tuple(condition for text in texts for condition in conditions(domain, text))
-    engines = mission.engines if mission is not None else ()
-    why_not = str if mission is None or files or goals else partial(mission.why_not, kb, Percepts())
+    engines = () if mission is None else mission.engines
+    why_not = str if mission is None or goals else partial(mission.why_not, kb, percepts)
     return Question(domain, kb, state, wanted, oversights, numbers, engines, why_not)
 
 
-def read_situation(texts: Iterable[str], feasible: Iterable[str] | None = None) -> Supposed:
-    """Read what is supposed, such as `battery_level=0.2,camera=failed`, and the names of what is feasible."""
-    measured: dict[str, float] = {}
-    failed: list[str] = []
-    for part in (part for text in texts for part in text.split(",")):
+def _read(situation: Iterable[str]) -> Iterator[tuple[str, float | None]]:
+    """Yield what is supposed of what: the value that is measured of an attribute, None of a component that fails."""
+    for part in (part.strip() for text in situation for part in text.split(",")):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals or not name:
             raise MissionError(f"--situation takes ATTRIBUTE=NUMBER or COMPONENT={FAILED}, not {part!r}")
         try:
-            if value == FAILED:
-                failed.append(name)
-            else:
-                measured[name] = float(value)
+            yield name, None if value == FAILED else float(value)
         except ValueError as error:
-            message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part.strip()!r}"
+            message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part!r}"
             raise MissionError(message) from error
-    names = [name.strip() for text in feasible or () for name in text.split(",")]
-    return Supposed(None if feasible is None else tuple(filter(None, names)), measured, tuple(failed))
 
 
 def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
-    if mission is not None and not files:
+    if mission is not None:
         return mission_domain(mission)
     if len(files) != 2:
         raise MissionError("nothing to plan; give a domain and a problem file, or a mission with --mission NAME")
@@ -164,7 +160,7 @@ def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> M
     return model
 
 
-def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Sequence[str] | None, has_model: bool) -> None:
+def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Iterable[str] | None, has_model: bool) -> None:
     if given is not None:
         feasible, reason = _known(domain, given), "it is not among those given as feasible"
     else:

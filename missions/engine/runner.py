@@ -2,33 +2,49 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
-from math import isfinite, nan
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+from math import inf, isfinite, nan
 from numbers import Real
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import Final
 
-from kb import DiagnosticProblem, KnowledgeBase, KnowledgeBaseError, Model, RequiredAction
-from missions.engine.adaptations import Adaptation
+from py_trees.common import Status
+from py_trees.trees import BehaviourTree
+
+from kb import (
+    ConfigurationManager,
+    DiagnosticProblem,
+    Event,
+    EventKind,
+    KnowledgeBase,
+    KnowledgeBaseError,
+    Model,
+    RequiredAction,
+)
+from kb import Planner as ConfigurationPlanner
+from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import (
     NO_SUCCESS,
     TIME_LIMIT,
     Message,
     Mission,
     MissionError,
+    Percepts,
     Reaction,
     Sample,
     Verdict,
     World,
 )
 from missions.engine.settings import RunSettings
+from missions.engine.task_layer import build_task
+from rosa_bt import TreeRunner
 from rosa_bt.exceptions import in_words
+from rosa_pddl import PlanRecord
 
-if TYPE_CHECKING:
-    from rosa_pddl import PlanRecord
-
-SAMPLE_PERIOD_S = 0.5
+OURS: Final = "ours"
+"""The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
+SAMPLE_PERIOD_S: Final = 0.5
 STANDSTILL = 10_000
 """How often a world may be asked to go on without a millisecond passing, until it counts as standing still."""
 
@@ -48,7 +64,7 @@ class Listener:
     def action(self, text: str, time_s: float) -> None:
         """Hear of an action that was requested or has ended."""
 
-    def plan(self, plan: "PlanRecord", time_s: float) -> None:
+    def plan(self, plan: PlanRecord, time_s: float) -> None:
         """Hear of a task plan, or that there is none."""
 
     def tick(self, run: "MissionRun") -> None:
@@ -65,6 +81,7 @@ class MissionRun(ABC):
 
     Attributes:
         manager: whose run it is, as `rosa run --manager` takes it.
+        tree: what is ticked; None if nothing is.
         problems: parts of messages that could not be used, with their times [s].
         alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
         inputs: figures of results that were put in, by name.
@@ -79,6 +96,7 @@ class MissionRun(ABC):
     def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
         self.mission, self.world, self.settings = mission, world, settings
         self.manager, self.task = manager, task
+        self.tree: BehaviourTree | None = None
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
         self.inputs: Mapping[str, float] = {}
@@ -96,6 +114,18 @@ class MissionRun(ABC):
         """Have these hear of the run, too."""
         self.listeners = (*self.listeners, *listeners)
 
+    def tell(self, heard: Callable[[Listener], object]) -> None:
+        """Have every listener hear something."""
+        for listener in self.listeners:
+            heard(listener)
+
+    @contextmanager
+    def spending(self, part: str) -> Iterator[None]:
+        """Count the time of this machine that goes by inside as that of a part."""
+        started = perf_counter()
+        yield
+        self.compute_s[part] += perf_counter() - started
+
     @property
     def kb(self) -> KnowledgeBase:
         """The knowledge base.
@@ -111,7 +141,7 @@ class MissionRun(ABC):
         return self.mission.model()
 
     @property
-    def plans(self) -> tuple["PlanRecord", ...]:
+    def plans(self) -> tuple[PlanRecord, ...]:
         """The task plans so far, only added to; none for a tree in which nothing plans."""
         return ()
 
@@ -194,29 +224,25 @@ class MissionRun(ABC):
 
     def _turn(self) -> None:
         """Let the world go on to the next news, or to when something is due, and answer it."""
-        started = perf_counter()
-        messages = self._advanced(min(self.due, self.settings.duration_s))
-        self.compute_s["world"] += perf_counter() - started
+        with self.spending("world"):
+            messages = self._advanced(min(self.due, self.settings.duration_s))
+        spent_s = sum(self.compute_s.values())
         if self.alter is not None:
             messages = self.alter(messages, self.world.now)
-        took_s = 0.0
         for message in messages:
-            took_s += self._take_in(message)
-        started = perf_counter()
+            self._take_in(message)
         is_decided = self.decide()
-        self._decided_s.append((self.world.now, took_s + perf_counter() - started))
+        self._decided_s.append((self.world.now, sum(self.compute_s.values()) - spent_s))
         if is_decided and self.listeners:
             self._sample()
-            for listener in self.listeners:
-                listener.tick(self)
+            self.tell(lambda listener: listener.tick(self))
         heard, self._plans_heard = self._plans_heard, len(self.plans)
         for plan in self.plans[heard:]:
             self.hear_plan(plan)
 
-    def hear_plan(self, plan: "PlanRecord") -> None:
+    def hear_plan(self, plan: PlanRecord) -> None:
         """Pass on a task plan that was made."""
-        for listener in self.listeners:
-            listener.plan(plan, self.world.now)
+        self.tell(lambda listener: listener.plan(plan, self.world.now))
 
     def _advanced(self, until: float) -> Sequence[Message]:
         world, before, name = self.world, self.world.now, self.mission.name
@@ -242,26 +268,208 @@ class MissionRun(ABC):
             raise MissionError(f"{stands}; {advice}")
         return messages
 
-    def _take_in(self, message: Message) -> float:
-        """Have a message heard; return how long it took to take it in [s]."""
-        started = perf_counter()
-        problems = self.receive(message)
-        took_s = perf_counter() - started
-        for listener in self.listeners:
-            listener.message(message)
+    def _take_in(self, message: Message) -> None:
+        problems, time_s = self.receive(message), float(message["time"])
+        self.tell(lambda listener: listener.message(message))
         for problem in problems:
-            self.problems.append((float(message["time"]), problem))
+            self.problems.append((time_s, problem))
             for listener in self.listeners:
-                listener.problem(problem, float(message["time"]))
-        return took_s
+                listener.problem(problem, time_s)
 
     def _sample(self) -> None:
-        if self.world.now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
+        now = self.world.now
+        if now < self._sampled_at + SAMPLE_PERIOD_S - 1e-9:
             return
-        self._sampled_at = self.world.now
-        sample = self.world.sample()
-        if sample is None:
-            signals = {name: nan if value is None else value for name, value in self.measured.items()}
-            sample = Sample(self.world.now, (nan, nan, nan), signals)
-        for listener in self.listeners:
-            listener.sample(sample)
+        self._sampled_at = now
+        measured = {name: nan if value is None else value for name, value in self.measured.items()}
+        sample = self.world.sample() or Sample(now, (nan, nan, nan), measured)
+        self.tell(lambda listener: listener.sample(sample))
+
+
+class RosaRun(MissionRun):
+    """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
+
+    Args:
+        planner: who does; by priority if it is not given.
+        hears: returns what is heard of a message.
+
+    Attributes:
+        percepts: what the task layer perceives beside what the knowledge base knows.
+
+    Raises:
+        MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
+    """
+
+    tree: BehaviourTree
+
+    def __init__(
+        self,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings,
+        listeners: Sequence[Listener] = (),
+        manager: str = OURS,
+        planner: ConfigurationPlanner | None = None,
+        hears: Callable[[Message], Message] = lambda message: message,
+    ) -> None:
+        super().__init__(mission, world, settings, manager, task)
+        self.percepts = Percepts()
+        self._kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
+        self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
+        deciding = self._task.plans if self._task.is_planned else tuple
+        self._log = AdaptationLog(self._kb, lambda one: self.tell(lambda listener: listener.adaptation(one)), deciding)
+        self.adaptations = self._log.adaptations
+        self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
+        self.tree = self._runner.tree
+        self.tree.setup()
+        self._may_rest = mission.waits_for_news and task == "bt" and planner is None
+        self._statuses: list[Status] = []
+        self._rests_at: tuple[int, int] | None = None  # what was known and sensed when it began to rest
+        self._is_told = False
+        self._answered = -1
+        self._left = ""
+        self.listen(*listeners)
+
+    @property
+    def kb(self) -> KnowledgeBase:
+        return self._kb
+
+    @property
+    def model(self) -> Model:
+        return self._kb.model
+
+    @property
+    def due(self) -> float:
+        return self._runner.due if self._rests_at is None else inf
+
+    @property
+    def is_done(self) -> bool:
+        return self._runner.status is Status.SUCCESS
+
+    @property
+    def actions(self) -> Sequence[RequiredAction]:
+        return self._kb.history.actions
+
+    @property
+    def measured(self) -> Mapping[str, float | None]:
+        return {name: view.value for name, view in self._kb.attributes.items()}
+
+    @property
+    def plans(self) -> tuple[PlanRecord, ...]:
+        return self._task.plans()
+
+    def listen(self, *listeners: Listener) -> None:
+        if listeners and not self.listeners:
+            self._kb.subscribe(self._hear)
+        super().listen(*listeners)
+
+    def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
+        with self.spending("knowledge base"):
+            if self._rests_at is not None:
+                self._log.passed_over(self._runner.put_off(self._now()))
+                self._is_told = True
+            message = self._hears(message)
+            self._log.news(float(message["time"]))
+            problems = self._kb.receive(message)
+            for key in self.percepts.receive(message):
+                self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
+            self._log.news(None)
+        return problems
+
+    def decide(self) -> bool:
+        if self._rests_at is not None and self._goes_on_resting():
+            return False
+        is_due, before = self._now() >= self._runner.due, self._kb.revision
+        self._may_rest = self._may_rest and self._now() <= self._runner.due  # else ticks come when the world has time
+        if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
+            self._manage()  # between two ticks there is nothing to manage where no status changed
+        with self.spending("waiting for plans"):
+            self._task.catch_up()
+        with self.spending("task layer"):
+            if is_due:
+                self._log.ticking(self._now())
+            is_ticked = is_due and self._runner.update()
+        if is_ticked and self._kb.revision != self._answered:
+            self._manage()
+        if is_ticked and self.world.is_still and self._kb.pending_plan is None:
+            self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
+        if is_ticked and self._may_rest:
+            self._consider_resting(before)
+        return is_ticked
+
+    def _consider_resting(self, before: int) -> None:
+        """Rest if the tick has changed nothing, nothing is under way, and nothing changes with time alone."""
+        kb, tree = self._kb, self._runner.tree
+        known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
+        if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
+            return
+        is_watched = bool(self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers)
+        if not is_watched and _is_timeless(kb):
+            self._rests_at, self._is_told = (before, self.percepts.revision), False
+
+    def _goes_on_resting(self) -> bool:
+        """Whether there is no news, and it is not a command that has ended for which the world has stopped."""
+        is_told, self._is_told = self._is_told, False
+        if is_told and (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners:
+            return True
+        self._rests_at = None
+        self._log.passed_over(self._runner.put_off(self._now()))
+        return False
+
+    def end(self) -> None:
+        try:
+            if not self.is_done:
+                self._log.finish()
+            self.findings = self._task.findings()
+            self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
+        finally:
+            self._runner.shutdown()
+            self._task.close()
+
+    def verdict(self, results: Mapping[str, float | None]) -> Verdict:
+        verdict = self.mission.world.verdict(self.percepts, results, self._kb)
+        if verdict.success:
+            return verdict
+        plan = self.plans[-1] if self.plans and self._task.is_planned else None
+        failed = next((one for one in reversed(self._kb.history.actions) if one.result == "failed"), None)
+        if self._left:
+            more = f"under way: {self._left}"
+        elif plan is not None and not plan.outcome.is_solved:
+            more = f"there was no plan: {plan.outcome}"
+        elif failed:
+            more = f"{failed.action} failed last: {failed.reason or 'no reason given'}"
+        else:
+            return verdict
+        return Verdict(verdict.outcome, f"{verdict.reason}; {more}", verdict.detail)
+
+    def _now(self) -> float:
+        return self.world.now
+
+    def _manage(self) -> None:
+        with self.spending("manager"):
+            self._manager.update()
+            self._log.settle()
+            self._answered = self._kb.revision
+
+    def hear_plan(self, plan: PlanRecord) -> None:
+        super().hear_plan(plan)
+        if plan.outcome.is_trouble and self._task.is_planned:  # a tree may have something else to do then
+            self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
+
+    def _hear(self, event: Event) -> None:
+        if event.kind is EventKind.ACTION_UPDATE:
+            self.tell(lambda listener: listener.action(event.text, event.time))
+
+
+def _is_timeless(kb: KnowledgeBase) -> bool:
+    """Whether no status changes with time alone: no measurement ages, no constraint dwells, no assertion lapses."""
+    with kb.reading() as state:
+        nodes, asserted = state.network.present(), state.asserted
+        return not any(
+            asserted[node.index] is not None
+            or getattr(node.element, "max_age", inf) != inf
+            or getattr(node.element, "dwell", 0.0) > 0.0
+            for node in nodes
+        )

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from missions.baselines import MANAGERS, OURS, open_run
-from missions.engine.controller import check_task
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import near
+from missions.engine.task_layer import check_task
 from missions.views.output import files_tried
 
 Settings = Mapping[str, str]

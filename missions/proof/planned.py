@@ -9,9 +9,8 @@ from py_trees.composites import Sequence
 from py_trees.decorators import Decorator, FailureIsRunning
 
 from kb import KnowledgeBase
-from missions.engine.controller import Made, planner_of
-from missions.engine.declared import mission_domain
 from missions.engine.mission import Mission, Percepts
+from missions.engine.task_layer import Made, mission_domain, planner_of
 from rosa_pddl import Domain, PlanExecutor, Planner, PlanningResult, Step
 from rosa_pddl.grounding import Grounded
 from rosa_pddl.planner import awaited

@@ -10,8 +10,8 @@ from typing import Any
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
-from missions.engine.controller import build_task, check_task
 from missions.engine.mission import Mission, Percepts
+from missions.engine.task_layer import build_task, check_task
 from missions.proof.exploration import Exploration
 from missions.proof.planned import planned
 from missions.proof.properties import Finding, Property, check

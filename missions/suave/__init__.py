@@ -1,7 +1,7 @@
 """SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
 
-from missions.engine.declared import by_schema
 from missions.engine.mission import Mission
+from missions.engine.task_layer import by_schema
 from missions.suave.model import suave_model
 from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts, suave_tree
 from missions.suave.world import SEA

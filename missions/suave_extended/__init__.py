@@ -1,7 +1,7 @@
 """Extended SUAVE: as SUAVE, and the battery drops to a critical level, so that the task has to change too."""
 
-from missions.engine.declared import by_schema
 from missions.engine.mission import Mission
+from missions.engine.task_layer import by_schema
 from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts
 from missions.suave.world import SEA
 from missions.suave_extended.model import suave_extended_model

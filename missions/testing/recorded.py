@@ -16,11 +16,10 @@ from py_trees.behaviour import Behaviour
 
 from kb import Event, KnowledgeBase, Model
 from missions.engine.components import VERBS
-from missions.engine.controller import RosaRun
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, built
 from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
-from missions.engine.runner import MissionRun
+from missions.engine.runner import MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.testing.decisions import Decisions, Moment, seconds, timeline
 from missions.testing.scripted import FakeClock, ScriptedManaged

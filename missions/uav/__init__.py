@@ -1,7 +1,7 @@
 """UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
 
-from missions.engine.declared import by_schema
 from missions.engine.mission import Mission
+from missions.engine.task_layer import by_schema
 from missions.uav.model import uav_model
 from missions.uav.tree import (
     PROBLEM,

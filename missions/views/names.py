@@ -7,9 +7,9 @@ from typing import Final
 from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
-from missions.engine.declared import declarations_of
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import Registry
+from missions.engine.task_layer import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.idioms import unguarded
 from rosa_pddl.domain import ACTION_TYPE

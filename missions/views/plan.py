@@ -88,7 +88,7 @@ def certificate_as_data(certificate: Certificate) -> dict[str, object]:
 def causes_of(answer: Answer) -> CausalOrder:
     question = answer.question
     goals = [goal.expression for goal in question.goals]
-    return causal_order(question.domain, answer.result.steps, question.state, goals)
+    return causal_order(question.domain, answer.result.steps, question.problem.state, goals)
 
 
 def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:

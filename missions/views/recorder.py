@@ -20,9 +20,9 @@ from py_trees.visitors import VisitorBase
 from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
-from missions.engine.controller import RosaRun, has_plans
 from missions.engine.mission import Message, MissionError, Sample, Verdict
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import Listener, MissionRun, RosaRun
+from missions.engine.task_layer import has_plans
 from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described, plain
 from missions.views.output import figure_in_words
 from missions.views.rows import VERSION, Recorded, Rows

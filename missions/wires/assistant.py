@@ -93,12 +93,12 @@ class Assistant:
 
     def plan_for(self, goal: str = "") -> dict[str, Any]:
         """Plan, with what is feasible now, for the mission's goal or another in PDDL, e.g. "(inspected pipeline)"."""
-        from missions.engine.question import answer, ask, read_situation
+        from missions.engine.question import answer, ask
 
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
-        supposed = read_situation([], [",".join(self._kb.selectable_actions())])
-        found = answer(ask([], self._mission, [], supposed, [goal] if goal else []), _PLANNING_S)
+        feasible = self._kb.selectable_actions()
+        found = answer(ask(mission=self._mission, feasible=feasible, goals=[goal] if goal else []), _PLANNING_S)
         steps = [str(step) for step in found.result.steps]
         result = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
         return {**result, "obstacles": list(found.obstacles)}

@@ -22,11 +22,10 @@ from py_trees.trees import BehaviourTree
 from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
 from kb.typeql.writer import typeql_text
-from missions.engine.controller import RosaRun
 from missions.engine.mission import Message, MissionError
 from missions.engine.recording import header
 from missions.engine.registry import needs
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.views.recorder import Recorder
 from missions.views.rows import VERBATIM, Recorded, Row
 from missions.wires import ros

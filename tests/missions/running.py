@@ -7,10 +7,9 @@ from types import ModuleType
 from missions import cli
 from missions.baselines import open_run
 from missions.engine import registry
-from missions.engine.controller import RosaRun
 from missions.engine.mission import Verdict
 from missions.engine.registry import find_mission
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.views.output import as_json, summary
 

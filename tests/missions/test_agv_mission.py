@@ -17,10 +17,9 @@ from missions.agv.model import DRAW_W, agv_model, building_model
 from missions.agv.modes import Modes
 from missions.agv.tree import Route, Switch
 from missions.agv.world import Settings
-from missions.engine.controller import TASK_KINDS
-from missions.engine.declared import mission_domain
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.settings import RunSettings
+from missions.engine.task_layer import TASK_KINDS, mission_domain
 from missions.views.output import as_json
 from rosa_pddl import Planner, Problem
 from rosa_pddl.belief import Belief

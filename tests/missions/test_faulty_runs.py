@@ -6,7 +6,7 @@ from random import Random
 import pytest
 from faulty_runs import beset, interrupted, opened, told
 
-from missions.engine.controller import TASK_KINDS
+from missions.engine.task_layer import TASK_KINDS
 
 
 # a signal that comes while a finalizer or the callback of a weak reference runs is lost by Python, with a warning

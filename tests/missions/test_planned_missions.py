@@ -9,11 +9,10 @@ from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
-from missions.engine.controller import build_task
-from missions.engine.declared import by_schema
 from missions.engine.mission import Mission, Percepts
-from missions.engine.question import answer, ask, read_situation
+from missions.engine.question import answer, ask
 from missions.engine.registry import find_mission
+from missions.engine.task_layer import build_task, by_schema
 from missions.uav.world import SKY
 from missions.views.names import planned_names
 from missions.views.plan import lines_of
@@ -96,7 +95,7 @@ def test_engines_of_a_mission_plan_it_also_by_hand():
     mission = replace(SHELF, engines=("label-setting",), problem=both)
     assert sorted(run(mission, KnowledgeBase(shelf_model(), clock=lambda: 0.0))) == ["book", "cup"]
     DONE.clear()
-    found = answer(ask([], mission, [], read_situation([]), []), 30.0)
+    found = answer(ask(mission=mission), 30.0)
     assert (found.result.engine, found.result.cost) == ("label-setting", 4.0)
 
 
@@ -104,7 +103,7 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
     agv = find_mission("agv")
     found = {}
     for situation in ("", "kinect=failed", "energy=500"):
-        question = ask([], agv, [], read_situation([situation] if situation else []), [])
+        question = ask(mission=agv, situation=[situation] if situation else [])
         found[situation] = answer(question, 60.0)
     crossed = {key: [step.action for step in one.result.steps if step.schema == "cross"] for key, one in found.items()}
     assert crossed == {"": ["cross_c1"], "kinect=failed": ["cross_c4", "cross_c3", "cross_c2"], "energy=500": []}
@@ -134,14 +133,14 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
     ],
 )
 def test_limits_are_told_as_the_reason_only_when_they_are_and_the_mission_adds_its_own(situation, told):
-    lines = list(lines_of(answer(ask([], find_mission("agv"), [], read_situation([situation]), []), 60.0)))
+    lines = list(lines_of(answer(ask(mission=find_mission("agv"), situation=[situation]), 60.0)))
     obstacles = [line.strip() for line in lines[1 : 2 + len(told[0])]]
     assert obstacles == ["out of reach: (at b)", *told[0]]
     assert told[1] in lines[2 + len(told[0])]
 
 
 def test_reason_of_a_mission_is_about_its_own_goal_only():
-    question = ask([], find_mission("agv"), [], read_situation(["energy=100"]), ["(at d)"])
+    question = ask(mission=find_mission("agv"), situation=["energy=100"], goals=["(at d)"])
     assert question.why_not() == ""
     found = answer(question, 60.0)
     assert found.obstacles[0] == "out of reach: (at d)"
@@ -151,7 +150,7 @@ def test_reason_of_a_mission_is_about_its_own_goal_only():
 def test_large_building_without_a_way_says_which_corridors_are_in_the_way():
     building = generated_building(np.random.default_rng(1))
     mission = agv_mission("generated", "drive through a generated building", building)
-    told = answer(ask([], mission, [], read_situation(["kinect=failed"]), []), 60.0).obstacles
+    told = answer(ask(mission=mission, situation=["kinect=failed"]), 60.0).obstacles
     assert told[0] == "out of reach: (at p57)"
     assert told[1].startswith("p57 cannot be reached from p0; c7, c10, c17, c18, c26 cannot be crossed: navigate is")
 

@@ -33,8 +33,8 @@ from typer.testing import CliRunner
 from kb import KnowledgeBase, Model, UnknownName
 from kb.knowledge import Knowledge
 from missions import cli
-from missions.engine.declared import by_schema
 from missions.engine.mission import MissionError
+from missions.engine.task_layer import by_schema
 from missions.proof import Leaf, eventually, exploration, leads_to, never, verify
 from missions.proof.exploration import Exploration
 from missions.proof.memory import Memory

@@ -12,10 +12,10 @@ from running import run_mission
 from small_rover import rover_model, rover_tree
 
 from missions import suave_extended
-from missions.engine.declared import mission_domain
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.recording import failed, header, line_of, measured, recovered, sensed
 from missions.engine.runner import Listener
+from missions.engine.task_layer import mission_domain
 from missions.suave.tree import suave_tree
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree

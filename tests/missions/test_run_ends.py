@@ -12,11 +12,11 @@ from running import register, rosa_run, run_mission
 from small_rover import rover_model, rover_tree
 
 from missions.agv import agv_mission
-from missions.engine.controller import TASK_KINDS
 from missions.engine.mission import Mission, MissionError, Verdict, World, WorldKind, split_settings
 from missions.engine.recording import measured, sensed
 from missions.engine.registry import find_mission
 from missions.engine.settings import RunSettings
+from missions.engine.task_layer import TASK_KINDS
 from missions.testing import FakeClock, ScriptedManaged
 
 

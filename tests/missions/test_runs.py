@@ -14,11 +14,11 @@ from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase, Status
 from missions.baselines import open_run
-from missions.engine.controller import TASK_KINDS, build_task
 from missions.engine.mission import Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
+from missions.engine.task_layer import TASK_KINDS, build_task
 from missions.views.output import as_json, summary
 from rosa_pddl import Outcome, PlanRecord
 

@@ -8,7 +8,7 @@ from faulty_worlds import Ground
 from pddl_world import World, load_mission, load_text
 from py_trees.common import Status
 
-from missions.engine.question import ask, certified, read_situation
+from missions.engine.question import ask, certified
 from missions.engine.registry import find_mission
 from missions.views.output import as_json
 from missions.views.plan import certificate_as_data
@@ -52,7 +52,7 @@ def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
 
 def agv_and_other_plannings(every):
     """The ground vehicle's certificate with two failures at once, and plannings from the beginning for some of it."""
-    question = ask([], find_mission("agv"), [], read_situation([]), [])
+    question = ask(mission=find_mission("agv"))
     found, cold = certified(question, 300.0, 2), Planner("label-setting", 300.0, warm=False, cached=0)
     return found, {out: cold.plan(question.supposing(out)) for out in list(found.entries)[::every]}
 
