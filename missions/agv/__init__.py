@@ -6,6 +6,7 @@ from types import MappingProxyType
 from typing import Final
 
 from kb import KnowledgeBase
+from missions import SUMMARIES
 from missions.agv.building import PAPER, Building
 from missions.agv.model import NAVIGATE, building_model
 from missions.agv.modes import Modes
@@ -59,8 +60,4 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
     )
 
 
-MISSION = agv_mission(
-    "agv",
-    "drive through a building; the Kinect fails on the way, and a corridor goes dark",
-    PAPER,
-)
+MISSION = agv_mission("agv", SUMMARIES["agv"], PAPER)

@@ -1,39 +1,33 @@
 """The managers there are, by name, and how a run is opened under the one that is asked for."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager
 from missions.baselines.policies import ByHand, Policy
 from missions.engine.mission import Mission, MissionError, split_settings
-from missions.engine.registry import Registry, needs
+from missions.engine.registry import load, needs
 from missions.engine.runner import OURS, Listener, MissionRun, RosaRun
 from missions.engine.settings import Setting
 from missions.engine.task_layer import TASK_KINDS, check_task
 
-MANAGERS: Registry[type[Manager]] = Registry(
-    "manager",
-    {
-        "none": "missions.baselines.modes:NoManager",
-        "random": "missions.baselines.modes:RandomManager",
-        "bt": "missions.baselines.bt:TreeManager",
-        "metacontrol": "missions.baselines.metacontrol:Metacontrol",
-        "rosa": "missions.baselines.rosa:RosaManager",
-        "ahead": "missions.baselines.ahead:AheadManager",
-    },
-)
-"""Of the sea's vehicle; all but ours."""
+MANAGERS: Final = {
+    "none": "missions.baselines.modes:NoManager",
+    "random": "missions.baselines.modes:RandomManager",
+    "bt": "missions.baselines.bt:TreeManager",
+    "metacontrol": "missions.baselines.metacontrol:Metacontrol",
+    "rosa": "missions.baselines.rosa:RosaManager",
+    "ahead": "missions.baselines.ahead:AheadManager",
+}
+"""The managers of the sea's vehicle, all but ours, each with its home."""
 
-POLICIES: Registry[type[Policy]] = Registry(
-    "manager",
-    {
-        "none": "missions.baselines.policies:Unmanaged",
-        "random": "missions.baselines.policies:Random",
-        "fixed": "missions.baselines.policies:Fixed",
-        "bt": "missions.baselines.policies:ByHand",
-    },
-)
-"""Of every other mission; what the sea has no manager of its own for is there, too."""
+POLICIES: Final = {
+    "none": "missions.baselines.policies:Unmanaged",
+    "random": "missions.baselines.policies:Random",
+    "fixed": "missions.baselines.policies:Fixed",
+    "bt": "missions.baselines.policies:ByHand",
+}
+"""Those of every other mission; what the sea has no manager of its own for is there, too."""
 
 AnyManager = type[Manager] | type[Policy]
 
@@ -47,11 +41,10 @@ def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyM
     if isinstance(name, type):
         found: Any = name
     else:
-        of_sea = MANAGERS.homes if mission is None or _is_in_sea(mission) else {}
-        registry = Registry[AnyManager]("manager", {**POLICIES.homes, **of_sea})
-        where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in registry else ""
-        known = f"{', '.join((OURS, *registry))}; one of your own is given as package:Class{where}"
-        found = registry.find(name, known)
+        homes = POLICIES | (MANAGERS if mission is None or _is_in_sea(mission) else {})
+        where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in homes else ""
+        known = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class{where}"
+        found = load("manager", name, homes, known)
     if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
         shown = getattr(name, "__name__", name)
         raise MissionError(f"{shown!r} is no subclass of missions.baselines.Policy or Manager")
@@ -71,8 +64,7 @@ def _is_in_sea(mission: Mission) -> bool:
 
 def name_of(manager: AnyManager) -> str:
     own = f"{manager.__module__}:{manager.__qualname__}"
-    homes = (*MANAGERS.homes.items(), *POLICIES.homes.items())
-    return next((name for name, home in homes if home == own), own)
+    return next((name for name, home in (*MANAGERS.items(), *POLICIES.items()) if home == own), own)
 
 
 def options_of(manager: str | AnyManager, mission: Mission | None = None) -> tuple[Setting, ...]:

@@ -5,67 +5,43 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any, TypeVar
+from typing import Any, Final
 
 from kb import Model
+from missions import SUMMARIES
 from missions.engine.mission import Mission, MissionError, built
 from missions.engine.settings import near
 
-T = TypeVar("T")
+MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
+"""The missions that have a name, each with its home."""
 
 
-class Registry(Mapping[str, T]):
-    """Things of a kind, such as "mission", by name; each is imported from its home, "module:NAME", when looked up."""
+def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # noqa: ANN401  # whoever asks checks it
+    """Return a thing of some kind, such as "mission", by its name, or what "module:NAME" is, from anywhere.
 
-    def __init__(self, kind: str, homes: Mapping[str, str]) -> None:
-        self.kind, self.homes = kind, homes
+    `homes` says by name of which "module:NAME" it is, and `known` what there is, for the message if it is not there.
 
-    def __getitem__(self, name: str) -> T:
-        found: T = self._imported(name, self.homes[name])
-        return found
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self.homes)
-
-    def __len__(self) -> int:
-        return len(self.homes)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self.homes
-
-    def find(self, name: str, known: str) -> Any:  # noqa: ANN401  # whoever asks checks what it is
-        """Return one of them, or what "module:NAME" is, from anywhere that Python imports from.
-
-        Raises:
-            MissionError: there is no such thing; the message says what is `known`.
-        """
-        if name in self.homes:
-            return self[name]
-        if ":" not in name[1:]:
-            raise MissionError(f"unknown {self.kind} {name!r}; there are {known}")
-        return self._imported(name, name)
-
-    def _imported(self, name: str, home: str) -> Any:  # noqa: ANN401  # whatever a registry holds
-        module, _, attribute = home.partition(":")
-        try:
-            found = import_module(module)
-            if not hasattr(found, attribute):
-                close = near(attribute, vars(found)) or [one for one in vars(found) if one.isupper()]
-                did = f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?" if close else ""
-                raise MissionError(f"{module} has no {attribute!r}{did}")
-            return getattr(found, attribute)
-        except Exception as error:  # whatever an author's module may raise
-            said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
-            if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
-                said = f"there is no module {module} here in {Path.cwd()}, nor among what is installed"
-            files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
-            places = [one for one in extract_tb(error.__traceback__) if one.filename.endswith(files)]
-            where = "".join(f" ({Path(one.filename).name}, line {one.lineno})" for one in places[-1:])
-            raise MissionError(f"cannot import {self.kind} {name!r}: {said}{where}") from error
-
-
-_NAMES = ("suave", "suave_extended", "agv", "uav")
-MISSIONS = Registry[Mission]("mission", {name: f"missions.{name}:MISSION" for name in _NAMES})
+    Raises:
+        MissionError: there is no such thing, or it cannot be imported.
+    """
+    if name not in homes and ":" not in name[1:]:
+        raise MissionError(f"unknown {kind} {name!r}; there are {known}")
+    module, _, attribute = homes.get(name, name).partition(":")
+    try:
+        found = import_module(module)
+        if not hasattr(found, attribute):
+            close = near(attribute, vars(found)) or [one for one in vars(found) if one.isupper()]
+            did = f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?" if close else ""
+            raise MissionError(f"{module} has no {attribute!r}{did}")
+        return getattr(found, attribute)
+    except Exception as error:  # whatever an author's module may raise
+        said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
+        if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
+            said = f"there is no module {module} here in {Path.cwd()}, nor among what is installed"
+        files = tuple(f"/{module.replace('.', '/')}{end}" for end in (".py", "/__init__.py"))
+        places = [one for one in extract_tb(error.__traceback__) if one.filename.endswith(files)]
+        where = "".join(f" ({Path(one.filename).name}, line {one.lineno})" for one in places[-1:])
+        raise MissionError(f"cannot import {kind} {name!r}: {said}{where}") from error
 
 
 def find_mission(name: str) -> Mission:
@@ -74,7 +50,7 @@ def find_mission(name: str) -> Mission:
     Raises:
         MissionError: no such mission; the message lists those there are.
     """
-    found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME")
+    found = load("mission", name, MISSIONS, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME")
     if not isinstance(found, Mission):
         raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission")
     return found
@@ -88,7 +64,8 @@ def find_robot(name: str) -> tuple[Model, Mission | None]:
     """
     if Path(name).suffix in (".tql", ".owl"):
         return Model.load(name), None
-    found = MISSIONS.find(name, f"{', '.join(MISSIONS)}; one of your own is a file (.tql, .owl) or module:NAME")
+    own = "one of your own is a file (.tql, .owl) or module:NAME"
+    found = load("mission", name, MISSIONS, f"{', '.join(MISSIONS)}; {own}")
     if isinstance(found, Mission):
         return found.model(), found
     if not (isinstance(found, Model) or callable(found)):

@@ -1,5 +1,6 @@
 """SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
 
+from missions import SUMMARIES
 from missions.engine.mission import Mission
 from missions.engine.task_layer import by_schema
 from missions.suave.model import suave_model
@@ -10,7 +11,7 @@ __all__ = ["MISSION"]
 
 MISSION = Mission(
     name="suave",
-    summary="search for a pipeline and inspect it; the water turns murky and a thruster fails",
+    summary=SUMMARIES["suave"],
     model=suave_model,
     tree=suave_tree,
     problem=PROBLEM,

@@ -1,5 +1,6 @@
 """Extended SUAVE: as SUAVE, and the battery drops to a critical level, so that the task has to change too."""
 
+from missions import SUMMARIES
 from missions.engine.mission import Mission
 from missions.engine.task_layer import by_schema
 from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts
@@ -11,7 +12,7 @@ __all__ = ["MISSION"]
 
 MISSION = Mission(
     name="suave_extended",
-    summary="as suave, and the battery drops: give up the task, recharge, carry on",
+    summary=SUMMARIES["suave_extended"],
     model=suave_extended_model,
     tree=suave_extended_tree,
     problem=PROBLEM,

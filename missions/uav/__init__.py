@@ -1,5 +1,6 @@
 """UAV: an aerial vehicle searches a field for samples and analyses them, as its battery and its gripper allow."""
 
+from missions import SUMMARIES
 from missions.engine.mission import Mission
 from missions.engine.task_layer import by_schema
 from missions.uav.model import uav_model
@@ -19,7 +20,7 @@ __all__ = ["MISSION"]
 
 MISSION = Mission(
     name="uav",
-    summary="fly over a field and analyse samples; the battery runs low and the gripper fails",
+    summary=SUMMARIES["uav"],
     model=uav_model,
     tree=uav_tree,
     problem=PROBLEM,

@@ -8,7 +8,7 @@ from py_trees.behaviour import Behaviour
 
 from kb import KnowledgeBase, Model
 from missions.engine.mission import Mission, MissionError, Percepts, built
-from missions.engine.registry import Registry
+from missions.engine.registry import load
 from missions.engine.task_layer import declarations_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.idioms import unguarded
@@ -31,7 +31,7 @@ class _Tolerant(KnowledgeBase):
 
 def tree_builder(reference: str) -> Callable[..., object]:
     """Return what is given as module:callable; MissionError if it cannot be imported or called."""
-    found: object = Registry("tree", {}).find(reference, "none by name, a tree is given as module:callable")
+    found: object = load("tree", reference, {}, "none by name, a tree is given as module:callable")
     if not callable(found):
         raise MissionError(f"{reference!r} is a {type(found).__name__}, not a function that builds a tree")
     return found

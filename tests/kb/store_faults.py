@@ -14,7 +14,7 @@ from kept import Life, answers, robot
 
 from kb import KnowledgeBase
 from kb.store_file import StoreError
-from missions.engine.stores import backup, repair
+from missions.commands.store import backup, repair
 
 HERE = Path(__file__).parent
 ENDS = ("", "-wal", "-mark")

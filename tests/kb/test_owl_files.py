@@ -26,7 +26,7 @@ from kb.owl.individuals import (
     metamodel,
     property_of,
 )
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import MISSIONS, find_mission
 from missions.suave_extended.model import suave_extended_model
 
 rdflib = pytest.importorskip("rdflib")
@@ -73,7 +73,7 @@ def test_parameters_that_are_special_numbers_and_texts_are_written_as_what_they_
 
 TQL = Path(__file__).parent / "typeql_files"
 MODELS = {
-    **{name: mission.model for name, mission in MISSIONS.items()},
+    **{name: find_mission(name).model for name in MISSIONS},
     **{one: partial(Model.load, TQL / f"{one}.tql") for one in ("underwater", "mobile_robot", "asserted")},
     "underwater, extended": partial(Model.load, [TQL / "underwater.tql", TQL / "underwater_extended.tql"]),
 }

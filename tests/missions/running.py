@@ -68,4 +68,6 @@ def register(monkeypatch, name: str, mission: object) -> None:
     home = ModuleType("registered_by_a_test")
     home.MISSION = mission
     monkeypatch.setitem(sys.modules, home.__name__, home)
-    monkeypatch.setattr(registry.MISSIONS, "homes", {name: f"{home.__name__}:MISSION"})
+    for known in registry.MISSIONS.copy():
+        monkeypatch.delitem(registry.MISSIONS, known)
+    monkeypatch.setitem(registry.MISSIONS, name, f"{home.__name__}:MISSION")

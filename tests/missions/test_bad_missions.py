@@ -12,7 +12,7 @@ from running import register, rosa_run, run_mission
 from missions import cli, suave_extended
 from missions.engine import runner
 from missions.engine.mission import MissionError, World
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import find_mission
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
 
@@ -26,7 +26,7 @@ def altered(monkeypatch):
 
     def alter(**changes):
         files = {"domain": DOMAIN, "problem": PROBLEM}
-        mission = dataclasses.replace(MISSIONS["suave_extended"], name="altered", **(files | changes))
+        mission = dataclasses.replace(find_mission("suave_extended"), name="altered", **(files | changes))
         register(monkeypatch, "altered", mission)
 
     return alter
@@ -221,7 +221,7 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
         def update(self):
             raise RuntimeError("boom")
 
-    mission = dataclasses.replace(MISSIONS["suave_extended"], tree=lambda kb, percepts: Rash("rash"))
+    mission = dataclasses.replace(find_mission("suave_extended"), tree=lambda kb, percepts: Rash("rash"))
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = rosa_run(mission, "bt", world)
     assert not run.run().success
@@ -240,7 +240,7 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
     ],
 )
 def test_what_cannot_make_a_step_ends_the_run_and_is_not_tried_for_ever(action, message):
-    mission = MISSIONS["suave_extended"]
+    mission = find_mission("suave_extended")
     actions = dict.fromkeys(mission.actions, action)
     mission = dataclasses.replace(mission, actions=actions, domain=DOMAIN, problem=PROBLEM)
     world = mission.world.open({}, numpy.random.default_rng(0))

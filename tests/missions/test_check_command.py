@@ -13,7 +13,7 @@ from kb import Model
 from kb.checks import rules
 from missions.commands.check import judge
 from missions.engine.mission import MissionError
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import MISSIONS, find_mission
 from missions.views.names import names_in_pddl, names_in_tree, planned_names
 from rosa_bt import IsActionFeasible
 from rosa_pddl import PddlError
@@ -95,7 +95,7 @@ def test_own_missions_match_their_models_and_have_nothing_to_find(rosa, name):
 
 
 def test_names_of_the_own_missions_are_found_in_tree_and_domain():
-    mission = MISSIONS["suave_extended"]
+    mission = find_mission("suave_extended")
     model = mission.model()
     in_tree, _ = names_in_tree(mission.tree, model, "the tree")
     in_pddl = planned_names(mission)
@@ -198,7 +198,7 @@ def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     names, _ = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
     assert [name for name, _ in names] == [""]
     given_later = dataclasses.replace(
-        MISSIONS["suave"], model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
+        find_mission("suave"), model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
     )
     assert judge([], dataclasses.replace(given_later, problem=None), [], [])[1] == ()
 
@@ -212,7 +212,9 @@ def test_files_are_judged_with_the_tree_of_a_mission(rosa):
 
 def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot_run(rosa, monkeypatch):
     broken = dataclasses.replace(
-        MISSIONS["suave"], name="broken", tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline")
+        find_mission("suave"),
+        name="broken",
+        tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline"),
     )
     register(monkeypatch, "broken", broken)
     code, out, _ = rosa("--mission", "broken")
@@ -221,7 +223,7 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
 
 
 def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_mentioned_nowhere(rosa, monkeypatch):
-    suave = MISSIONS["suave"]
+    suave = find_mission("suave")
 
     def larger():
         model = suave.model()

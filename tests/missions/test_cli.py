@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from missions import cli
 from missions.baselines.registry import MANAGERS, OURS, POLICIES
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import MISSIONS, find_mission
 
 
 def rosa(*arguments, environment=None):
@@ -44,7 +44,7 @@ def test_missions_are_listed_with_what_happens_in_them(quick):
     code, out, _ = quick("list")
     assert code == 0
     assert len(MISSIONS) >= 2
-    for mission in MISSIONS.values():
+    for mission in map(find_mission, MISSIONS):
         assert mission.name in out
         assert mission.summary in out
 

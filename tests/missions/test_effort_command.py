@@ -13,7 +13,7 @@ from kb import KnowledgeBase, Model
 from missions import suave
 from missions.baselines.modes import FUNCTIONS, SystemModes
 from missions.engine.mission import MissionError, Percepts
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import MISSIONS, find_mission
 from missions.experiments import effort
 from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, count, count_tree, survey
 from missions.suave.model import suave_model
@@ -92,7 +92,7 @@ def test_model_that_differs_from_the_published_one_is_marked(rosa, monkeypatch):
 
 def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
     for one in everything["trees"]:
-        mission = MISSIONS[one["name"]]
+        mission = find_mission(one["name"])
         task = mission.tree(KnowledgeBase(mission.model()), Percepts())
         assert one.items() >= count_tree(mission).items()
         assert one["task_nodes"] == len(ascii_tree(task).splitlines())

@@ -14,7 +14,7 @@ from running import called
 
 from missions import suave, suave_extended
 from missions.engine.mission import MissionError
-from missions.engine.registry import MISSIONS
+from missions.engine.registry import find_mission
 from missions.engine.task_layer import by_schema, declarations_of, mission_domain
 from missions.suave.tree import SearchPipeline
 from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain
@@ -47,7 +47,7 @@ def plans_of(domain):
 def test_domain_made_of_the_declarations_gives_the_plans_of_the_one_written_by_hand(name):
     folder = FOLDERS[name]
     written = load_domain(f"{folder}/domain.pddl", f"{folder}/problem.pddl")
-    declared = mission_domain(MISSIONS[name])
+    declared = mission_domain(find_mission(name))
     assert declared.rosa_actions == written.rosa_actions
     assert declared.schemas == written.schemas
     plans = plans_of(declared)
@@ -82,7 +82,7 @@ def test_json_is_outcome_engine_cost_and_steps(rosa, tmp_path):
 
 
 def test_situation_says_with_the_model_why_each_unfeasible_action_is_out(rosa, tmp_path):
-    MISSIONS["suave_extended"].model().save(tmp_path / "robot.tql")
+    find_mission("suave_extended").model().save(tmp_path / "robot.tql")
     for given in (["--mission", "suave_extended"], [*EXTENDED, "--model", "robot.tql"]):
         code, out, _ = rosa(*given, "--situation", "battery_level=0.2")
         assert code == 0
@@ -96,7 +96,7 @@ def test_situation_says_with_the_model_why_each_unfeasible_action_is_out(rosa, t
 
 
 def test_action_of_the_model_that_is_never_planned_is_noted(rosa, tmp_path):
-    MISSIONS["suave_extended"].model().save(tmp_path / "robot.tql")
+    find_mission("suave_extended").model().save(tmp_path / "robot.tql")
     files = [f"{FOLDERS['suave']}/{file}.pddl" for file in ("domain", "problem")]
     code, out, _ = rosa(*files, "--model", "robot.tql")
     assert code == 0
@@ -282,10 +282,10 @@ def test_action_without_a_schema_or_with_that_of_another_is_refused():
         by_schema(Idle)
     with pytest.raises(MissionError, match="two actions declare the schema 'search_pipeline'"):
         by_schema(SearchPipeline, Also)
-    wrong = dataclasses.replace(MISSIONS["suave"], actions={"search": SearchPipeline})
+    wrong = dataclasses.replace(find_mission("suave"), actions={"search": SearchPipeline})
     with pytest.raises(MissionError, match="is listed as 'search', but declares 'search_pipeline'"):
         declarations_of(wrong)
-    bare = dataclasses.replace(MISSIONS["suave"], problem=None)
+    bare = dataclasses.replace(find_mission("suave"), problem=None)
     with pytest.raises(MissionError, match="has no PDDL domain and problem"):
         mission_domain(bare)
 

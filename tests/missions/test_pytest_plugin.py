@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 
-import missions.engine.components
-import missions.testing.decisions
-import missions.testing.recorded
+from missions.engine.registry import MISSIONS, find_mission
 from missions.testing.decisions import golden_path
 
-assert missions.MISSIONS, "loaded here, so that the runs inside of a test do not load all of it a second time"
+for _name in MISSIONS:  # loaded here, so that the runs inside of a test do not load all of it a second time
+    find_mission(_name)
 
 pytest_plugins = "pytester"
 
