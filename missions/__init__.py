@@ -2,6 +2,8 @@
 
 from typing import Final
 
+__all__ = ["SUMMARIES"]
+
 SUMMARIES: Final = {
     "suave": "search for a pipeline and inspect it; the water turns murky and a thruster fails",
     "suave_extended": "as suave, and the battery drops: give up the task, recharge, carry on",

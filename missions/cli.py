@@ -91,22 +91,14 @@ def main() -> None:
     except OSError as error:  # standard output is full or gone
         with suppress(OSError):
             sys.stdout.close()
-        _exit(FAILED, f"cannot print: {error.strerror or error}")
+        complain(f"cannot print: {error.strerror or error}")
+        sys.exit(FAILED)
     except Exception as error:
-        if not _is_for_people(error):
-            raise
-        _exit(WRONG_USE, str(error))
+        from kb import KnowledgeBaseError
+        from missions.engine.mission import MissionError
+        from rosa_pddl import RosaPddlError
 
-
-def _is_for_people(error: Exception) -> bool:
-    """Whether an error is a clear message, not a mistake of the program."""
-    from kb import KnowledgeBaseError
-    from missions.engine.mission import MissionError
-    from rosa_pddl import RosaPddlError
-
-    return isinstance(error, MissionError | KnowledgeBaseError | RosaPddlError)
-
-
-def _exit(status: int, text: str) -> None:
-    complain(text)
-    sys.exit(status)
+        if not isinstance(error, MissionError | KnowledgeBaseError | RosaPddlError):
+            raise  # a mistake of the program
+        complain(str(error))
+        sys.exit(WRONG_USE)

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
-from time import perf_counter
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from kb import DiagnosticProblem, RequiredAction
@@ -201,18 +200,16 @@ class BaselineRun(MissionRun):
         return self.robot.measured
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        started = perf_counter()
-        self.robot.receive(message)
-        self._ask(self._manager.receive, message)
-        self.compute_s["manager"] += perf_counter() - started
+        with self.spending("manager"):
+            self.robot.receive(message)
+            self._ask(self._manager.receive, message)
         return ()
 
     def decide(self) -> bool:
-        started = perf_counter()
         self._is_ticked = False
-        while self.due <= self.world.now:
-            self._ask(self.robot.agenda.happen)
-        self.compute_s["manager"] += perf_counter() - started
+        with self.spending("manager"):
+            while self.due <= self.world.now:
+                self._ask(self.robot.agenda.happen)
         self._report()
         return self._is_ticked
 

@@ -13,7 +13,7 @@ from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import LineRecorder
 from missions.engine.registry import find_mission, needs
-from missions.engine.runner import MissionRun, RosaRun
+from missions.engine.runner import MissionRun
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView
 from missions.views.output import as_json, open_files, summary, timing_of
@@ -48,8 +48,9 @@ def run(
     token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
     allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")] = False,
     tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
-    speed: Annotated[float | None, typer.Option(help="Times real time at most, 0: no limit; --live alone: 1.")] = None,
+    speed: Annotated[
+        float | None, typer.Option(help="Times real time at most, 0: no limit; else 1 with --live and --tui.")
+    ] = None,
     progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
@@ -63,7 +64,7 @@ def run(
         mcap = record if record is not None and record.suffix == ".mcap" else None
         lines = None if mcap else record
         files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}, stack)
-        steering = Steering((1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed)
+        steering = Steering((1.0 if live is not None or tui else 0.0) if speed is None else speed)
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
         progress = progress and not tui
         narrator, page = Narrator(console, opened.settings.duration_s), None
@@ -73,12 +74,10 @@ def run(
             _publish(opened, groot2, stack)
         if "record" in files:
             LineRecorder(opened, seed, files["record"].write)
-        if "report" in files:
-            page = RunRecorder(opened, seed, changed)
-        elif live is not None or mcap or tui or plot:
-            page = RunRecorder(
-                opened, seed, changed, KEEP if live is not None and plot is None else None, what_if=False
-            )
+        is_drawn = bool(report or plot)
+        if is_drawn or mcap or tui or live is not None:
+            keep = None if is_drawn or live is None else KEEP
+            page = RunRecorder(opened, seed, changed, keep, what_if=report is not None)
         opened.listen(steering)
         if page and live is not None:
             if allow_control:
@@ -133,6 +132,6 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
 def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     from missions.wires.groot2 import Groot2Publisher
 
-    if not isinstance(run, RosaRun):
+    if run.tree is None:
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
     stack.callback(Groot2Publisher(run.tree, port).close)

@@ -49,7 +49,7 @@ _TOLD: Final = ("failed", "active", "selected", "requested", "asserted", "assert
 
 
 @app.command()
-def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False) -> None:
+def info(file: File) -> None:
     """Say what is in a store, also while it is written to; exit with 1 if it is damaged."""
     with surveyed(file) as (connection, found):
         names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
@@ -59,18 +59,15 @@ def info(file: File, as_json: Annotated[bool, typer.Option("--json", help="Print
             "last sound event": found.last,
             "last acknowledged event": found.acknowledged,
             "state": "in use, or not closed" if found.is_open else "closed",
-            "damage": found.problem or None,
+            "damage": found.problem or "none",
         }
         if not found.problem:
             counts = connection.execute("SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb")
-            shown["events kept"] = dict(counts.fetchall())
+            shown["events kept"] = ", ".join(f"{count} {verb}" for verb, count in counts)
             asked = "SELECT MIN(time), MAX(time) FROM events"
             ((shown["first time [s]"], shown["last time [s]"]),) = connection.execute(asked)
-    if as_json:
-        typer.echo(json.dumps(shown, indent=2))
-    else:
-        for name, value in shown.items():
-            typer.echo(f"{name}: {json.dumps(value) if isinstance(value, dict) else value}")
+    for name, value in shown.items():
+        typer.echo(f"{name}: {value}")
     if found.problem:
         raise typer.Exit(FAILED)
 

@@ -85,10 +85,6 @@ class Adaptation:
         acted = self.at_s if latest is None or latest.end is None else max(self.at_s, latest.end)
         return kb.actions[self.action].status is Status.SOLVED or last_tick >= acted
 
-    def add(self, words: str, plan: ReconfigurationPlan) -> None:
-        self.plans.append((words, plan))
-        self.close()
-
     def close(self) -> Self:
         """Say how the plans have ended up to now, and when the last was in force, if it was."""
         if not self.plans:
@@ -139,7 +135,7 @@ class AdaptationLog:
         # by action: what made it unfeasible, or feasible again; by event: what the manager has not answered, maybe yet
         self._lost: dict[str, _News] = {}
         self._regained: dict[str, _News] = {}
-        self._to_answer: dict[int | None, _News] = {}
+        self._to_answer: deque[_News] = deque(maxlen=_REMEMBERED)
         # what was decided: the action that ended last, until another begins; plans that are put down to nothing yet
         self._before: _Ended | None = None
         self._made: list[ReconfigurationPlan] = []
@@ -223,9 +219,7 @@ class AdaptationLog:
                 self._regained[change.name] = replace(news, reason=f"{change.name} is feasible again")
         self._heard.append((news, bool(event.changes)))
         if event.changes:
-            self._to_answer[event.number] = news
-            if len(self._to_answer) > _REMEMBERED:
-                del self._to_answer[next(iter(self._to_answer))]
+            self._to_answer.append(news)
 
     def _hear_end(self, event: Event, action: str, result: str, reason: str) -> None:
         """Note what has ended and why; a tree may begin the next one before it ends this one."""
@@ -300,11 +294,12 @@ class AdaptationLog:
 
     def _change(self, before: _Ended, action: str, time: float, cause: _News) -> None:
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
-        change = self._enter(time, "task", cause, reason, f"{before.action} -> {action}")
-        change.before, change.action = before.action, action
+        self._enter(time, "task", cause, reason, f"{before.action} -> {action}", before.action, action)
 
-    def _enter(self, at_s: float, kind: str, cause: _News, reason: str, change: str = "") -> Adaptation:
-        made = Adaptation(at_s, kind, cause.text, reason, change, None, cause.time, events=cause.events)
+    def _enter(
+        self, at_s: float, kind: str, cause: _News, reason: str, change: str, before: str = "", action: str = ""
+    ) -> Adaptation:
+        made = Adaptation(at_s, kind, cause.text, reason, change, None, cause.time, before, action, cause.events)
         self.adaptations.append(made)
         self._open.append(made)
         return made
@@ -332,12 +327,15 @@ class AdaptationLog:
         waiting = []
         for plan in self._made:
             change = next((one for one in self._open if one.action), None)
-            cause = self._to_answer.pop(plan.cause, None)
+            cause = next((one for one in self._to_answer if plan.cause in one.events), None)
+            if cause is not None:
+                self._to_answer.remove(cause)
             if cause is not None and (change is None or not set(cause.events) <= set(change.events)):
                 kind = "structural" if plan.activate or plan.deactivate else "parameter"
-                change = self._enter(plan.start, kind, cause, plan.reason)
+                change = self._enter(plan.start, kind, cause, plan.reason, "")
             if change is not None:
-                change.add(self._in_words(plan), plan)
+                change.plans.append((self._in_words(plan), plan))
+                change.close()
             elif self._before is not None and plan.cause == self._before.event:
                 waiting.append(plan)  # for the action that comes next
         self._made = waiting

@@ -19,6 +19,15 @@ class CommandFailed(Exception):
     """A command failed because a script says so."""
 
 
+class Command(NamedTuple):
+    """A command to a component, given at that time [s]; the parameters are empty unless they are what is set."""
+
+    time: float
+    verb: str
+    component: str
+    parameters: Parameters
+
+
 class Components(Protocol):
     """The components of a world: what a command does to them, at once, when its time has come.
 
@@ -119,6 +128,7 @@ class SimulatedComponents:
         self._entered = count()
         self._scripts: dict[tuple[str, str], Script] = {}
         self._given: Counter[tuple[str, str]] = Counter()
+        self.commands: list[Command] = []
         self._crash: dict[str, Operation] = {}
 
     @property
@@ -213,6 +223,7 @@ class SimulatedComponents:
     ) -> Operation:
         self._components.check(component, parameters)
         now, script = self._clock(), self._script(verb, component)
+        self.commands.append(Command(now, verb, component, parameters))
         self._given[verb, component] += 1
         if script.hangs:
             return Operation(math.inf, effect, self.catch_up)

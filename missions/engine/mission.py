@@ -2,8 +2,8 @@
 
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
 from operator import attrgetter
@@ -291,20 +291,27 @@ class Mission:
                 raise MissionError(f"{called}: {error}; give it these parameters") from error
 
 
+@contextmanager
+def blamed(what: str) -> Iterator[None]:
+    """Raise MissionError that says what went wrong, whatever the code of an author raises."""
+    try:
+        yield
+    except (MissionError, KnowledgeBaseError):
+        raise
+    except Exception as error:
+        raise MissionError(f"{what}: {in_words(error)}") from error
+
+
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
     """Return what a function of an author makes, called with as many of these things as it has to be called with.
 
     Raises:
         MissionError: it fails, or makes something else. Of a tree of py_trees its root is taken.
     """
-    try:
+    with blamed(f"cannot build {title}"):
         parameters = signature(build).parameters.values() if given else ()
         places = [one.default for one in parameters if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
         made = build(*given[: places.count(Parameter.empty)])
-    except (MissionError, KnowledgeBaseError):
-        raise
-    except Exception as error:  # whatever the author's code may raise
-        raise MissionError(f"cannot build {title}: {in_words(error)}") from error
     made = made.root if isinstance(made, BehaviourTree) else made
     if not isinstance(made, kind):
         raise MissionError(f"{title} is {made!r}, not a {'py_trees behaviour' if kind is Behaviour else kind.__name__}")

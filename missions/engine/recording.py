@@ -77,7 +77,11 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
         MissionError: the file cannot be read, or a line is no message; names the line and what was expected.
     """
     last = -math.inf
-    for where, message in _lines_of(source) if isinstance(source, str | Path) else _numbered(source):
+    if isinstance(source, str | Path):
+        found = _lines_of(source)
+    else:
+        found = ((f"message {number}", message) for number, message in enumerate(source, start=1))
+    for where, message in found:
         _check(message, where)
         if message["time"] < last:
             raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
@@ -87,10 +91,6 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
 
 def _said(time: float, what: str, values: dict[str, str]) -> Message:
     return {"time": float(time), "status": [{"name": "by hand", "message": what, "values": values}]}
-
-
-def _numbered(messages: Iterable[Message]) -> Iterator[tuple[str, Any]]:
-    return ((f"message {number}", message) for number, message in enumerate(messages, start=1))
 
 
 def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:

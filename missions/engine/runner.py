@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from math import inf, isfinite, nan
 from numbers import Real
@@ -12,16 +12,7 @@ from typing import Final
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
-from kb import (
-    ConfigurationManager,
-    DiagnosticProblem,
-    Event,
-    EventKind,
-    KnowledgeBase,
-    KnowledgeBaseError,
-    Model,
-    RequiredAction,
-)
+from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.mission import (
@@ -35,11 +26,11 @@ from missions.engine.mission import (
     Sample,
     Verdict,
     World,
+    blamed,
 )
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
-from rosa_bt.exceptions import in_words
 from rosa_pddl import PlanRecord
 
 OURS: Final = "ours"
@@ -80,6 +71,7 @@ class MissionRun(ABC):
     It lets the world go on to the time that it is due, takes in what was published by then, and decides.
 
     Attributes:
+        model: the mission's, amended as far as it was.
         manager: whose run it is, as `rosa run --manager` takes it.
         tree: what is ticked; None if nothing is.
         problems: parts of messages that could not be used, with their times [s].
@@ -95,6 +87,7 @@ class MissionRun(ABC):
 
     def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
         self.mission, self.world, self.settings = mission, world, settings
+        self.model = mission.model()
         self.manager, self.task = manager, task
         self.tree: BehaviourTree | None = None
         self.problems: list[tuple[float, DiagnosticProblem]] = []
@@ -134,11 +127,6 @@ class MissionRun(ABC):
             MissionError: it is the run of a baseline, which has none.
         """
         raise MissionError(f"manager {self.manager} has no knowledge base")
-
-    @property
-    def model(self) -> Model:
-        """The model of the mission, amended as far as it was."""
-        return self.mission.model()
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
@@ -224,8 +212,9 @@ class MissionRun(ABC):
 
     def _turn(self) -> None:
         """Let the world go on to the next news, or to when something is due, and answer it."""
-        with self.spending("world"):
-            messages = self._advanced(min(self.due, self.settings.duration_s))
+        started = perf_counter()
+        messages = self._advanced(min(self.due, self.settings.duration_s))
+        self.compute_s["world"] += perf_counter() - started
         spent_s = sum(self.compute_s.values())
         if self.alter is not None:
             messages = self.alter(messages, self.world.now)
@@ -245,27 +234,21 @@ class MissionRun(ABC):
         self.tell(lambda listener: listener.plan(plan, self.world.now))
 
     def _advanced(self, until: float) -> Sequence[Message]:
-        world, before, name = self.world, self.world.now, self.mission.name
-        try:
-            given = world.advance(until)
-            if isinstance(given, Mapping) or not isinstance(given, Iterable):
-                said = f"advance() of {type(world).__name__} returned {given!r:.80}"
-                raise MissionError(f"{said}; it is to return a list of messages, empty if there are none")
-            messages = [*given]
-        except (MissionError, KnowledgeBaseError):
-            raise
-        except Exception as error:  # whatever an author's world may raise
-            raise MissionError(f"the world of mission {name} failed after {before:.1f} s: {in_words(error)}") from error
+        world, before, its = self.world, self.world.now, f"the world of mission {self.mission.name}"
+        with blamed(f"{its} failed after {before:.1f} s"):
+            messages = world.advance(until)
+        if not isinstance(messages, list):
+            said = f"advance() of {type(world).__name__} returned {messages!r:.80}"
+            raise MissionError(f"{said}; it is to return a list of messages, empty if there are none")
         now = world.now
         if not isfinite(now) or now < before:
-            raise MissionError(f"the world of mission {name} shows {now!r} s after {before!r} s; its time has to pass")
+            raise MissionError(f"{its} shows {now!r} s after {before!r} s; its time has to pass")
         self._turns += 1
         if now >= self._moved_s + 1e-3:
             self._moved_s, self._turns = now, 0
         elif self._turns > STANDSTILL:
-            stands = f"the world of mission {name} stands still at {now:.3f} s, asked to go on to {until:.3f} s"
             advice = "advance() goes on until something is published, a command has ended, or to the time asked for"
-            raise MissionError(f"{stands}; {advice}")
+            raise MissionError(f"{its} stands still at {now:.3f} s, asked to go on to {until:.3f} s; {advice}")
         return messages
 
     def _take_in(self, message: Message) -> None:
@@ -315,7 +298,7 @@ class RosaRun(MissionRun):
     ) -> None:
         super().__init__(mission, world, settings, manager, task)
         self.percepts = Percepts()
-        self._kb = KnowledgeBase(mission.model(), clock=self._now)
+        self._kb = KnowledgeBase(self.model, clock=self._now)
         self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
         self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
@@ -335,10 +318,6 @@ class RosaRun(MissionRun):
     @property
     def kb(self) -> KnowledgeBase:
         return self._kb
-
-    @property
-    def model(self) -> Model:
-        return self._kb.model
 
     @property
     def due(self) -> float:
@@ -366,16 +345,17 @@ class RosaRun(MissionRun):
         super().listen(*listeners)
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        with self.spending("knowledge base"):
-            if self._rests_at is not None:
-                self._log.passed_over(self._runner.put_off(self._now()))
-                self._is_told = True
-            message = self._hears(message)
-            self._log.news(float(message["time"]))
-            problems = self._kb.receive(message)
-            for key in self.percepts.receive(message):
-                self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
-            self._log.news(None)
+        started = perf_counter()
+        if self._rests_at is not None:
+            self._log.passed_over(self._runner.put_off(self._now()))
+            self._is_told = True
+        message = self._hears(message)
+        self._log.news(float(message["time"]))
+        problems = self._kb.receive(message)
+        for key in self.percepts.receive(message):
+            self._log.sensed(f"{key} is {str(self.percepts.holds(key)).lower()}")
+        self._log.news(None)
+        self.compute_s["knowledge base"] += perf_counter() - started
         return problems
 
     def decide(self) -> bool:

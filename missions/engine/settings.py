@@ -132,8 +132,10 @@ def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: 
         if given:
             named[one.name] = rest.pop(given[0])
     for name in rest:
-        close = near(name, [one.name for one in settings])
-        hint = f"did you mean {' or '.join(close)}?" if close else f"`rosa settings {mission}` lists them"
+        known = [one.name for one in settings]
+        close = near(name, known)
+        some = f"there are {', '.join(known)}" if len(known) < 20 else f"`rosa settings {mission}` lists them"
+        hint = f"did you mean {' or '.join(close)}?" if close else some
         raise MissionError(f"unknown setting {name!r} of mission {mission}; {hint}")
     return named
 

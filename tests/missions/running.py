@@ -68,6 +68,4 @@ def register(monkeypatch, name: str, mission: object) -> None:
     home = ModuleType("registered_by_a_test")
     home.MISSION = mission
     monkeypatch.setitem(sys.modules, home.__name__, home)
-    for known in registry.MISSIONS.copy():
-        monkeypatch.delitem(registry.MISSIONS, known)
-    monkeypatch.setitem(registry.MISSIONS, name, f"{home.__name__}:MISSION")
+    monkeypatch.setattr(registry, "MISSIONS", {name: f"{home.__name__}:MISSION"})

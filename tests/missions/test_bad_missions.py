@@ -112,7 +112,7 @@ def test_misspelt_requirement_stops_nothing(monkeypatch, capsys, altered, tmp_pa
 
 def planning_with(monkeypatch, planner):
     """Give missions that are planned another planner than Fast Downward."""
-    monkeypatch.setattr("rosa_pddl.Planner", planner)
+    monkeypatch.setattr("missions.engine.task_layer.Planner", planner)
 
 
 def test_planner_that_is_gone_when_it_is_needed_ends_the_mission_and_says_what_to_install(monkeypatch, capsys, altered):

@@ -31,6 +31,7 @@ def test_commands_to_one_component_are_carried_out_one_after_the_other(commands,
     assert all(operation.done() and operation.exception() is None for one in given_to.values() for _, operation in one)
     assert managed.active == {name for name, operations in given_to.items() if operations[-1][0] == "activate"}
     assert managed.next_event() == math.inf
+    assert [(one.verb, one.component) for one in managed.commands] == [(verb, name) for verb, name, _ in commands]
 
 
 @given(st.integers(0, 4), st.integers(1, 6))

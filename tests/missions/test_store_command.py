@@ -1,6 +1,5 @@
 """`rosa store` says what is in a store, copies it while it is written to, repairs it, and gives it a new model."""
 
-import json
 import threading
 
 import pytest
@@ -59,9 +58,9 @@ def test_info_says_what_is_in_a_store(path):
     assert "model: rover" in said
     assert "last sound event: 13" in said
     assert "state: closed" in said
-    told = json.loads(CliRunner().invoke(app, ["store", "info", "--json", str(path)]).stdout)
-    assert told["events kept"]["measure"] == 6
-    assert (told["first time [s]"], told["last time [s]"], told["damage"]) == (1.0, 3.0, None)
+    assert "damage: none" in said
+    assert "6 measure, " in said
+    assert said.endswith("first time [s]: 1.0 last time [s]: 3.0")
 
 
 def test_check_finds_a_flipped_bit_and_repair_writes_what_is_sound(path, tmp_path):
