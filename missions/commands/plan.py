@@ -33,17 +33,8 @@ def plan(
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     if len(files or []) > 2 or (mission and files):
         raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
-    alone = (
-        None if feasible is None else [name.strip() for text in feasible for name in text.split(",") if name.strip()]
-    )
-    question = ask(
-        files or [],
-        find_mission(mission) if mission else None,
-        model or [],
-        situation=situation or [],
-        feasible=alone,
-        goals=goal or [],
-    )
+    of = find_mission(mission) if mission else None
+    question = ask(files or [], of, model or [], situation=situation or [], feasible=feasible, goals=goal or [])
     paths = {"json": json, "svg": svg}
     if certificate and svg:
         raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")

@@ -92,8 +92,10 @@ def ask(
         mission: what is planned for, if no files are given.
         models: files of the model that says what is feasible. Without a model every ROSA action is, unless something
             else is supposed or the problem file says so.
-        situation: what is supposed to be so, such as "battery_level=0.2" or "battery_level=0.2,camera=failed".
-        feasible: the ROSA actions that are feasible, and no others; None to have the knowledge base say it.
+        situation: what is supposed to be so, such as "battery_level=0.2", or "camera=failed" for a component; several
+            with commas, too.
+        feasible: the ROSA actions that are feasible, and no others, several with commas, too; None to have the
+            knowledge base say it.
         goals: conditions as text, instead of the goal of the problem.
 
     Raises:
@@ -175,8 +177,9 @@ def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Iterable[str] | 
             kb.assert_status(kb.actions[action], status, reason)
 
 
-def _known(domain: Domain, names: Iterable[str]) -> set[str]:
+def _known(domain: Domain, texts: Iterable[str]) -> set[str]:
     spelled = {action.lower(): action for action in domain.rosa_actions}
+    names = [name.strip() for text in texts for name in text.split(",") if name.strip()]
     for name in names:
         if name.lower() not in spelled:
             message = f"--feasible names {name!r}, which is no ROSA action of {domain.file}"
