@@ -1,4 +1,4 @@
-"""The control nodes, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
+"""The control nodes, each with the semantics of BehaviorTree.CPP 4.10 or Nav2, not of py_trees' namesake."""
 
 import sys
 from contextlib import suppress
@@ -237,6 +237,82 @@ class TryCatch(Control):
         super().stop(new_status)
 
 
+class RecoveryNode(Control):
+    """(Nav2) The first child; each time it fails the second, and the first again, as often as it may be retried."""
+
+    CHILDREN = (2, 2)
+    PORTS: ClassVar = {"number_of_retries": PortInformation(int, default_value=1)}
+    FORGETS = ("_retries", "_is_recovering")
+    _retries = 0
+    _is_recovering = False
+
+    def decide(self) -> Ticking:
+        task, recovery = self.slots
+        allowed = self.ports.get("number_of_retries")
+        while self._retries <= allowed:
+            slot = recovery if self._is_recovering else task
+            verdict = yield from slot.tick()
+            if verdict is RUNNING:
+                return RUNNING
+            if slot is task and verdict is FAILURE and self._retries < allowed:
+                self._is_recovering = True
+            elif slot is recovery and verdict in (SUCCESS, SKIPPED):
+                self._is_recovering = False
+            else:
+                return self.end(verdict)
+            slot.reset()
+            if verdict is SKIPPED:
+                return FAILURE
+            self._retries += verdict is SUCCESS
+        return self.end(FAILURE)
+
+
+class PipelineSequence(Control):
+    """(Nav2) A sequence that ticks what it has passed again, and is not held up by what is running there."""
+
+    FORGETS = ("_furthest",)
+    _furthest = 0
+
+    def decide(self) -> Ticking:
+        skipped = 0
+        for index, slot in enumerate(self.slots):
+            verdict = yield from slot.tick()
+            skipped += verdict is SKIPPED
+            if verdict is RUNNING and index >= self._furthest:
+                self._furthest = index
+                return RUNNING
+            if verdict is FAILURE:
+                return self.end(FAILURE)
+        return self.end(SKIPPED if skipped == len(self.children) else SUCCESS)
+
+
+class RoundRobin(Control):
+    """(Nav2) The next child at each turn, until one succeeds or all have failed; if told so, not beyond the last child."""
+
+    PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=True)}
+    FORGETS = ("_next", "_failed")
+    _next = 0
+    _failed = 0
+
+    def decide(self) -> Ticking:
+        slots = self.slots
+        skipped = 0
+        while self._failed + skipped < len(slots):
+            verdict = yield from slots[self._next % len(slots)].tick()
+            if verdict is RUNNING:
+                return RUNNING
+            self._next = (self._next + 1) % len(slots)
+            if verdict is SUCCESS:
+                self._failed = 0
+                self.reset_children()
+                return SUCCESS
+            skipped += verdict is SKIPPED
+            self._failed += verdict is FAILURE
+            if self._next == 0 and not self.ports.get("wrap_around"):
+                break
+        return self.end(SKIPPED if skipped == len(slots) else FAILURE)
+
+
 def _switch(cases: int) -> dict[str, Any]:
     names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
     return {"PORTS": {name: PortInformation(str, required=False) for name in names}, "CHILDREN": (cases + 1, cases + 1)}
@@ -250,7 +326,7 @@ _KINDS: Final[dict[str, tuple[type[Control], dict[str, Any]]]] = {
     "Fallback": (_InOrder, {"goes_on": FAILURE}),
     "AsyncFallback": (_InOrder, {"goes_on": FAILURE, "is_async": True}),
     "ReactiveFallback": (Reactive, {"goes_on": FAILURE}),
-    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch)},
+    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch, RecoveryNode, PipelineSequence, RoundRobin)},
     "IfThenElse": (_Conditional, {}),
     "WhileDoElse": (_Conditional, {"asks_always": True}),
     **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},

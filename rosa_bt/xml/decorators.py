@@ -1,4 +1,4 @@
-"""The decorators, each with the semantics of BehaviorTree.CPP 4.10, not of py_trees' namesake."""
+"""The decorators, each with the semantics of BehaviorTree.CPP 4.10 or Nav2, not of py_trees' namesake."""
 
 from contextlib import suppress
 from typing import Any, ClassVar, Final
@@ -190,6 +190,71 @@ class _Loop(OneChild):
         return FAILURE if verdict is FAILURE else RUNNING
 
 
+class _Anew(OneChild):
+    """(Nav2) The child when it is due: at the start of this node, and while it is running."""
+
+    instead: ClassVar = RUNNING
+    _is_due = True
+
+    def initialise(self) -> None:
+        self._is_due = True
+
+    def decide(self) -> Ticking:
+        if not self._is_due and self.child.status is not RUNNING:
+            return self.instead
+        self._is_due = False
+        return (yield from self.child.tick())
+
+
+class RateController(_Anew, Timed):
+    """The child at its start, while it is running, and when a period has passed since it last succeeded."""
+
+    port = "hz"
+    PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
+
+    def initialise(self) -> None:
+        super().initialise()
+        self._since = self.ports.clock()
+
+    def decide(self) -> Ticking:
+        if self._since is not None and not self._is_due and self.child.status is not RUNNING:
+            self._is_due = (self.ports.clock() - self._since) * self.ports.get("hz") >= 1 - 1e-9
+        verdict = yield from super().decide()
+        if verdict is SUCCESS:
+            self._since = self.ports.clock()
+        return verdict
+
+
+class SingleTrigger(_Anew):
+    """The child to its end, once until this node is reset; FAILURE after that."""
+
+    instead = FAILURE
+
+    def decide(self) -> Ticking:
+        verdict = yield from super().decide()
+        self._is_due = verdict not in DONE
+        return verdict
+
+
+class GoalUpdatedController(_Anew):
+    """The child at its start, while it is running, and when `goal` or `goals` has changed."""
+
+    PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
+    _known: object = None
+
+    def initialise(self) -> None:
+        super().initialise()
+        self._known = self._goals()
+
+    def decide(self) -> Ticking:
+        known, self._known = self._known, self._goals()
+        self._is_due |= known != self._known
+        return (yield from super().decide())
+
+    def _goals(self) -> list[object]:
+        return [self.ports.get(name) if self.ports.exists(name) else None for name in self.PORTS]
+
+
 _LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
 
 
@@ -206,6 +271,7 @@ _KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {
     "Repeat": (_Again, _again(SUCCESS, "num_cycles")),
     "RetryUntilSuccessful": (_Again, _again(FAILURE, "num_attempts")),
     **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
+    **{kind.__name__: (kind, {}) for kind in (RateController, SingleTrigger, GoalUpdatedController)},
     "SkipUnlessUpdated": (_Updated, {"instead": SKIPPED}),
     "WaitValueUpdate": (_Updated, {"instead": RUNNING}),
     **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},

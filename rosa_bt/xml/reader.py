@@ -11,6 +11,7 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree
 from xml.parsers.expat import ExpatError, ParserCreate
 
 from py_trees.behaviour import Behaviour
@@ -22,7 +23,6 @@ from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES, XmlLeaf
-from rosa_bt.xml.nav2 import NAV2
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
@@ -44,29 +44,25 @@ _OF_VERSION_3: Final = {"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithM
 }
 
 
-@dataclass(frozen=True)
-class Element:
+class Element(ElementTree.Element):
     """One element of a file; text in it is passed over, as BehaviorTree.CPP does."""
 
-    tag: str
-    attributes: Mapping[str, str]
-    children: tuple["Element", ...]
-    where: str
+    where = ""
     """File and line of its start; the file is `<text>` for a text that was handed in."""
 
     @property
     def node(self) -> str:
         """What node it is: of an explicit element such as `<Action ID=...>` its ID, or else the tag."""
-        return self.get("ID") if self.tag in _EXPLICIT else self.tag
+        return self.needed("ID") if self.tag in _EXPLICIT else self.tag
 
     @property
     def ports(self) -> dict[str, str]:
-        return {key: text for key, text in self.attributes.items() if key not in ("name", "ID") and key[:1] != "_"}
+        return {key: text for key, text in self.items() if key not in ("name", "ID") and key[:1] != "_"}
 
-    def get(self, attribute: str) -> str:
-        if not self.attributes.get(attribute):
+    def needed(self, attribute: str) -> str:
+        if not self.get(attribute):
             raise self.error(f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
-        return self.attributes[attribute]
+        return self.attrib[attribute]
 
     def error(self, problem: str) -> XmlError:
         return XmlError(self.where, problem)
@@ -91,7 +87,7 @@ class Document:
         roots = [self._open(source) for source in sources]
         if not roots:
             raise XmlError("<text>", "there is no text and no file; give at least one")
-        self.root = next((one for one in roots if "main_tree_to_execute" in one.attributes), roots[0])
+        self.root = next((one for one in roots if "main_tree_to_execute" in one.attrib), roots[0])
 
     def _open(self, text_or_path: str | Path) -> Element:
         if not isinstance(text_or_path, str | Path):
@@ -119,7 +115,7 @@ class Document:
 
     def main(self, wanted: str | None) -> str:
         """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
-        chosen = wanted or self.root.attributes.get("main_tree_to_execute")
+        chosen = wanted or self.root.get("main_tree_to_execute")
         if chosen is not None:
             self.tree(chosen, self.root)
             return chosen
@@ -138,20 +134,19 @@ class Document:
         """Take up what a file defines and includes; return its outermost element, which is given."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-        if root.attributes.get("BTCPP_format", "4") != "4":
+        if root.get("BTCPP_format", "4") != "4":
             _log.warning("%s: read as of version 4, whose names its nodes need to have", root.where)
-        tags = [one.tag for one in root.children]
-        for place, element in enumerate(root.children):
+        tags = [one.tag for one in root]
+        for place, element in enumerate(root):
             if element.tag == "BehaviorTree":
-                if len(element.children) != 1:
-                    count = len(element.children)
-                    raise element.error(f"a tree has one child, not {count}; put a Sequence around")
-                is_unnamed = tags.count("BehaviorTree") == 1 and "ID" not in element.attributes
-                _add(self.trees, "BehaviorTree" if is_unnamed else element.get("ID"), element)
+                if len(element) != 1:
+                    raise element.error(f"a tree has one child, not {len(element)}; put a Sequence around")
+                is_unnamed = tags.count("BehaviorTree") == 1 and "ID" not in element.attrib
+                _add(self.trees, "BehaviorTree" if is_unnamed else element.needed("ID"), element)
             elif element.tag == "TreeNodesModel":
                 if "TreeNodesModel" in tags[:place]:
                     raise element.error("a file has one TreeNodesModel; put its elements into the first")
-                for model in element.children:
+                for model in element:
                     self._add_model(model)
             elif element.tag == "include":
                 self._include(element, folder, chain)
@@ -162,22 +157,22 @@ class Document:
     def _add_model(self, model: Element) -> None:
         if model.tag not in _MODELS:
             raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
-        for port in (one for one in model.children if one.tag.endswith("_port")):
-            name = port.attributes.get("name") or "_"
+        for port in (one for one in model if one.tag.endswith("_port")):
+            name = port.get("name") or "_"
             if name[0].isdigit() or name in (*Rules.NAMES, "name", "ID", "_autoremap"):
                 raise port.error(f"a port cannot be called {name!r}; write p_{name.lstrip('_')}")
-        _add(self.models, model.get("ID"), model)
+        _add(self.models, model.needed("ID"), model)
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
-        if "ros_pkg" in element.attributes:
-            package, prefixes = element.get("ros_pkg"), os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+        if "ros_pkg" in element.attrib:
+            package, prefixes = element.needed("ros_pkg"), os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
             shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
             found = [share for share in shares if share.is_dir()]
             if not found:
                 advice = "source the workspace that has it, or write the path alone"
                 raise element.error(f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}")
             folder = found[0]
-        self._file(folder / element.get("path"), element.where, chain)
+        self._file(folder / element.needed("path"), element.where, chain)
 
 
 def wrong_id(name: str) -> str:
@@ -238,20 +233,22 @@ def _parse(text: str | bytes, file: str) -> Element:
 
 
 def _strictly(text: str | bytes, file: str) -> Element:
-    parser = ParserCreate()
-    opened: list[tuple[Mapping[str, str], str, list[Element]]] = [({}, "", [])]
+    parser, builder, depth = ParserCreate(), ElementTree.TreeBuilder(element_factory=Element), 0
 
     def where() -> str:
         return f"{file}:{parser.CurrentLineNumber}"
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        if len(opened) > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
+        nonlocal depth
+        depth += 1
+        if depth > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
             raise XmlError(where(), f"more than {MAX_DEPTH} elements in each other; use SubTree")
-        opened.append((attributes, where(), []))
+        builder.start(tag, attributes).where = where()
 
     def end(tag: str) -> None:
-        attributes, line, children = opened.pop()
-        opened[-1][2].append(Element(tag, attributes, tuple(children), line))
+        nonlocal depth
+        depth -= 1
+        builder.end(tag)
 
     def refuse(*declared: object) -> None:  # no entity is declared but in a document type
         raise XmlError(where(), "a document type or entity is not read; write values out")
@@ -259,17 +256,17 @@ def _strictly(text: str | bytes, file: str) -> Element:
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
     try:
         parser.Parse(text, True)
+        return builder.close()
     except XmlError:
         raise
     except ExpatError as error:
         raise XmlError(f"{file}:{error.lineno}", f"it is no XML: {error}") from None
     except (ValueError, LookupError) as error:
         raise XmlError(where(), f"it cannot be decoded: {error}") from None
-    return opened[0][2][0]
 
 
 _Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
-_NODES: Final[_Kinds] = {**CONTROLS, **NAV2, **DECORATORS, **LEAVES}
+_NODES: Final[_Kinds] = {**CONTROLS, **DECORATORS, **LEAVES}
 
 
 class SubTree(Branch):
@@ -356,7 +353,7 @@ class _Builder:
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
-        slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
+        slot = self._slot(element[0], replace(place, trees=(*place.trees, tree)))
         return SubTree(name or tree, slot, place.board, tree, tuple(self._document.models.values()))
 
     def _slot(self, element: Element, place: _Place) -> Slot:
@@ -373,17 +370,17 @@ class _Builder:
         except Exception as error:  # whatever behaviours of the user raise when they are made
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
-        return Slot(node, is_condition, (element.tag, element.attributes), rules)
+        return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
     def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
         """Return the node, and whether it is a condition."""
         tag = element.node
-        if "ID" in element.attributes and element.tag not in _MODELS and (tag in _NODES or tag in self._registry):
+        if "ID" in element.attrib and element.tag not in _MODELS and (tag in _NODES or tag in self._registry):
             raise element.error(f"<{element.tag}> has an ID, which <Action ID=...> and its like have; write name=...")
-        name = element.attributes.get("name") or tag
+        name = element.get("name") or tag
         if tag == "SubTree":
             return self._subtree(element, place), False
-        if not element.children and (stand_in := self._stand_in(element, name, place)) is not None:
+        if not len(element) and (stand_in := self._stand_in(element, name, place)) is not None:
             return stand_in
         if tag in self._registry:
             return self._registered(element, name, place)
@@ -393,13 +390,13 @@ class _Builder:
         _check_children(element, *kind.CHILDREN)
         ports = Ports(kind.PORTS, element.ports, place.board)
         ports.check_required()
-        node = kind(name, [self._slot(child, place) for child in element.children], ports)
+        node = kind(name, [self._slot(child, place) for child in element], ports)
         return node, is_plain(node)
 
     def _registered(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool]:
         entry = self._registry[element.node]
         _check_children(element, *entry.children())
-        slots = [self._slot(child, place) for child in element.children]
+        slots = [self._slot(child, place) for child in element]
         branches = [Branch(slot.node.name, [slot], Ports({}, {}, place.board)) for slot in slots]
         node = entry.make(name, element.ports, branches, place.board)
         return node, not slots and self._is_condition(entry, element, node)
@@ -429,12 +426,12 @@ class _Builder:
         return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)
 
     def _subtree(self, element: Element, place: _Place) -> SubTree:
-        tree = element.get("ID")
+        tree = element.needed("ID")
         _check_children(element, 0, 0)
-        autoremap = BOOLS.get(element.attributes.get("_autoremap", "false"))
+        autoremap = BOOLS.get(element.get("_autoremap", "false"))
         if autoremap is None:
-            raise element.error(f"_autoremap is true or false, not {element.attributes['_autoremap']!r}")
-        name = element.attributes.get("name")
+            raise element.error(f"_autoremap is true or false, not {element.attrib['_autoremap']!r}")
+        name = element.get("name")
         if name is not None and (id(place.board), name) in self._named:
             raise element.error(f"two SubTrees of one tree are named {name!r}; give one of them another name")
         self._named.add((id(place.board), name or ""))
@@ -447,11 +444,11 @@ class _Builder:
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
         found = {}
-        for port in model.children if model is not None and model.tag == "SubTree" else ():
+        for port in model if model is not None and model.tag == "SubTree" else ():
             if port.tag.endswith("_port"):  # editors write other things, too
-                name = port.get("name")
-                if port.attributes.get("default"):
-                    found[name] = port.attributes["default"]
+                name = port.needed("name")
+                if default := port.get("default"):
+                    found[name] = default
                 elif name not in element.ports:
                     raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
         return found
@@ -468,7 +465,7 @@ class _Builder:
 
 def _rules(element: Element, board: Blackboard) -> Rules | None:
     scripts, written = {}, {}
-    for name, text in element.attributes.items():
+    for name, text in element.items():
         if name in Rules.NAMES:
             scripts[name], written[name] = parse_script(text), text
         elif name.startswith("_") and (near := get_close_matches(name, Rules.NAMES, 1)):
@@ -477,10 +474,10 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
 
 
 def _check_children(element: Element, least: int, most: int) -> None:
-    several = [child for child in element.children if child.node == "AsyncSequence"]
+    several = [child for child in element if child.node == "AsyncSequence"]
     if element.node == "ReactiveSequence" and len(several) > 1:
         raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")
-    count = len(element.children)
+    count = len(element)
     if least <= count <= most:
         return
     wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"

@@ -24,8 +24,11 @@ F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
 
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
-BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS})
-"""Names that have their meaning already."""
+_OF_NAV2: Final = frozenset(
+    ("RecoveryNode", "PipelineSequence", "RoundRobin", "RateController", "SingleTrigger", "GoalUpdatedController")
+)
+BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS}) - _OF_NAV2
+"""Names that have their meaning already; Nav2's may be registered anew, as its releases differ."""
 _ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute is meant for."""
 _VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)

@@ -4,7 +4,8 @@
 """
 
 import inspect
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import count
 from math import inf
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -21,7 +22,6 @@ from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import Document, SubTree, wrong_id
-from rosa_bt.xml.reader import Element as Read
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
 _SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites without memory, and with it
@@ -74,20 +74,15 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
         ExportError: a behaviour has no exact counterpart; the message names it.
     """
     writer = _Writer(registry)
-    if isinstance(behaviour, SubTree):
-        main = writer.tree(behaviour)
-    else:
-        main = MAIN
-        writer.trees[main] = writer.element(slot_of(behaviour))
+    main = writer.tree(behaviour if isinstance(behaviour, SubTree) else None, slot_of(behaviour))
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
-    for name, content in writer.trees.items():
+    for name, content in sorted(writer.trees.items(), key=lambda tree: tree[0] != main):
         SubElement(root, "BehaviorTree", ID=name).append(content)
-    nodes = [_copied(model) for model in writer.models.values()]
     for tag in registry or () if models else ():
         if registry is not None and tag not in writer.models:
-            nodes.append(_model(tag, registry[tag], writer.conditions.get(tag)))
-    if nodes:
-        SubElement(root, "TreeNodesModel").extend(nodes)
+            writer.models[tag] = _model(tag, registry[tag], writer.conditions.get(tag))
+    if writer.models:
+        SubElement(root, "TreeNodesModel").extend(writer.models.values())
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
@@ -97,26 +92,29 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
     return text
 
 
+def _names(wanted: str) -> Iterator[str]:
+    """Yield a name, and what something is called that cannot have it: Dock, Dock_2, Dock_3."""
+    yield wanted
+    yield from (f"{wanted}_{number}" for number in count(2))
+
+
 class _Writer:
     def __init__(self, registry: BehaviourRegistry | None) -> None:
         self._registry = registry
         self.trees: dict[str, Element] = {}
-        self.models: dict[str, Read] = {}
+        self.models: dict[str, Element] = {}
         self.conditions: dict[str, bool] = {}
         """Whether the leaves that were written are conditions, by tag."""
 
-    def tree(self, subtree: SubTree) -> str:
+    def tree(self, subtree: SubTree | None, slot: Slot) -> str:
         """Write a tree; return the ID, which is another one if a tree with that ID has other content by now."""
-        self.models.update({model.attributes["ID"]: model for model in subtree.models})
-        place = len(self.trees)
-        content = self.element(subtree.child)
-        number, name = 1, subtree.tree
-        while name in self.trees and tostring(self.trees[name]) != tostring(content):
-            number += 1
-            name = f"{subtree.tree}_{number}"
-        if name not in self.trees:
-            items = list(self.trees.items())
-            self.trees = dict([*items[:place], (name, content), *items[place:]])
+        if subtree is not None:
+            self.models.update({model.attrib["ID"]: model for model in subtree.models})
+            slot = subtree.child
+        content = self.element(slot)
+        for name in _names(MAIN if subtree is None else subtree.tree):
+            if tostring(self.trees.setdefault(name, content)) == tostring(content):
+                break
         return name
 
     def element(self, slot: Slot) -> Element:
@@ -128,7 +126,7 @@ class _Writer:
         self.conditions[attributes.get("ID", tag)] = slot.is_condition if slot.source else is_plain(node)
         if isinstance(node, SubTree):
             if tag == "SubTree":
-                element.set("ID", self.tree(node))
+                element.set("ID", self.tree(node, slot))
             return element
         written = slots_of(node)  # a decorator of the user's may have children of its own beside those of the file
         if slot.source is not None and not isinstance(node, XmlNode):
@@ -209,12 +207,6 @@ def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
     return element
 
 
-def _copied(model: Read) -> Element:
-    element = Element(model.tag, dict(model.attributes))
-    element.extend([_copied(child) for child in model.children])
-    return element
-
-
 class NumberedTree:
     """A tree as other programs watch it: as XML in which each node has a number; made anew when it has changed.
 
@@ -251,11 +243,7 @@ class NumberedTree:
         return root is self._root and all(node.children == children for node, children in self._children)
 
     def _tree(self, tree: str, path: str, slot: Slot, subtree: SubTree | None) -> None:
-        name, number = path or tree, 1
-        while name in self.subtrees:
-            number += 1
-            name = f"{path or tree}_{number}"
-        self.subtrees[name] = subtree
+        self.subtrees[next(one for one in _names(path or tree) if one not in self.subtrees)] = subtree
         SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path).append(self._element(slot, path))
 
     def _element(self, slot: Slot, path: str) -> Element:

@@ -14,7 +14,6 @@ from rosa_bt.composites import DoUntilUnfeasible
 from rosa_bt.decorators import UntilSuccess
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.nav2 import NAV2
 
 
 class Device(Behaviour):
@@ -41,7 +40,7 @@ def within_every_node(leaf, kb):
     needed = {**{tag: f'{port}="3"' for tag, port in ports.items()}, "Precondition": 'if="true"'}
     needed |= dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), 'entry="x"')
     needed |= dict.fromkeys(("LoopInt", "LoopDouble", "LoopBool", "LoopString"), 'queue="1;1"')
-    for tag, kind in {**CONTROLS, **DECORATORS, **NAV2}.items():
+    for tag, kind in {**CONTROLS, **DECORATORS}.items():
         count = max(kind.CHILDREN[0], 2 if kind.CHILDREN[1] > 1 else 1)
         tree = f"<{tag} {needed.get(tag, '')}>{'<leaf/>' * count}</{tag}>"
         yield count, load_xml(wrapped(f"<under>{tree}</under>"), registry)

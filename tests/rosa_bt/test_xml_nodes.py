@@ -14,7 +14,6 @@ from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, export_xml, load
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.leaves import LEAVES
-from rosa_bt.xml.nav2 import NAV2
 
 PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
 
@@ -214,7 +213,7 @@ def test_every_row_of_the_page_has_an_example_and_every_node_a_row():
     rows = [row.replace("`", "") for row in rows]
     assert sorted(rows) == sorted(EXAMPLES)
     words = [*re.findall(r"\w+", " ".join(rows)), "Switch3", "Switch4", "Switch5"]
-    assert sorted(words) == sorted([*CONTROLS, *NAV2, *DECORATORS, *LEAVES, "SubTree"])
+    assert sorted(words) == sorted([*CONTROLS, *DECORATORS, *LEAVES, "SubTree"])
 
 
 RULES = {
