@@ -8,7 +8,6 @@ import json
 import logging
 import math
 from collections.abc import Generator, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -66,13 +65,13 @@ class _Ledger:
     """Which running behaviours hold the request of an action, with what each prefers: when a tree switches between two
     of them, the new one starts before the old one is stopped, and the request has to outlive the switch."""
     progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
-    """What interrupted behaviours saved, by mission, action and name of the behaviour."""
-    left: dict[tuple[str, str], object] = field(default_factory=dict)
-    """What was saved by a program before this one, by action and name of the behaviour; taken up once."""
+    """What interrupted behaviours saved, by mission, action and name of the behaviour; see `_EARLIER`."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
     """Why an action has its status: the revision of the knowledge base, and the sentence."""
 
 
+_EARLIER: Final = object()
+"""Stands for the mission of a program before this one, whose progress is taken up once."""
 _ledgers: WeakKeyDictionary[KnowledgeBase, _Ledger] = WeakKeyDictionary()
 _missions: WeakKeyDictionary[Behaviour, object] = WeakKeyDictionary()
 """The mission that a tree is, by its root: what is saved in one is nothing to another."""
@@ -82,7 +81,7 @@ def _ledger(kb: KnowledgeBase) -> _Ledger:
     found = _ledgers.get(kb)
     if found is None:
         found = _ledgers.setdefault(kb, _Ledger())
-        found.left.update({key: json.loads(saved) for key, saved in kb.history.progress.items()})
+        found.progress |= {(_EARLIER, *key): json.loads(saved) for key, saved in kb.history.progress.items()}
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 kb.cancel_action(action, "abandoned", "the program that requested it has ended")
@@ -97,7 +96,6 @@ def begin_mission(root: Behaviour) -> None:
 def forget_progress(kb: KnowledgeBase) -> None:
     """Drop what interrupted actions saved: the next mission with this knowledge base begins at the beginning."""
     _ledger(kb).progress.clear()
-    _ledger(kb).left.clear()
     for key in kb.history.progress:
         _keep(kb, key, "")
 
@@ -440,7 +438,7 @@ class RosaAction(ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        preference: name of the attribute to favour when a configuration is chosen, or None; also a port.
+        preference: name of the attribute to favour when a configuration is chosen, or None.
         wait: start working only when the robot is configured for the action; RUNNING before that, with what is lacking
             as feedback. By default it starts in the tick in which it requests.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
@@ -451,7 +449,6 @@ class RosaAction(ActionBehaviour):
     """
 
     BOOKKEEPING = "_saved_s"
-    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {"preference": PortInformation(str, False, "attribute to favour", "")}
 
     def __init__(
         self,
@@ -466,19 +463,10 @@ class RosaAction(ActionBehaviour):
     ) -> None:
         super().__init__(name, kb, action)
         self.wait, self.timeout, self.even_if_unfeasible = wait, timeout, even_if_unfeasible
-        self._preference = preference
+        self.preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
         self._saved_s = -math.inf
-
-    @property
-    def preference(self) -> str | None:
-        """Name of the attribute to favour: as constructed, or else what the port `preference` carries, if anything."""
-        if self._preference is not None:
-            return self._preference
-        with suppress(RuntimeError):  # this leaf is not connected to a blackboard
-            return self.get_input("preference") or None
-        return None
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.
@@ -496,17 +484,16 @@ class RosaAction(ActionBehaviour):
 
     def forget_progress(self) -> None:
         """Drop what was saved, of whichever action: the next start is at the beginning."""
-        ledger, mission = _ledger(self.kb), self._mission
-        for key in [key for key in ledger.progress if key[0] is mission and key[2] == self.name]:
-            del ledger.progress[key]
+        progress, missions = _ledger(self.kb).progress, (self._mission, _EARLIER)
+        for key in [key for key in progress if key[0] in missions and key[2] == self.name]:
+            del progress[key]
         for kept in [kept for kept in self.kb.history.progress if kept[1] == self.name]:
-            ledger.left.pop(kept, None)
             _keep(self.kb, kept, "")
 
     @property
     def is_left(self) -> bool:
         """Whether a program before this one has left progress that is not taken up yet."""
-        return any(name == self.name for _, name in _ledger(self.kb).left)
+        return any((key[0], key[2]) == (_EARLIER, self.name) for key in _ledger(self.kb).progress)
 
     def stop(self, new_status: Status) -> None:
         """Save progress, terminate the round and release the request, also when the subclass raises.
@@ -542,9 +529,9 @@ class RosaAction(ActionBehaviour):
     def _begin(self) -> None:
         self._has_begun = True
         self.initialise()
-        ledger, self._saved_s = _ledger(self.kb), self.kb.now
-        left = ledger.left.pop((self.action, self.name), None)
-        saved = ledger.progress.get((self._mission, self.action, self.name), left)
+        progress, self._saved_s = _ledger(self.kb).progress, self.kb.now
+        left = progress.pop((_EARLIER, self.action, self.name), None)
+        saved = progress.get((self._mission, self.action, self.name), left)
         if saved is not None:
             self.restore_progress(saved)
 

@@ -6,10 +6,10 @@ program that is killed leaves all but the tick that it was in.
 """
 
 import json
-import re
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import chain, pairwise
 from pathlib import Path
 from threading import get_ident
 from typing import Any, Final, NamedTuple, Self, TextIO
@@ -26,9 +26,6 @@ from rosa_bt.trees import TreeRunner
 
 _VERSION: Final = 3
 _KEPT: Final = 10_000
-_ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
-_ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
-"""What ends a line, or has no place in a file; text may hold it all the same."""
 
 
 class Node(NamedTuple):
@@ -106,16 +103,13 @@ class Trace:
     ticks: tuple[Tick, ...]
 
     def __str__(self) -> str:
-        return "".join(_written(self.model, self.ticks))
+        ticks = (_tick_line(tick, before) for before, tick in pairwise([None, *self.ticks]) if tick is not None)
+        return "".join([_first_line(self.model), *ticks])
 
     def statuses(self, name: str) -> tuple[Status, ...]:
         """Return what behaviours of a name returned whenever they were ticked, in order; without what was skipped."""
         visits = [visit for tick in self.ticks for visit in tick.visited if tick.tree[visit.node].name == name]
         return tuple(Status[visit.status] for visit in visits if visit.status != Status.INVALID.name)
-
-    def write(self, path: str | Path) -> None:
-        """Write the trace to a file; the same ticks are the same bytes."""
-        Path(path).write_text(str(self), encoding="utf-8")
 
 
 class TraceVisitor(VisitorBase):
@@ -139,13 +133,12 @@ class TraceVisitor(VisitorBase):
         self._file: TextIO | None = None
         if path is not None:
             self._file = Path(path).open("w", buffering=1, encoding="utf-8")  # noqa: SIM115  # closed by close()
+            self._file.write(_first_line(kb.model.name))
         self._ticks: deque[Tick] = deque(maxlen=keep)
         self._count = self._done = self._begun = 0
         self._tree: tuple[Node, ...] = ()
         self._numbers: dict[Behaviour, int] = {}
         self._seen: list[tuple[Behaviour, Status, str]] = []
-        self._seen_before: list[tuple[Behaviour, Status, str]] = []
-        self._visited: tuple[Visit, ...] = ()
         self._known: list[int] = []
         self._own: set[int] = set()
         self._reasons: dict[int, list[str]] = {}
@@ -170,18 +163,16 @@ class TraceVisitor(VisitorBase):
         self._known.append(self._kb.log.last if known is None else known)
 
     def finalise(self) -> None:
-        if self._seen != self._seen_before:
+        if not all(node in self._numbers for node, _, _ in self._seen):
             self._number()
-            self._visited = tuple(Visit(self._numbers[node], status.name, text) for node, status, text in self._seen)
-            self._seen_before = self._seen
-        self._write(is_interrupted=False)
+        visited = tuple([Visit(self._numbers[node], status.name, text) for node, status, text in self._seen])
+        self._write(visited, is_interrupted=False)
 
     def interrupt(self) -> None:
         """End a tick that was cut short, when the tree is halted; a runner calls this instead of `finalise`."""
-        self._visited, self._seen_before = (), []
-        self._write(is_interrupted=True)
+        self._write((), is_interrupted=True)
 
-    def _write(self, *, is_interrupted: bool) -> None:
+    def _write(self, visited: tuple[Visit, ...], *, is_interrupted: bool) -> None:
         with self._kb.reading():
             events = [Event(*one[:7]) for one in self._kb.log.since(self._done)]  # as they are read again
             time = float(self._kb.now)
@@ -190,11 +181,13 @@ class TraceVisitor(VisitorBase):
             events = [one for one in events if one.number <= last]
         self._done = events[-1].number if events else self._done
         told = tuple(Told(one, -1 if is_interrupted else self._place(one.number)) for one in events)
-        whys = (self._reasons.pop(one.number, [""] * len(_unfeasible(one))) for one in events)
-        reasons = tuple(reason for why in whys for reason in why)
-        tick = Tick(self._count, time, self._tree, self._visited, told, reasons, is_interrupted)
+        whys = [self._reasons.pop(one.number, [""] * len(_unfeasible(one))) for one in events]
+        before = self._ticks[-1] if self._ticks else None
+        if before is not None and visited == before.visited:
+            visited = before.visited  # held once
+        tick = Tick(self._count, time, self._tree, visited, told, tuple(chain(*whys)), is_interrupted)
         if self._file is not None:
-            self._file.write("".join(_written(self._kb.model.name, [tick], self._ticks[-1] if self._ticks else None)))
+            self._file.write(_tick_line(tick, before))
         self._ticks.append(tick)
         self._count += 1
         self._thread = None
@@ -229,8 +222,6 @@ class TraceVisitor(VisitorBase):
         self.close()
 
     def _number(self) -> None:
-        if all(node in self._numbers for node, _, _ in self._seen):
-            return
         depths: dict[Behaviour, int] = {}
         pending = [(self._seen[-1][0], 0)]
         while pending:
@@ -253,28 +244,28 @@ def _turns(change: StatusChange) -> bool:
     return change.kind == "action" and (change.new is unfeasible) != (change.old is unfeasible)
 
 
-def _written(model: str, ticks: Iterable[Tick], before: Tick | None = None) -> Iterator[str]:
-    """Yield the lines of ticks after the one that was written last; without one, the first line comes first."""
-    if before is None:
-        yield _line({"rosa_bt_trace": _VERSION, "model": model})
-    for tick in ticks:
-        line: dict[str, object] = {"tick": tick.number, "time": tick.time}
-        if before is None or tick.tree != before.tree:
-            line["tree"] = tick.tree
-        if before is None or tick.visited != before.visited:
-            line["visited"] = tick.visited
-        if tick.events:
-            line["events"] = [(event.to_json(), place) for event, place in tick.events]
-        if tick.reasons:
-            line["reasons"] = tick.reasons
-        if tick.is_interrupted:
-            line["interrupted"] = True
-        yield _line(line)
-        before = tick
+def _first_line(model: str) -> str:
+    return _line({"rosa_bt_trace": _VERSION, "model": model})
 
 
-def _line(record: dict[str, Any]) -> str:
-    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", _ENCODER.encode(record)) + "\n"
+def _tick_line(tick: Tick, before: Tick | None) -> str:
+    """Return the line of a tick after another one; without that, of the first."""
+    line: dict[str, object] = {"tick": tick.number, "time": tick.time}
+    if before is None or tick.tree != before.tree:
+        line["tree"] = tick.tree
+    if before is None or tick.visited != before.visited:
+        line["visited"] = tick.visited
+    if tick.events:
+        line["events"] = [(event.to_json(), place) for event, place in tick.events]
+    if tick.reasons:
+        line["reasons"] = tick.reasons
+    if tick.is_interrupted:
+        line["interrupted"] = True
+    return _line(line)
+
+
+def _line(record: Mapping[str, object]) -> str:
+    return json.dumps(record, separators=(",", ":")) + "\n"
 
 
 def read_trace(path: str | Path) -> Trace:

@@ -145,12 +145,9 @@ class Lookahead:
             if kb.now < until and kb.is_feasible(errand.action) and not is_done:
                 return self.latest
             self._begun = None
-            with kb.reading() as state:  # what somebody else has said meanwhile stands
-                nodes = [state.network.actions[name] for name in put_off if name in state.network.actions]
-                said = [one for one in nodes if state.asserted[one.index] is Status.UNFEASIBLE]
-                own = [one.name for one in said if state.reason("asserted", one).text == self.latest.reason]
-            for name in own:
-                kb.retract_status(kb.actions[name])
+            for action in [kb.actions[name] for name in put_off if name in kb.actions]:
+                if self.latest.reason in kb.why(action):  # what somebody else has said meanwhile stands
+                    kb.retract_status(action)
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
         self.latest = self.decide()

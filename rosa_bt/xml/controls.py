@@ -287,7 +287,7 @@ class PipelineSequence(Control):
 
 
 class RoundRobin(Control):
-    """(Nav2) The next child at each turn, until one succeeds or all have failed; if told so, not beyond the last child."""
+    """(Nav2) The next child at each turn, until one succeeds or all have failed; perhaps not beyond the last one."""
 
     PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=True)}
     FORGETS = ("_next", "_failed")
@@ -326,7 +326,8 @@ _KINDS: Final[dict[str, tuple[type[Control], dict[str, Any]]]] = {
     "Fallback": (_InOrder, {"goes_on": FAILURE}),
     "AsyncFallback": (_InOrder, {"goes_on": FAILURE, "is_async": True}),
     "ReactiveFallback": (Reactive, {"goes_on": FAILURE}),
-    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch, RecoveryNode, PipelineSequence, RoundRobin)},
+    **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch)},
+    **{kind.__name__: (kind, {}) for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
     "IfThenElse": (_Conditional, {}),
     "WhileDoElse": (_Conditional, {"asks_always": True}),
     **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},

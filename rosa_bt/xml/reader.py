@@ -56,6 +56,10 @@ class Element(ElementTree.Element):
         return self.needed("ID") if self.tag in _EXPLICIT else self.tag
 
     @property
+    def children(self) -> list["Element"]:
+        return list(self)  # type: ignore[arg-type]  # the builder makes them of this class
+
+    @property
     def ports(self) -> dict[str, str]:
         return {key: text for key, text in self.items() if key not in ("name", "ID") and key[:1] != "_"}
 
@@ -136,8 +140,8 @@ class Document:
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
         if root.get("BTCPP_format", "4") != "4":
             _log.warning("%s: read as of version 4, whose names its nodes need to have", root.where)
-        tags = [one.tag for one in root]
-        for place, element in enumerate(root):
+        tags = [one.tag for one in root.children]
+        for place, element in enumerate(root.children):
             if element.tag == "BehaviorTree":
                 if len(element) != 1:
                     raise element.error(f"a tree has one child, not {len(element)}; put a Sequence around")
@@ -146,7 +150,7 @@ class Document:
             elif element.tag == "TreeNodesModel":
                 if "TreeNodesModel" in tags[:place]:
                     raise element.error("a file has one TreeNodesModel; put its elements into the first")
-                for model in element:
+                for model in element.children:
                     self._add_model(model)
             elif element.tag == "include":
                 self._include(element, folder, chain)
@@ -157,7 +161,7 @@ class Document:
     def _add_model(self, model: Element) -> None:
         if model.tag not in _MODELS:
             raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
-        for port in (one for one in model if one.tag.endswith("_port")):
+        for port in (one for one in model.children if one.tag.endswith("_port")):
             name = port.get("name") or "_"
             if name[0].isdigit() or name in (*Rules.NAMES, "name", "ID", "_autoremap"):
                 raise port.error(f"a port cannot be called {name!r}; write p_{name.lstrip('_')}")
@@ -243,7 +247,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
         depth += 1
         if depth > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
             raise XmlError(where(), f"more than {MAX_DEPTH} elements in each other; use SubTree")
-        builder.start(tag, attributes).where = where()
+        builder.start(tag, attributes).where = where()  # type: ignore[attr-defined]  # made by its factory
 
     def end(tag: str) -> None:
         nonlocal depth
@@ -256,7 +260,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
     try:
         parser.Parse(text, True)
-        return builder.close()
+        return builder.close()  # type: ignore[return-value]  # made by its factory
     except XmlError:
         raise
     except ExpatError as error:
@@ -353,7 +357,7 @@ class _Builder:
         if tree in place.trees:
             raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
         element = self._document.tree(tree, asked_by)
-        slot = self._slot(element[0], replace(place, trees=(*place.trees, tree)))
+        slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
         return SubTree(name or tree, slot, place.board, tree, tuple(self._document.models.values()))
 
     def _slot(self, element: Element, place: _Place) -> Slot:
@@ -380,7 +384,7 @@ class _Builder:
         name = element.get("name") or tag
         if tag == "SubTree":
             return self._subtree(element, place), False
-        if not len(element) and (stand_in := self._stand_in(element, name, place)) is not None:
+        if not element.children and (stand_in := self._stand_in(element, name, place)) is not None:
             return stand_in
         if tag in self._registry:
             return self._registered(element, name, place)
@@ -390,13 +394,13 @@ class _Builder:
         _check_children(element, *kind.CHILDREN)
         ports = Ports(kind.PORTS, element.ports, place.board)
         ports.check_required()
-        node = kind(name, [self._slot(child, place) for child in element], ports)
+        node = kind(name, [self._slot(child, place) for child in element.children], ports)
         return node, is_plain(node)
 
     def _registered(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool]:
         entry = self._registry[element.node]
         _check_children(element, *entry.children())
-        slots = [self._slot(child, place) for child in element]
+        slots = [self._slot(child, place) for child in element.children]
         branches = [Branch(slot.node.name, [slot], Ports({}, {}, place.board)) for slot in slots]
         node = entry.make(name, element.ports, branches, place.board)
         return node, not slots and self._is_condition(entry, element, node)
@@ -444,7 +448,7 @@ class _Builder:
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
         found = {}
-        for port in model if model is not None and model.tag == "SubTree" else ():
+        for port in model.children if model is not None and model.tag == "SubTree" else ():
             if port.tag.endswith("_port"):  # editors write other things, too
                 name = port.needed("name")
                 if default := port.get("default"):
@@ -474,7 +478,7 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
 
 
 def _check_children(element: Element, least: int, most: int) -> None:
-    several = [child for child in element if child.node == "AsyncSequence"]
+    several = [child for child in element.children if child.node == "AsyncSequence"]
     if element.node == "ReactiveSequence" and len(several) > 1:
         raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")
     count = len(element)
