@@ -8,6 +8,7 @@ import json
 import logging
 import math
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -438,7 +439,7 @@ class RosaAction(ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        preference: name of the attribute to favour when a configuration is chosen, or None.
+        preference: name of the attribute to favour when a configuration is chosen, or None; also a port.
         wait: start working only when the robot is configured for the action; RUNNING before that, with what is lacking
             as feedback. By default it starts in the tick in which it requests.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
@@ -449,6 +450,7 @@ class RosaAction(ActionBehaviour):
     """
 
     BOOKKEEPING = "_saved_s"
+    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {"preference": PortInformation(str, False, "attribute to favour", "")}
 
     def __init__(
         self,
@@ -463,10 +465,19 @@ class RosaAction(ActionBehaviour):
     ) -> None:
         super().__init__(name, kb, action)
         self.wait, self.timeout, self.even_if_unfeasible = wait, timeout, even_if_unfeasible
-        self.preference = preference
+        self._preference = preference
         self._request = ActionRequest(kb, timeout if wait else None)
         self._has_begun = False
         self._saved_s = -math.inf
+
+    @property
+    def preference(self) -> str | None:
+        """Name of the attribute to favour: as constructed, or else what the port `preference` carries, if anything."""
+        if self._preference is not None:
+            return self._preference
+        with suppress(RuntimeError):  # this leaf is not connected to a blackboard
+            return self.get_input("preference") or None
+        return None
 
     def save_progress(self) -> object | None:
         """Return where the action is, or None (the default) if it starts afresh next time.

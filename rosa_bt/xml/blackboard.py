@@ -45,9 +45,6 @@ _NUMBER: Final = re.compile(
 )
 
 
-# -------------------------------------------------------------------- values
-
-
 def is_number(value: object) -> bool:
     return isinstance(value, int | float)
 
@@ -99,14 +96,9 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
         ScriptError: it cannot be of that kind.
     """
     held = entry.value
-    if held is EMPTY or (isinstance(held, str) and isinstance(value, str)):
-        return value
-    if is_number(held) and is_number(value):
-        if isinstance(held, float):
-            return double(value)
-        number = whole(value)
-        return bool(number) if isinstance(held, bool) and number in (0, 1) else number
-    if type(held) is type(value) and not is_number(held):
+    if is_number(held) and is_number(value):  # one of a truth value takes whole numbers, too
+        return cast(value, int if isinstance(held, bool) and value not in (0, 1) else type(held))
+    if held is EMPTY or type(held) is type(value):
         return value
     raise ScriptError(f"{value!r} does not fit an entry that holds {held!r}")
 
@@ -161,8 +153,7 @@ class Entry:
             elif declared in SCALARS and (declared is not str or is_port):
                 if type(value) is not declared and (declared is str or not is_number(value)):
                     raise ScriptError(f"it is declared as {declared.__name__}")
-                cast(value, declared)
-                value = fit(self, value)
+                value = cast(value, declared)
         except (ValueError, TypeError) as error:
             raise PortError(f"an entry cannot take {value!r}: {error}") from None
         self.put(value)
@@ -346,22 +337,18 @@ class Ports:
             if name not in declared:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
-            if key is None:
-                is_late = declared[name].data_type is Outcome
-                self._literals[name] = text if is_late else self._converted(name, text)
+            if key is None:  # what is no outcome is an error of the tick
+                self._literals[name] = text if self._type(name) is Outcome else self._converted(name, text)
             else:
                 self._keys[name] = key
-                self._declare(name, key)
+                before, now = blackboard.make(key, self._type(name)).declared, self._type(name)
+                if None not in (before, now) and before not in (now, str):
+                    before, now = (getattr(one, "__name__", str(one)) for one in (before, now))
+                    raise PortError(f"{{{key}}} is declared as {before} already, and {name!r} declares it as {now}")
 
-    def _declare(self, name: str, key: str) -> None:
+    def _type(self, name: str) -> Any:  # noqa: ANN401  # as it is declared; None for any
         wanted = self._declared[name].data_type
-        wanted = None if wanted in (Any, object) else wanted
-        entry = self.blackboard.entry(key)
-        if entry is None:
-            self.blackboard.make(key, wanted)
-        elif None not in (wanted, entry.declared) and wanted != entry.declared and entry.declared is not str:
-            before, now = (getattr(one, "__name__", str(one)) for one in (entry.declared, wanted))
-            raise PortError(f"{{{key}}} is declared as {before} already, and {name!r} declares it as {now}")
+        return None if wanted in (Any, object) else wanted
 
     def check_required(self, but: frozenset[str] = frozenset()) -> None:
         """Raise unless every port that needs a value, except some, is given one or has a default."""
@@ -377,8 +364,7 @@ class Ports:
     def get(self, name: str) -> Any:  # noqa: ANN401  # of the type that the port declares
         """Return the value that a port has now, or its default if the element does not say it."""
         if name in self._literals:
-            value = self._literals[name]
-            return self._converted(name, value) if self._declared[name].data_type is Outcome else value
+            return self._converted(name, self._literals[name])
         key = self._keys.get(name)
         if key is not None and key in self.blackboard:
             return self._converted(name, self.blackboard[key])
@@ -389,12 +375,8 @@ class Ports:
 
     def set(self, name: str, value: object) -> None:
         """Write what a port puts out; a port without a key puts it nowhere."""
-        key = self._keys.get(name)
-        entry = None if key is None else self.blackboard.entry(key)
-        if entry is not None:
-            entry.take(value, is_port=True)
-        elif key is not None:
-            self.blackboard[key] = value
+        if name in self._keys:
+            self.blackboard.make(self._keys[name], self._type(name)).take(value, is_port=True)
 
     def key(self, name: str) -> str | None:
         """Return the key that a port points at; None for a literal or nothing."""
@@ -428,8 +410,8 @@ class Ports:
             del behaviour.attach_blackboard_client
 
     def _converted(self, name: str, value: object) -> Any:  # noqa: ANN401  # of the type that the port declares
-        wanted = self._declared[name].data_type
-        if wanted in (Any, object):
+        wanted = self._type(name)
+        if wanted is None:
             return value
         try:
             if isinstance(value, str):

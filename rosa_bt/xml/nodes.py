@@ -1,4 +1,4 @@
-"""What every imported node has in common: a place that keeps its status until the parent resets it, and halting.
+"""What imported nodes have in common: a place that keeps the status until the parent resets it, and halting; leaves.
 
 A py_trees behaviour knows one status. BehaviorTree.CPP asks more of it: a child that has finished stays finished until
 its parent resets it, a node that was skipped is idle, and only what is RUNNING is halted. A `Slot` keeps that for a
@@ -14,11 +14,12 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.composites import Composite
 from py_trees.decorators import Decorator
+from py_trees.ports import PortInformation
 
 from rosa_bt.behaviours import RosaAction
 from rosa_bt.exceptions import RosaBtError
-from rosa_bt.xml.blackboard import Blackboard, Declared, Ports, truth
-from rosa_bt.xml.scripts import Script
+from rosa_bt.xml.blackboard import EMPTY, Blackboard, Declared, Entry, Ports, as_text, truth
+from rosa_bt.xml.scripts import ParsedScript, parse_script
 
 SUCCESS: Final = Status.SUCCESS
 FAILURE: Final = Status.FAILURE
@@ -41,7 +42,7 @@ class Rules:
     """Pre- and post-conditions of a node by attribute, e.g. `_skipIf`, and the blackboard that they speak of."""
 
     blackboard: Blackboard
-    scripts: Mapping[str, Script]
+    scripts: Mapping[str, ParsedScript]
     written: Mapping[str, str]
 
     INSTEAD: ClassVar = {"_failureIf": FAILURE, "_successIf": SUCCESS, "_skipIf": SKIPPED}
@@ -234,3 +235,110 @@ def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
     begins_or_ends = (kind.initialise, kind.terminate) != (Behaviour.initialise, Behaviour.terminate)
     has_children = isinstance(leaf, Behaviour) and bool(leaf.children)
     return not (begins_or_ends or has_children or issubclass(kind, RosaAction))
+
+
+class XmlLeaf(Behaviour):
+    """A leaf of BehaviorTree.CPP: made of what other nodes are made of, but has no children."""
+
+    PORTS: ClassVar[Declared] = {}
+    CHILDREN: ClassVar = (0, 0)
+
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        super().__init__(name)
+        self.ports = ports
+        self.prepare()
+
+    def prepare(self) -> None:
+        """Find wrong literals; called when it is made."""
+
+
+class Script(XmlLeaf):
+    """SUCCESS when the script has been run."""
+
+    PORTS: ClassVar = {"code": PortInformation(str)}
+
+    def prepare(self) -> None:
+        code = self.ports.get("code")
+        self.script = parse_script(code) if code else lambda board: EMPTY
+
+    def update(self) -> Status:
+        self.script(self.ports.blackboard)
+        return Status.SUCCESS
+
+
+class ScriptCondition(Script):
+    """SUCCESS if the script is true, FAILURE if it is false."""
+
+    def update(self) -> Status:
+        return Status.SUCCESS if truth(self.script(self.ports.blackboard)) else Status.FAILURE
+
+
+class SetBlackboard(XmlLeaf):
+    """Writes a text, read as the type that the entry declares, or copies what another key holds.
+
+    As in BehaviorTree.CPP, a text over an entry of no declared type leaves it empty, and over that it is an error.
+    """
+
+    PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
+
+    def update(self) -> Status:
+        board, key, source = self.ports.blackboard, as_text(self.ports.get("output_key")), self.ports.key("value")
+        given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
+        if given is None or given.value is EMPTY:
+            board.make(key)
+            return Status.FAILURE
+        entry = board.entry(key)
+        if entry is None:
+            board.make(key, given.declared).put(given.value)
+        elif isinstance(given.value, str) and entry.declared is None:
+            if entry.is_emptied or entry.value is EMPTY:
+                raise NodeError(f"{key!r} has no declared type, so it cannot be said what {given.value!r} is")
+            entry.is_emptied = True
+            entry.put(EMPTY)
+        elif isinstance(given.value, str):
+            entry.take(given.value)
+        elif entry.declared in (None, given.declared, type(given.value)):
+            entry.put(given.value)
+        else:
+            raise NodeError(f"{key!r} is declared as {entry.declared}, so {given.value!r} cannot be copied there")
+        return Status.SUCCESS
+
+
+class UnsetBlackboard(XmlLeaf):
+    """Takes a key from the blackboard of its own tree."""
+
+    PORTS: ClassVar = {"key": PortInformation(str)}
+
+    def update(self) -> Status:
+        self.ports.blackboard.unset(self.ports.get("key"))
+        return Status.SUCCESS
+
+
+class WasEntryUpdated(XmlLeaf):
+    """SUCCESS if an entry was written since this was ticked last, FAILURE if not, or never."""
+
+    PORTS: ClassVar = {"entry": PortInformation(object)}
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self.ports.is_updated("entry") else Status.FAILURE
+
+
+class Sleep(XmlLeaf):
+    """RUNNING until the time is over, then SUCCESS."""
+
+    PORTS: ClassVar = {"msec": PortInformation(int)}
+
+    def initialise(self) -> None:
+        self._since = self.ports.clock()
+
+    def update(self) -> Status:
+        is_over = self.ports.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
+        return Status.SUCCESS if is_over else Status.RUNNING
+
+
+_KINDS: Final[list[type[XmlLeaf]]] = [Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated]
+_CONSTANT: Final = {"AlwaysSuccess": Status.SUCCESS, "AlwaysFailure": Status.FAILURE}
+LEAVES: Final[dict[str, type[XmlLeaf]]] = {
+    **{tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always}) for tag, always in _CONSTANT.items()},
+    **{kind.__name__: kind for kind in _KINDS},
+}

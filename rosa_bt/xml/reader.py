@@ -6,7 +6,6 @@ import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -22,8 +21,7 @@ from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock, Ports, key_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.leaves import LEAVES, XmlLeaf
-from rosa_bt.xml.nodes import MAX_NODES, Branch, Control, OneChild, Rules, Slot, is_plain
+from rosa_bt.xml.nodes import LEAVES, MAX_NODES, Branch, Control, OneChild, Rules, Slot, XmlLeaf, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
@@ -323,24 +321,15 @@ def load_xml(
     is_one = isinstance(text_or_path, str | Path) or not isinstance(text_or_path, Iterable)
     document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # it is asked above
     for name, element in document.trees.items():
-        if name in (*_NODES, "SubTree") or name in registry:
+        if name in (*_NODES, "SubTree") or name in registry.entries:
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
     kb = registry.bound.get("kb")
     board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
     builder = _Builder(document, registry, substitutes or {})
-    made = builder.tree(document.main(tree), document.root, None, _Place(board))
+    made = builder.tree(document.main(tree), document.root, None, board)
     for pattern in builder.unused:
         raise document.root.error(f"nothing is substituted by {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}")
     return made
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Where a node is: what it reads and writes, in which trees, and how deep."""
-
-    board: Blackboard
-    trees: tuple[str, ...] = ()
-    depth: int = 0
 
 
 class _Builder:
@@ -350,60 +339,59 @@ class _Builder:
         self._substitutes = substitutes
         self.unused: Final = dict.fromkeys(substitutes)
         self.leaves: Final[dict[str, None]] = {}
-        self._count = 0
+        self._count = self._depth = 0
+        self._trees: list[str] = []  # in which the one is that is made at the moment
         self._named: set[tuple[int, str]] = set()
 
-    def tree(self, tree: str, asked_by: Element, name: str | None, place: _Place) -> SubTree:
-        if tree in place.trees:
-            raise asked_by.error(f"a tree is in itself: {' -> '.join([*place.trees, tree])}")
-        element = self._document.tree(tree, asked_by)
-        slot = self._slot(element.children[0], replace(place, trees=(*place.trees, tree)))
-        return SubTree(name or tree, slot, place.board, tree, tuple(self._document.models.values()))
+    def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
+        self._trees.append(tree)
+        if tree in self._trees[:-1]:
+            raise asked_by.error(f"a tree is in itself: {' -> '.join(self._trees)}")
+        slot = self._slot(self._document.tree(tree, asked_by).children[0], board)
+        self._trees.pop()
+        return SubTree(name or tree, slot, board, tree, tuple(self._document.models.values()))
 
-    def _slot(self, element: Element, place: _Place) -> Slot:
-        self._count += 1
+    def _slot(self, element: Element, board: Blackboard) -> Slot:
+        self._count, self._depth = self._count + 1, self._depth + 1
         if self._count > MAX_NODES:
             raise element.error(f"the tree has more than {MAX_NODES} nodes, subtrees included")
-        if place.depth >= MAX_DEPTH:
+        if self._depth > MAX_DEPTH:
             raise element.error(f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
         try:
-            rules = _rules(element, place.board)
-            node, is_condition = self._node(element, replace(place, depth=place.depth + 1))
+            rules = _rules(element, board)
+            node, is_condition = self._node(element, board)
         except XmlError:
             raise
         except Exception as error:  # whatever behaviours of the user raise when they are made
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
+        self._depth -= 1
         return Slot(node, is_condition, (element.tag, element.attrib), rules)
 
-    def _node(self, element: Element, place: _Place) -> tuple[Behaviour, bool]:
+    def _node(self, element: Element, board: Blackboard) -> tuple[Behaviour, bool]:
         """Return the node, and whether it is a condition."""
-        tag = element.node
-        if "ID" in element.attrib and element.tag not in _MODELS and (tag in _NODES or tag in self._registry):
+        tag, name = element.node, element.get("name") or element.node
+        entry = self._registry.entries.get(tag)
+        if "ID" in element.attrib and element.tag not in _MODELS and (tag in _NODES or entry):
             raise element.error(f"<{element.tag}> has an ID, which <Action ID=...> and its like have; write name=...")
-        name = element.get("name") or tag
         if tag == "SubTree":
-            return self._subtree(element, place), False
-        if not element.children and (stand_in := self._stand_in(element, name, place)) is not None:
+            return self._subtree(element, board), False
+        if not element.children and (stand_in := self._stand_in(entry, element, name)) is not None:
             return stand_in
-        if tag in self._registry:
-            return self._registered(element, name, place)
+        if entry is not None:
+            _check_children(element, *entry.children())
+            slots = [self._slot(child, board) for child in element.children]
+            branches = [Branch(slot.node.name, [slot], Ports({}, {}, board)) for slot in slots]
+            node = entry.make(name, element.ports, branches, board)
+            return node, not slots and self._is_condition(entry, element, node)
         if tag not in _NODES:
             raise element.error(self._unknown(tag))
         kind = _NODES[tag]
         _check_children(element, *kind.CHILDREN)
-        ports = Ports(kind.PORTS, element.ports, place.board)
+        ports = Ports(kind.PORTS, element.ports, board)
         ports.check_required()
-        node = kind(name, [self._slot(child, place) for child in element.children], ports)
+        node = kind(name, [self._slot(child, board) for child in element.children], ports)
         return node, is_plain(node)
-
-    def _registered(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool]:
-        entry = self._registry[element.node]
-        _check_children(element, *entry.children())
-        slots = [self._slot(child, place) for child in element.children]
-        branches = [Branch(slot.node.name, [slot], Ports({}, {}, place.board)) for slot in slots]
-        node = entry.make(name, element.ports, branches, place.board)
-        return node, not slots and self._is_condition(entry, element, node)
 
     def _is_condition(self, entry: Entry | None, element: Element, leaf: Behaviour | type[Behaviour]) -> bool:
         if entry is not None and entry.kind is not None:
@@ -412,8 +400,8 @@ class _Builder:
         said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
         return said == "Condition" or (said != "Action" and is_plain(leaf))
 
-    def _stand_in(self, element: Element, name: str, place: _Place) -> tuple[Behaviour, bool] | None:
-        path = "/".join([*place.trees, name])
+    def _stand_in(self, entry: Entry | None, element: Element, name: str) -> tuple[Behaviour, bool] | None:
+        path = "/".join([*self._trees, name])
         self.leaves[path] = None
         fits = (one for one in self._substitutes if one in (name, element.node) or fnmatchcase(path, one))
         pattern = next(fits, None)
@@ -425,25 +413,24 @@ class _Builder:
         if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
             raise element.error(f"{pattern!r} is substituted by py_trees statuses or by a function, not by {what!r}")
         leaf = what(name) if callable(what) else StatusQueue(name, list(statuses[:-1]), statuses[-1])
-        entry = self._registry[element.node] if element.node in self._registry else None  # noqa: SIM401  # it has no get
         original = (entry.made if entry else None) or (leaf if callable(what) else Behaviour)
         return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)
 
-    def _subtree(self, element: Element, place: _Place) -> SubTree:
+    def _subtree(self, element: Element, around: Blackboard) -> SubTree:
         tree = element.needed("ID")
         _check_children(element, 0, 0)
         autoremap = BOOLS.get(element.get("_autoremap", "false"))
         if autoremap is None:
             raise element.error(f"_autoremap is true or false, not {element.attrib['_autoremap']!r}")
         name = element.get("name")
-        if name is not None and (id(place.board), name) in self._named:
+        if name is not None and (id(around), name) in self._named:
             raise element.error(f"two SubTrees of one tree are named {name!r}; give one of them another name")
-        self._named.add((id(place.board), name or ""))
+        self._named.add((id(around), name or ""))
         written = ({} if autoremap else self._defaults(element, tree)) | element.ports
         keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
         constants = {name: text for name, text in written.items() if name not in keys}
-        board = Blackboard(place.board.clock, place.board, keys, constants, autoremap=autoremap)
-        return self.tree(tree, element, name, replace(place, board=board))
+        board = Blackboard(around.clock, around, keys, constants, autoremap=autoremap)
+        return self.tree(tree, element, name, board)
 
     def _defaults(self, element: Element, tree: str) -> dict[str, str]:
         model = self._document.models.get(tree)
@@ -462,9 +449,9 @@ class _Builder:
             return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_OF_VERSION_3[tag]}>"
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        own = hint(tag, [*_NODES, "SubTree"], "nodes")
-        guess = f"did you mean the node {own.split('?')[0].removeprefix('did you mean ')}? " if "?" in own else ""
-        return f"<{tag}> is unknown; {guess}{hint(tag, self._registry, 'registered behaviours')}"
+        near = get_close_matches(tag, [*_NODES, "SubTree"], 1)
+        guess = f"did you mean the node {near[0]!r}? " if near else ""
+        return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
 
 
 def _rules(element: Element, board: Blackboard) -> Rules | None:

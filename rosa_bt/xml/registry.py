@@ -16,8 +16,7 @@ from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.leaves import LEAVES
-from rosa_bt.xml.nodes import MAX_NODES, Branch
+from rosa_bt.xml.nodes import LEAVES, MAX_NODES, Branch
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
@@ -180,6 +179,9 @@ class BehaviourRegistry:
             IsActionFeasible, HasStatus and Measurement are there already, and ForAction, UntilSuccess,
             DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
 
+    Attributes:
+        entries: what is registered, by name.
+
     Example::
 
         registry = BehaviourRegistry(kb=kb)
@@ -191,7 +193,7 @@ class BehaviourRegistry:
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need
         self.bound: Final = dict(bound)
         own = _OURS if "kb" in bound else {}
-        self._entries = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
+        self.entries: Final = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
         self._given: set[str] = set()
 
     @overload
@@ -235,22 +237,13 @@ class BehaviourRegistry:
         if kind not in (None, "action", "condition"):
             raise RegistryError(f"a leaf is an 'action' or a 'condition', not {kind!r}")
         self._given.add(name)
-        self._entries[name] = Entry(factory, kind, self.bound)
+        self.entries[name] = Entry(factory, kind, self.bound)
         return factory
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._entries
-
-    def __getitem__(self, name: str) -> Entry:
-        return self._entries[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._entries)
 
     def name_of(self, behaviour: Behaviour) -> str | None:
         """Return the name under which the class of a behaviour is registered, or its own if a function has that."""
-        for name, entry in self._entries.items():
+        for name, entry in self.entries.items():
             if entry.factory is type(behaviour):
                 return name
-        own = self._entries.get(behaviour.name)
+        own = self.entries.get(behaviour.name)
         return behaviour.name if own is not None and not isinstance(own.factory, type) else None

@@ -24,7 +24,7 @@ from rosa_bt.xml.blackboard import (
 if TYPE_CHECKING:
     from lark import Lark
 
-Script = Callable[[Blackboard], Any]
+ParsedScript = Callable[[Blackboard], Any]
 """What a script does to a blackboard; returns the value of its last statement."""
 _Parts = list[Any]
 """The parts of an expression: scripts, with the signs between them."""
@@ -169,7 +169,7 @@ def _parser() -> "Lark":
     return Lark.open("scripts.lark", rel_to=__file__, parser="lalr", lexer="basic")
 
 
-def parse_script(code: str) -> Script:
+def parse_script(code: str) -> ParsedScript:
     """Read a script.
 
     Raises:

@@ -78,9 +78,9 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
     root = Element("root", BTCPP_format="4", main_tree_to_execute=main)
     for name, content in sorted(writer.trees.items(), key=lambda tree: tree[0] != main):
         SubElement(root, "BehaviorTree", ID=name).append(content)
-    for tag in registry or () if models else ():
-        if registry is not None and tag not in writer.models:
-            writer.models[tag] = _model(tag, registry[tag], writer.conditions.get(tag))
+    for tag, entry in registry.entries.items() if registry is not None and models else ():
+        if tag not in writer.models:
+            writer.models[tag] = _model(tag, entry, writer.conditions.get(tag))
     if writer.models:
         SubElement(root, "TreeNodesModel").extend(writer.models.values())
     indent(root)
@@ -157,7 +157,7 @@ class _Writer:
             raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
         if isinstance(leaf, ActionBehaviour) and leaf.given is None:
             raise ExportError(f"{leaf.name!r} names no action; make it with one")
-        maker = kind if self._registry is None else self._registry[tag].factory
+        maker = kind if self._registry is None else self._registry.entries[tag].factory
         if maker is kind:
             self._check_arguments(leaf)
         return tag, _said(leaf, maker)

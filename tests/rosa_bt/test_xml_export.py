@@ -189,7 +189,7 @@ def test_tree_that_was_changed_while_it_ran_is_written_as_it_is_now():
     runner = TreeRunner(tree, clock=lambda: 0.0)
     runner.tick()
     second = tree.child.node.children[1].child.node
-    runner.tree.replace_subtree(second.children[0].id, registry["d"].make("d", {}, [], tree.blackboard))
+    runner.tree.replace_subtree(second.children[0].id, registry.entries["d"].make("d", {}, [], tree.blackboard))
     runner.tree.insert_subtree(behaviours.Success("yes"), second.id, 1)
     runner.tree.prune_subtree(second.children[2].id)
     runner.tick()
@@ -216,5 +216,5 @@ def test_tree_that_changes_goes_on_where_it_was():
     sequence = tree.child.node
     runner.tick()
     for place in (0, 3):
-        runner.tree.insert_subtree(registry["d"].make("d", {}, [], tree.blackboard), sequence.id, place)
+        runner.tree.insert_subtree(registry.entries["d"].make("d", {}, [], tree.blackboard), sequence.id, place)
     assert trace(runner.tick, tree, said, 1) == ["0| a:r:S d:s:S b:s:F => FAILURE"]

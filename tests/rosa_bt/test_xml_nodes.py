@@ -13,7 +13,7 @@ from xml_leaves import Action, Condition, registry_of, trace, wrapped
 from rosa_bt import BehaviourRegistry, RosaBtError, TreeRunner, export_xml, load_xml
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.leaves import LEAVES
+from rosa_bt.xml.nodes import LEAVES
 
 PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
 
