@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from typing import Final
+from weakref import WeakSet
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Failure, Running, Success
@@ -30,7 +31,7 @@ class GuardedTree(BehaviourTree):
 
     def __init__(self, root: Behaviour) -> None:
         super().__init__(root)
-        self._guarded: dict[Behaviour, Callable[[], None]] = {}
+        self._present: dict[Behaviour, None] = {}
         self._guard_all()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
@@ -63,15 +64,13 @@ class GuardedTree(BehaviourTree):
         self.count += 1
 
     def shutdown(self) -> None:
-        """Stop what is running, take the guards away, and shut every behaviour down.
+        """Stop what is running, and shut every behaviour down.
 
         Raises:
             Exception: the first that the `shutdown` of a behaviour raised, when all were shut down.
         """
         self._guard_all()
         halt(self.root)
-        for behaviour in list(self._guarded):
-            self._guarded.pop(behaviour)()
         errors = []
         for behaviour in list(self.root.iterate()):
             try:
@@ -82,25 +81,25 @@ class GuardedTree(BehaviourTree):
             raise errors[0]
 
     def _guard_all(self) -> None:
-        guarded, found = self._guarded, 0
+        present, found = self._present, 0
         pending = [self.root]
         while pending:
             behaviour = pending.pop()
             found += 1
-            if behaviour not in guarded:
-                is_free = behaviour is not self.root and _is_trusted(behaviour)
-                guarded[behaviour] = (lambda: None) if is_free else _guard(behaviour)
+            if behaviour not in present:
+                present[behaviour] = None
+                if behaviour not in _guarded and (behaviour is self.root or not _is_trusted(behaviour)):
+                    _guard(behaviour)
             pending += behaviour.children
-        if found != len(guarded):
+        if found != len(present):
             self._let_go()
 
     def _let_go(self) -> None:
         """Stop what was taken out of the tree, and those that have lost the child they had got to: they begin anew."""
-        present = dict.fromkeys(self.root.iterate())
-        for behaviour in [one for one in self._guarded if one not in present]:
+        before, self._present = self._present, dict.fromkeys(self.root.iterate())
+        for behaviour in [one for one in before if one not in self._present]:
             halt(behaviour)
-            self._guarded.pop(behaviour)()
-        for behaviour in present:
+        for behaviour in self._present:
             if isinstance(behaviour, Selector | Sequence) and behaviour.current_child not in behaviour.children:
                 halt(behaviour)
 
@@ -116,15 +115,14 @@ class _EndedBadly(Exception):
     """A behaviour raised when it was stopped after success or failure; it has been dealt with."""
 
 
-def _guard(behaviour: Behaviour) -> Callable[[], None]:
+_guarded: WeakSet[Behaviour] = WeakSet()
+
+
+def _guard(behaviour: Behaviour) -> None:
     """Turn what a behaviour raises into its FAILURE, with the text as feedback, and stop what runs below it.
 
     What it raises on being interrupted is its feedback only; the interruption goes on.
-
-    Returns:
-        What takes the guard away again.
     """
-    own = {name: method for name, method in vars(behaviour).items() if name in ("tick", "stop")}
     tick, stop = behaviour.tick, behaviour.stop
 
     def guarded_tick() -> Iterator[Behaviour]:
@@ -145,13 +143,8 @@ def _guard(behaviour: Behaviour) -> Callable[[], None]:
             if new_status is not Status.INVALID:
                 raise _EndedBadly from error
 
-    def release() -> None:
-        if vars(behaviour).get("tick") is guarded_tick:  # else another tree has taken the behaviour over
-            del vars(behaviour)["tick"], vars(behaviour)["stop"]
-            vars(behaviour).update(own)
-
     vars(behaviour).update(tick=guarded_tick, stop=guarded_stop)
-    return release
+    _guarded.add(behaviour)
 
 
 def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception) -> None:
@@ -223,22 +216,13 @@ class TreeRunner:
         return self._start + (self._ticks - 1) * self._period
 
     def tick(self) -> None:
-        """Tick once.
-
-        Raises:
-            Exception: what a handler or visitor raised, or whatever interrupted the tick, after every running behaviour
-                was stopped, so that nothing stays open.
-        """
+        """Tick once; what a handler or visitor raises, or interrupts it, is raised when all that runs is stopped."""
         self.tree.tick()
         if self.status is Status.SUCCESS:
             self._forget_progress()
 
     def shutdown(self) -> None:
-        """Stop what is running, so that every request is released, and shut the tree down.
-
-        Raises:
-            Exception: the first that the `shutdown` of a behaviour raised, when all were shut down.
-        """
+        """Stop what is running, so that every request is released, and shut the tree down; raises what that raises."""
         try:
             self.tree.shutdown()
         finally:

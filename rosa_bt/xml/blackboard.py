@@ -319,6 +319,13 @@ def key_of(written: str, port: str) -> str | None:
     return port if written[1:-1] == "=" else written[1:-1]
 
 
+def ports_of(made: object) -> tuple[Declared, Declared]:
+    """Return the ports that py_trees knows of a behaviour, or of a class of them: in and out."""
+    if isinstance(made, PortsMixin) or (isinstance(made, type) and issubclass(made, PortsMixin)):
+        return made.input_ports(), made.output_ports()
+    return {}, {}
+
+
 class Ports:
     """The ports that a node declares, as the attributes of its element fill them.
 
@@ -394,10 +401,10 @@ class Ports:
 
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""
-        declared = {**behaviour.input_ports(), **behaviour.output_ports()}
+        inputs, outputs = ports_of(behaviour)
         client = SimpleNamespace(  # stands in for py_trees' client, whose storage is one for the whole process
             register_key=lambda **_: None,
-            is_registered=declared.__contains__,
+            is_registered={**inputs, **outputs}.__contains__,
             absolute_name=lambda key: self.key(key) or key,
             exists=self.exists,
             get=self.get,

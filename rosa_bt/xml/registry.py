@@ -13,7 +13,7 @@ from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Mea
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
-from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of
+from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
 from rosa_bt.xml.controls import CONTROLS
 from rosa_bt.xml.decorators import DECORATORS
 from rosa_bt.xml.nodes import LEAVES, MAX_NODES, Branch
@@ -49,15 +49,14 @@ class Entry:
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
         """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""
-        declared, (inputs, outputs) = self._arguments, self._class_ports
+        declared, (inputs, outputs) = self._arguments, ports_of(self._maker)
         mine = {key: text for key, text in written.items() if key in declared}
         for key in {**inputs, **outputs}:  # what has a key is read from the port, unless the constructor needs a value
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
         given = _values(declared, mine, board)
         behaviour = self.factory(**self._offered(name, branches, board), **given)
-        if isinstance(behaviour, PortsMixin):
-            inputs, outputs = behaviour.input_ports(), behaviour.output_ports()
+        inputs, outputs = ports_of(behaviour)
         known = {**inputs, **outputs}
         rest = {key: text for key, text in written.items() if key not in declared or key in known}
         ports = Ports({**declared, **known}, rest, board)  # raises of what is no port, and says which ports there are
@@ -77,7 +76,7 @@ class Entry:
 
     def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
         """Yield what can be written: "input_port" or "output_port", the name, and what is declared."""
-        inputs, outputs = self._class_ports
+        inputs, outputs = ports_of(self._maker)
         for name, port in {**inputs, **outputs, **self._arguments}.items():
             yield "output_port" if name in outputs else "input_port", name, port
 
@@ -91,13 +90,6 @@ class Entry:
         return inspect.signature(self.factory).parameters
 
     @cached_property
-    def _class_ports(self) -> tuple[Declared, Declared]:
-        """The ports that py_trees knows of, in and out, if the factory is a class that declares them."""
-        maker = self._maker
-        has_ports = isinstance(maker, type) and issubclass(maker, PortsMixin)
-        return (maker.input_ports(), maker.output_ports()) if has_ports else ({}, {})  # type: ignore[attr-defined]  # it has ports
-
-    @cached_property
     def _arguments(self) -> Declared:
         """The parameters that can be written as attributes, as ports; those of the name of a port have its type."""
         maker = self._maker
@@ -105,7 +97,7 @@ class Entry:
             hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
         except (NameError, TypeError):
             hints = {}
-        hints |= {name: port.data_type for ports in self._class_ports for name, port in ports.items()}
+        hints |= {name: port.data_type for ports in ports_of(maker) for name, port in ports.items()}
         taken = {*self.bound, *_ROLES}
         return {
             name: PortInformation(hints.get(name, object), required=one.default is one.empty)

@@ -113,7 +113,6 @@ def test_tree_is_changed_between_ticks_by_the_methods_of_py_trees():
     runner.tree.prune_subtree(third.id)
     runner.tick()
     assert (root.status, third.ended, second.ticks) == (Status.RUNNING, [Status.INVALID], 1)
-    assert "tick" not in vars(third), "what is taken out is let go"
 
 
 def test_what_is_taken_out_behind_the_back_of_py_trees_is_stopped_at_the_next_tick_or_the_end():
