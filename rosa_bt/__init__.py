@@ -1,12 +1,6 @@
 """How it is done: py_trees behaviours that ask a knowledge base what is feasible, and tell it what is being done."""
 
-from rosa_bt.behaviours import (
-    HasStatus,
-    IsActionFeasible,
-    Measurement,
-    RosaAction,
-    forget_progress,
-)
+from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction, forget_progress
 from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import ExportError, RegistryError, RosaBtError, TraceError, TreeChangeError, XmlError
 from rosa_bt.idioms import do_until_unfeasible, feasible_then_act, first_feasible, switch_safely

@@ -149,19 +149,19 @@ class ActionRequest:
         The reason is its feedback. An action that cannot be done any more is given up: the owner is stopped.
         """
         if self._held is None:
-            refusal = self._open(owner.action, owner.preference)
-            if refusal:
-                owner.feedback_message = refusal
-                return Status.FAILURE
-        elif not even_if_unfeasible and (objection := self._objection(self._held)):
-            owner.stop(Status.INVALID)  # it has not failed, it cannot be done any more
+            objection = self._open(owner.action, owner.preference)
+        else:
+            objection = "" if even_if_unfeasible else self._objection(self._held)
+            if objection:
+                owner.stop(Status.INVALID)  # it has not failed, it cannot be done any more
+        if objection:
             owner.feedback_message = objection
             return Status.FAILURE
-        if not self._is_ready:
-            status, owner.feedback_message = self._look(str(self._held))
-            self._is_ready = status is Status.SUCCESS
-            return status
-        return Status.SUCCESS
+        if self._is_ready:
+            return Status.SUCCESS
+        status, owner.feedback_message = self._look(str(self._held))
+        self._is_ready = status is Status.SUCCESS
+        return status
 
     def _open(self, action: str, preference: str | None) -> str:
         """Request an action, or join those who hold it; return why not. What is requested is held before it is."""

@@ -183,10 +183,9 @@ class Blackboard(MutableMapping[str, Any]):
         self._remapping = dict(remapping or {})
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
+        self._constants = frozenset(constants or {})
         for key, text in (constants or {}).items():
-            value = _constant(text)
-            self._entries[key] = Entry(value, None if isinstance(value, str) else type(value), 1)
-        self._constants = frozenset(self._entries)
+            self[key] = _constant(text)
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of one of the blackboards, and the key's name there."""
@@ -329,6 +328,10 @@ def ports_of(made: object) -> tuple[Declared, Declared]:
 class Ports:
     """The ports that a node declares, as the attributes of its element fill them.
 
+    Attributes:
+        keys: the key that a port points at, by name of the port.
+        literals: the value that a port is given in the element itself, by name of the port.
+
     Raises:
         PortError: an attribute is no port of it, a literal is of another type, or a key was declared of another type.
     """
@@ -337,17 +340,17 @@ class Ports:
         self.blackboard: Final = blackboard
         self.clock: Final = blackboard.clock
         self._declared = declared
-        self._keys: dict[str, str] = {}
-        self._literals: dict[str, Any] = {}
+        self.keys: Final[dict[str, str]] = {}
+        self.literals: Final[dict[str, Any]] = {}
         self._seen = 0
         for name, text in written.items():
             if name not in declared:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
             if key is None:  # what is no outcome is an error of the tick
-                self._literals[name] = text if self._type(name) is Outcome else self._converted(name, text)
+                self.literals[name] = text if self._type(name) is Outcome else self._converted(name, text)
             else:
-                self._keys[name] = key
+                self.keys[name] = key
                 before, now = blackboard.make(key, self._type(name)).declared, self._type(name)
                 if None not in (before, now) and before not in (now, str):
                     before, now = (getattr(one, "__name__", str(one)) for one in (before, now))
@@ -360,19 +363,19 @@ class Ports:
     def check_required(self, but: frozenset[str] = frozenset()) -> None:
         """Raise unless every port that needs a value, except some, is given one or has a default."""
         for name, port in self._declared.items():
-            given = name in self._keys or name in self._literals or port.has_default
+            given = name in self.keys or name in self.literals or port.has_default
             if port.required and not given and name not in but:
                 raise PortError(f"the port {name!r} is missing; write {name}=... in the element")
 
     def exists(self, name: str) -> bool:
         """Tell whether a port has a value now, other than its default."""
-        return name in self._literals or (name in self._keys and self._keys[name] in self.blackboard)
+        return name in self.literals or (name in self.keys and self.keys[name] in self.blackboard)
 
     def get(self, name: str) -> Any:  # noqa: ANN401  # of the type that the port declares
         """Return the value that a port has now, or its default if the element does not say it."""
-        if name in self._literals:
-            return self._converted(name, self._literals[name])
-        key = self._keys.get(name)
+        if name in self.literals:
+            return self._converted(name, self.literals[name])
+        key = self.keys.get(name)
         if key is not None and key in self.blackboard:
             return self._converted(name, self.blackboard[key])
         if key is None and self._declared[name].has_default:
@@ -382,20 +385,12 @@ class Ports:
 
     def set(self, name: str, value: object) -> None:
         """Write what a port puts out; a port without a key puts it nowhere."""
-        if name in self._keys:
-            self.blackboard.make(self._keys[name], self._type(name)).take(value, is_port=True)
-
-    def key(self, name: str) -> str | None:
-        """Return the key that a port points at; None for a literal or nothing."""
-        return self._keys.get(name)
-
-    def is_literal(self, name: str) -> bool:
-        """Tell whether a port is given a value in the element itself."""
-        return name in self._literals
+        if name in self.keys:
+            self.blackboard.make(self.keys[name], self._type(name)).take(value, is_port=True)
 
     def is_updated(self, name: str) -> bool:
         """Tell whether the entry that a port names, as `{key}` or `key`, was written since this was asked last."""
-        entry = self.blackboard.entry(self.key(name) or str(self.get(name)))
+        entry = self.blackboard.entry(self.keys.get(name) or str(self.get(name)))
         seen, self._seen = self._seen, self._seen if entry is None else entry.version
         return self._seen != seen
 
@@ -405,7 +400,7 @@ class Ports:
         client = SimpleNamespace(  # stands in for py_trees' client, whose storage is one for the whole process
             register_key=lambda **_: None,
             is_registered={**inputs, **outputs}.__contains__,
-            absolute_name=lambda key: self.key(key) or key,
+            absolute_name=lambda key: self.keys.get(key) or key,
             exists=self.exists,
             get=self.get,
             set=self.set,

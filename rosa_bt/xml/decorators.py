@@ -25,12 +25,11 @@ class _Again(OneChild):
     """The child again, so many times, -1 is for ever: in the same tick if it has been RUNNING, else at the next."""
 
     once_more: ClassVar[Status]
-    port: ClassVar[str]
     FORGETS = ("_count",)
     _count = 0
 
     def decide(self) -> Ticking:
-        child, times = self.child, self.ports.get(self.port)
+        child, times = self.child, self.ports.get(*self.PORTS)
         while times == -1 or self._count < times:
             was_idle = child.status is SKIPPED
             verdict = yield from child.tick()
@@ -45,10 +44,6 @@ class _Again(OneChild):
                 return RUNNING
         self._count = 0
         return self.once_more
-
-
-def _again(once_more: Status, port: str) -> dict[str, Any]:
-    return {"once_more": once_more, "port": port, "PORTS": {port: PortInformation(int)}}
 
 
 class RunOnce(OneChild):
@@ -72,22 +67,22 @@ class RunOnce(OneChild):
 
 
 class Timed(OneChild):
-    """A decorator that looks at the clock; the time counts from the tick in which it begins."""
+    """A decorator that looks at the clock; its only port is for how long, from the tick in which it begins."""
 
-    port: ClassVar[str]
     FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
 
     def prepare(self) -> None:
-        if self.ports.is_literal(self.port) and self.ports.get(self.port) < 0:
-            raise PortError(f"the port {self.port!r} takes no negative number, as {self.ports.get(self.port)} is")
+        (port,) = self.PORTS
+        if port in self.ports.literals and self.ports.get(port) < 0:
+            raise PortError(f"the port {port!r} takes no negative number, as {self.ports.get(port)} is")
 
     def is_over(self) -> bool:
         """Begin if need be, and tell whether the time is over."""
         now = self.ports.clock()
         if self._since is None:
             self._since = now
-        return bool(now - self._since >= self.ports.get(self.port) / 1000 - 1e-9)
+        return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - 1e-9)
 
     def tick_child(self) -> Ticking:
         verdict = yield from self.child.tick()
@@ -99,7 +94,6 @@ class Timed(OneChild):
 class Delay(Timed):
     """Waits first; then ticks the child."""
 
-    port = "delay_msec"
     PORTS: ClassVar = {"delay_msec": PortInformation(int)}
 
     def decide(self) -> Ticking:
@@ -109,7 +103,6 @@ class Delay(Timed):
 class Timeout(Timed):
     """FAILURE if the child is still running when the time is over: it is halted then. 0 is no limit."""
 
-    port = "msec"
     PORTS: ClassVar = {"msec": PortInformation(int)}
     FORGETS = ("_since", "_is_spent")
     _is_spent = False
@@ -169,7 +162,7 @@ class _Loop(OneChild):
     _left: tuple[Any, ...] = ()
 
     def prepare(self) -> None:
-        if self.ports.is_literal("queue"):
+        if "queue" in self.ports.literals:
             self._queue()
 
     def _queue(self) -> tuple[Any, ...]:
@@ -209,7 +202,6 @@ class _Anew(OneChild):
 class RateController(_Anew, Timed):
     """The child at its start, while it is running, and when a period has passed since it last succeeded."""
 
-    port = "hz"
     PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
 
     def initialise(self) -> None:
@@ -268,8 +260,8 @@ _KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {
     "ForceSuccess": (_Translated, {"outcomes": {FAILURE: SUCCESS}}),
     "ForceFailure": (_Translated, {"outcomes": {SUCCESS: FAILURE}}),
     "KeepRunningUntilFailure": (_Translated, {"outcomes": {SUCCESS: RUNNING, SKIPPED: RUNNING}}),
-    "Repeat": (_Again, _again(SUCCESS, "num_cycles")),
-    "RetryUntilSuccessful": (_Again, _again(FAILURE, "num_attempts")),
+    "Repeat": (_Again, {"once_more": SUCCESS, "PORTS": {"num_cycles": PortInformation(int)}}),
+    "RetryUntilSuccessful": (_Again, {"once_more": FAILURE, "PORTS": {"num_attempts": PortInformation(int)}}),
     **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
     **{kind.__name__: (kind, {}) for kind in (RateController, SingleTrigger, GoalUpdatedController)},
     "SkipUnlessUpdated": (_Updated, {"instead": SKIPPED}),

@@ -130,9 +130,11 @@ class XmlNode(Behaviour):
     keeps_finished: ClassVar = True
     """Whether a child that has finished stays so after the tick, or is idle again, as in a decorator."""
 
-    ports: Ports
-    _slots: list[Slot]
-    _seen: list[Behaviour]
+    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
+        nodes = [slot.node for slot in slots]
+        super().__init__(name, nodes[0] if isinstance(self, Decorator) else nodes)  # type: ignore[call-arg]  # of py_trees'
+        self._slots, self._seen, self.ports = list(slots), nodes, ports
+        self.prepare()
 
     @property
     def slots(self) -> list[Slot]:
@@ -187,19 +189,9 @@ class XmlNode(Behaviour):
             if slot is not but:
                 slot.reset()
 
-    def _take(self, slots: Sequence[Slot], ports: Ports) -> None:
-        self._slots = list(slots)
-        self._seen = list(self.children)
-        self.ports = ports
-        self.prepare()
-
 
 class Control(XmlNode, Composite):
     """A node with several children."""
-
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        Composite.__init__(self, name, [slot.node for slot in slots])
-        self._take(slots, ports)
 
     def tip(self) -> Behaviour | None:
         """Return the node that has decided last: below the last child that has the outcome of this one."""
@@ -212,10 +204,6 @@ class OneChild(XmlNode, Decorator):
 
     CHILDREN = (1, 1)
     keeps_finished = False
-
-    def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
-        Decorator.__init__(self, name, slots[0].node)
-        self._take(slots, ports)
 
     @property
     def child(self) -> Slot:
@@ -282,7 +270,7 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        board, key, source = self.ports.blackboard, as_text(self.ports.get("output_key")), self.ports.key("value")
+        board, key, source = self.ports.blackboard, as_text(self.ports.get("output_key")), self.ports.keys.get("value")
         given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
         if given is None or given.value is EMPTY:
             board.make(key)

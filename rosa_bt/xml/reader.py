@@ -195,18 +195,14 @@ def _add(table: dict[str, Element], name: str, element: Element) -> None:
 
 
 def _read(path: Path, where: str) -> bytes:
-    shown, content = f"{path!s:.200}", None
     where = where if where.isprintable() and len(where) <= 200 else "<text>"  # what was given may be no path
     try:
-        if path.is_file():
-            with path.open("rb") as file:
-                content = file.read(MAX_SIZE + 1)
+        with path.open("rb") as file:
+            return file.read(MAX_SIZE + 1)
     except (OSError, ValueError) as error:
-        problem = getattr(error, "strerror", None) or error
-        raise XmlError(where, f"{shown!r} is no XML, and no file that can be read: {problem}") from None
-    if content is None:
-        raise XmlError(where, f"there is no file {shown!r}; give the path of one, or the XML itself as text")
-    return content
+        shown, problem = f"{path!s:.200}", getattr(error, "strerror", None) or error
+        advice = "give the path of one, or the XML itself as text"
+        raise XmlError(where, f"there is no file {shown!r} that can be read ({problem}); {advice}") from None
 
 
 def _parse(text: str | bytes, file: str) -> Element:

@@ -138,7 +138,7 @@ def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) 
         )
     if said is None and "action" not in rest:
         raise PortError("'action' is missing; write action=... in the element")
-    if said is None and ports.is_literal("action"):
+    if said is None and "action" in ports.literals:
         leaf.kb.is_feasible(ports.get("action"))
 
 
