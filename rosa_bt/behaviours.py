@@ -426,22 +426,17 @@ class Measurement(KbBehaviour):
 class RosaAction(ActionBehaviour):
     """Action: what a mission does while the robot is configured for it; a mission subclasses this.
 
-    A subclass implements `update`, and `initialise` and `terminate` if it needs them, as for any py_trees behaviour;
-    it need not call them on its base. The action is requested before `initialise` and released after `terminate`,
-    exactly once, however the behaviour ends: SUCCESS is "completed", FAILURE "failed", an interruption or the tree's
-    shutdown "abandoned". An exception in the subclass is FAILURE, with its text as feedback. A refused request is
-    FAILURE with the reason, and the subclass is not called at all.
-
-    An action that becomes unfeasible while it runs is given up: it is interrupted, its request is "abandoned", and it
-    is FAILURE with the reason, wherever it stands in the tree.
-
-    An action that can be continued says where it is, in `save_progress`, and goes on from there in `restore_progress`.
+    A subclass implements `update`, and `initialise` and `terminate` if it needs them, without calling those of its
+    base. The action is requested before `initialise` and released after `terminate`, exactly once, however it ends:
+    SUCCESS is "completed", FAILURE (or an exception, with its text as feedback) "failed", an interruption or the tree's
+    shutdown "abandoned". A refused request is FAILURE with the reason, and the subclass is not called at all. An action
+    that becomes unfeasible while it runs is interrupted, "abandoned", and FAILURE with the reason. One that can be
+    continued says where it is, in `save_progress`, and goes on from there in `restore_progress`.
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
         preference: name of the attribute to favour when a configuration is chosen, or None; also a port.
-        wait: start working only when the robot is configured for the action; RUNNING before that, with what is lacking
-            as feedback. By default it starts in the tick in which it requests.
+        wait: start working only when the robot is configured for the action; RUNNING with what is lacking before that.
         timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
         even_if_unfeasible: go on also when the action becomes unfeasible meanwhile.
 
@@ -483,10 +478,9 @@ class RosaAction(ActionBehaviour):
         """Return where the action is, or None (the default) if it starts afresh next time.
 
         Called before `terminate` when the action is interrupted or has failed, and about once a second while it runs if
-        the knowledge base has a store. What is returned is kept by action and name of the behaviour, apart for each
-        tree that a `TreeRunner` has, until the action succeeds or the mission begins anew: when a runner takes the tree
-        over or shuts it down, when its root has succeeded, or at `forget_progress(kb)`. A store keeps what JSON can
-        hold of it, over a shut-down too, for the program that opens it next.
+        the knowledge base has a store, which keeps what JSON can hold for the program that opens it next. It is kept by
+        action and name of the behaviour, apart for each tree that a `TreeRunner` has, until the action succeeds or the
+        mission begins anew: a runner takes the tree over or shuts it down, its root succeeds, or `forget_progress(kb)`.
         """
         return None
 

@@ -1,6 +1,6 @@
 """Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
 
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Generator, Iterator, Mapping, MutableMapping
 from typing import Any
 
 from py_trees.behaviour import Behaviour
@@ -30,17 +30,20 @@ def gave_way(task: Behaviour) -> bool:
 class _Parts(Composite):
     """A composite whose children have different parts to play."""
 
-    def _begin(self) -> None:
-        for child in self.children:
-            if child.status is not Status.INVALID:
-                child.stop(Status.INVALID)
-        self.initialise()
+    def advance(self) -> Generator[Behaviour, None, Status]:
+        """Do what is done in a tick; yield what is visited before this one, and return the outcome."""
+        raise NotImplementedError
 
-    def _end(self, new_status: Status) -> None:
-        if new_status is Status.RUNNING:
-            self.status = new_status
-        else:
-            self.stop(new_status)
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING:
+            for child in self.children:
+                if child.status is not Status.INVALID:
+                    child.stop(Status.INVALID)
+            self.initialise()
+        self.status = yield from self.advance()
+        if self.status is not Status.RUNNING:
+            self.stop(self.status)
+        yield self
 
 
 class DoUntilUnfeasible(_Parts):
@@ -63,9 +66,7 @@ class DoUntilUnfeasible(_Parts):
         super().__init__(name, [task, meanwhile])
         self.memory = memory
 
-    def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
-            self._begin()
+    def advance(self) -> Generator[Behaviour, None, Status]:
         task, meanwhile = self.children
         if self.memory and meanwhile.status is Status.RUNNING:
             yield from meanwhile.tick()
@@ -73,8 +74,7 @@ class DoUntilUnfeasible(_Parts):
             yield from self._do(task, meanwhile)
         is_instead = self.current_child is not task
         self.feedback_message = f"instead of {task.name}" if is_instead else ""
-        self._end(Status.RUNNING if is_instead else task.status)
-        yield self
+        return Status.RUNNING if is_instead else task.status
 
     def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
         """Tick the task and, if it gives way, the other; once more if that is finished in this tick."""
@@ -123,9 +123,7 @@ class SafeSwitch(_Parts):
         self.posture, self.key = posture, key
         self.after = tuple(transitions)
 
-    def tick(self) -> Iterator[Behaviour]:
-        if self.status is not Status.RUNNING:
-            self._begin()
+    def advance(self) -> Generator[Behaviour, None, Status]:
         before, child = self.posture.get(self.key), self.children[-1]
         if before in self.after:
             child = self.current_child = self.children[self.after.index(before)]
@@ -140,5 +138,4 @@ class SafeSwitch(_Parts):
             self.feedback_message = child.feedback_message
             if child.status is not Status.FAILURE:
                 self.posture[self.key] = self.action
-        self._end(child.status)
-        yield self
+        return child.status

@@ -15,10 +15,9 @@ from rosa_bt.exceptions import in_words
 class ForAction(Careful, Decorator):
     """Puts any behaviour, as it is, under a ROSA action: done only while that is feasible, requested meanwhile.
 
-    In each tick the knowledge base is asked first. While the action is unfeasible this is FAILURE with the reason, and
-    the child is stopped if it was running. Otherwise the action is requested when the child starts and released exactly
-    once, however the child ends: SUCCESS is "completed", FAILURE "failed", an interruption "abandoned". An exception
-    of the child is FAILURE, with its text as feedback.
+    While the action is unfeasible, as is asked in each tick, this is FAILURE with the reason, and the child is stopped.
+    Otherwise the action is requested when the child starts and released exactly once, however the child ends: SUCCESS
+    is "completed", FAILURE (or an exception, with its text as feedback) "failed", an interruption "abandoned".
 
     Args:
         action: name of the ROSA action.

@@ -9,7 +9,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from dataclasses import dataclass
-from enum import Enum
 from types import SimpleNamespace
 from typing import Any, Final, get_args, get_origin
 
@@ -103,15 +102,8 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
     raise ScriptError(f"{value!r} does not fit an entry that holds {held!r}")
 
 
-class Outcome(Enum):
-    """What a node can be told to return instead of its child; read when it is needed."""
-
-    SUCCESS = Status.SUCCESS
-    FAILURE = Status.FAILURE
-    RUNNING = Status.RUNNING
-    SKIPPED = Status.INVALID
-
-
+OUTCOMES: Final = {one.name: one for one in Status if one is not Status.INVALID} | {"SKIPPED": Status.INVALID}
+"""What a node can be told to return instead of its child; read when it is needed."""
 SCALARS: Final = (bool, int, float, str)
 
 
@@ -134,7 +126,7 @@ class Entry:
 
     def read(self, text: str) -> Any:  # noqa: ANN401  # of the type that is declared
         """Return what a text of a script means as the type that is declared; a text if none is."""
-        if self.declared is Outcome:
+        if self.declared is Status:
             raise ScriptError(f"a script writes no outcome, as {text!r} would be")
         return converted(text, self.declared)
 
@@ -279,8 +271,8 @@ def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type tha
         if not is_instance_of_type(value, wanted):
             raise ValueError(f"{text!r} is no {wanted}")
         return value
-    if wanted is Outcome:
-        return Outcome[text] if text in Outcome.__members__ else _raise(f"{text!r} is no outcome")
+    if wanted is Status:
+        return OUTCOMES[text] if text in OUTCOMES else _raise(f"{text!r} is no outcome")
     if wanted is bool:
         return BOOLS[text] if text in BOOLS else _raise(f"{text!r} is neither true nor false")
     if wanted in _BEGINS:
@@ -348,7 +340,7 @@ class Ports:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
             if key is None:  # what is no outcome is an error of the tick
-                self.literals[name] = text if self._type(name) is Outcome else self._converted(name, text)
+                self.literals[name] = text if self._type(name) is Status else self._converted(name, text)
             else:
                 self.keys[name] = key
                 before, now = blackboard.make(key, self._type(name)).declared, self._type(name)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, Final
 from py_trees.common import Status
 from py_trees.ports import PortInformation
 
-from rosa_bt.xml.blackboard import Outcome, PortError, converted, truth
+from rosa_bt.xml.blackboard import PortError, converted, truth
 from rosa_bt.xml.nodes import DONE, FAILURE, RUNNING, SKIPPED, SUCCESS, OneChild, Ticking
 from rosa_bt.xml.scripts import parse_script
 
@@ -118,7 +118,7 @@ class Timeout(Timed):
 class Precondition(OneChild):
     """The child if a script says so, which is asked until it has begun; otherwise what `else` says."""
 
-    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Outcome, default_value=Outcome.FAILURE)}
+    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Status, default_value=FAILURE)}
     runs = False
     _is_begun = False
 
@@ -126,10 +126,10 @@ class Precondition(OneChild):
         self._condition = parse_script(self.ports.get("if"))
 
     def decide(self) -> Ticking:
-        instead = self.ports.get("else")  # what is no outcome is an error of the first tick
+        instead: Status = self.ports.get("else")  # what is no outcome is an error of the first tick
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         if not self._is_begun:
-            return Status(instead.value)
+            return instead
         verdict = yield from self.child.tick()
         self._is_begun = verdict not in DONE
         return verdict
@@ -175,7 +175,8 @@ class _Loop(OneChild):
     def decide(self) -> Ticking:
         if not self._goes_on:
             if not self._left:
-                return Status(self.ports.get("if_empty").value)
+                outcome: Status = self.ports.get("if_empty")
+                return outcome
             self.ports.set("value", self._left[0])
             self._left = self._left[1:]
         verdict = yield from self.child.tick()
@@ -252,7 +253,7 @@ _LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
 
 def _loop(of: type) -> dict[str, Any]:
     ports = {"queue": PortInformation(object), "value": PortInformation(of, required=False)}
-    return {"of": of, "PORTS": {**ports, "if_empty": PortInformation(Outcome, default_value=Outcome.SUCCESS)}}
+    return {"of": of, "PORTS": {**ports, "if_empty": PortInformation(Status, default_value=SUCCESS)}}
 
 
 _KINDS: Final[dict[str, tuple[type[OneChild], dict[str, Any]]]] = {

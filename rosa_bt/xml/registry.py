@@ -205,13 +205,10 @@ class BehaviourRegistry:
 
         Args:
             name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.
-            factory: the class or function; without one, a decorator is returned.
+            factory: the class or function, which is returned as it is; without one, a decorator is returned.
             kind: "condition" for a leaf that is to be asked again when it has finished and was not reset, "action" for
                 one that is not. Without it, what the file says (`<Condition ID=...>` or its TreeNodesModel), and else:
                 a class that overrides neither `initialise` nor `terminate` makes conditions.
-
-        Returns:
-            The factory, unchanged.
 
         Raises:
             RegistryError: the name is taken.
