@@ -35,17 +35,12 @@ _WIDTH: Final = 44  # after how many characters a line of a note is broken
 class _Row(NamedTuple):
     """What is drawn of a behaviour, below that of its parent and of what is before it."""
 
-    parent: int
-    """The number of its parent's row; -1 for the root."""
-    lead: str
-    """What leads to it in a text, four letters for each level."""
-    title: str
-    """Its status, what it is (e.g. "->" for a sequence) and its name."""
+    parent: int  # the number of its parent's row; -1 for the root
+    lead: str  # what leads to it in a text, four letters for each level
+    title: str  # its status, what it is (e.g. "->" for a sequence) and its name
     status: Status
-    edge: str
-    """The colour says whether its action is feasible."""
-    notes: tuple[str, ...]
-    """Feasibility with the reason, and feedback that says something else."""
+    edge: str  # the colour says whether its action is feasible
+    notes: tuple[str, ...]  # feasibility with the reason, and feedback that says something else
 
     @property
     def lines(self) -> list[str]:

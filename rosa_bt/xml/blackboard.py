@@ -255,7 +255,7 @@ _BEGINS: Final[Mapping[Any, str]] = {
     int: r"-?\d+",
     float: r"-?(?:\d+\.?\d*(?:[eE][-+]?\d+)?|\.\d+(?:[eE][-+]?\d+)?|inf|nan)",
 }
-_LEAST, _MOST = -(2**31), 2**31 - 1
+_WORDS: Final[Mapping[Any, Mapping[str, Any]]] = {bool: BOOLS, Status: OUTCOMES}
 
 
 def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type that is wanted
@@ -266,36 +266,30 @@ def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type tha
     """
     if wanted in (None, Any, object, str):
         return text
+    value, is_right, called = None, False, getattr(wanted, "__name__", wanted)
     if text.startswith("json:"):
         value = json.loads(text[5:])
-        if not is_instance_of_type(value, wanted):
-            raise ValueError(f"{text!r} is no {wanted}")
-        return value
-    if wanted is Status:
-        return OUTCOMES[text] if text in OUTCOMES else _raise(f"{text!r} is no outcome")
-    if wanted is bool:
-        return BOOLS[text] if text in BOOLS else _raise(f"{text!r} is neither true nor false")
-    if wanted in _BEGINS:
-        found = re.match(_BEGINS[wanted], text, re.ASCII)
-        number = wanted(found[0]) if found else _raise(f"{text!r} is no number")
-        return number if wanted is float or _LEAST <= number <= _MOST else _raise(f"{text!r} is out of range")
-    if get_origin(wanted) is list:
+        is_right = is_instance_of_type(value, wanted)
+    elif wanted in _WORDS:
+        value, is_right = _WORDS[wanted].get(text), text in _WORDS[wanted]
+    elif wanted in _BEGINS:
+        called = "number" if wanted is float else "number of 32 bits"
+        if found := re.match(_BEGINS[wanted], text, re.ASCII):
+            value = wanted(found[0])
+            is_right = wanted is float or -(2**31) <= value < 2**31
+    elif get_origin(wanted) is list:
         return [converted(part, get_args(wanted)[0]) for part in text.removesuffix(";").split(";") if text]
-    is_right, value = convert_str_to_type(text, wanted)
-    return value if is_right else _raise(f"{text!r} is no {wanted}")
-
-
-def _raise(problem: str) -> Any:  # noqa: ANN401  # never returns
-    raise ValueError(problem)
+    else:
+        is_right, value = convert_str_to_type(text, wanted)
+    if not is_right:
+        raise ValueError(f"{text!r} is no {called}")
+    return value
 
 
 def cast(value: Any, wanted: Any) -> Any:  # noqa: ANN401  # a number, as another kind
     if wanted is str:
         return as_text(value)
     return truth(value) if wanted is bool else double(value) if wanted is float else whole(value)
-
-
-# -------------------------------------------------------------------- ports
 
 
 Declared = Mapping[str, PortInformation]

@@ -186,7 +186,6 @@ class BehaviourRegistry:
         self.bound: Final = dict(bound)
         own = _OURS if "kb" in bound else {}
         self.entries: Final = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
-        self._given: set[str] = set()
 
     @overload
     def register(self, name: F) -> F: ...
@@ -219,13 +218,12 @@ class BehaviourRegistry:
             return lambda given: self.register(name, given, kind=kind)
         if name in BUILT_IN:
             raise RegistryError(f"{name!r} is a node of BehaviorTree.CPP itself; choose another name")
-        if name in self._given:
+        if name in self.entries and self.entries[name].factory is not _OURS.get(name):
             raise RegistryError(f"{name!r} is registered already; choose another name, or make another registry")
         if not callable(factory):
             raise RegistryError(f"{name!r} is a class of behaviours or a function that makes one, not {factory!r}")
         if kind not in (None, "action", "condition"):
             raise RegistryError(f"a leaf is an 'action' or a 'condition', not {kind!r}")
-        self._given.add(name)
         self.entries[name] = Entry(factory, kind, self.bound)
         return factory
 
