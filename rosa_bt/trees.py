@@ -1,6 +1,7 @@
 """Running a tree in somebody else's time: the clock of a simulator, a recording or the wall."""
 
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Final
 from weakref import WeakSet
 
@@ -64,21 +65,12 @@ class GuardedTree(BehaviourTree):
         self.count += 1
 
     def shutdown(self) -> None:
-        """Stop what is running, and shut every behaviour down.
-
-        Raises:
-            Exception: the first that the `shutdown` of a behaviour raised, when all were shut down.
-        """
+        """Stop what is running, and shut every behaviour down; what that raises is raised when all were shut down."""
         self._guard_all()
         halt(self.root)
-        errors = []
-        for behaviour in list(self.root.iterate()):
-            try:
-                behaviour.shutdown()
-            except Exception as error:  # the others have to be shut down all the same
-                errors.append(error)
-        if errors:
-            raise errors[0]
+        with ExitStack() as stack:
+            for behaviour in reversed(list(self.root.iterate())):
+                stack.callback(behaviour.shutdown)
 
     def _guard_all(self) -> None:
         present, found = self._present, 0
