@@ -49,17 +49,15 @@ class _Parts(Composite):
 class DoUntilUnfeasible(_Parts):
     """Does a task; while that is unfeasible, does something else; then goes on with the task.
 
-    In the tick in which the task fails because an action in it is unfeasible, the other begins, and in the tick in
-    which the other gives back, the task begins: between the two there is no tick in which nothing is required, so the
-    robot is not taken apart and put together again. SUCCESS is the task's, and so is a FAILURE for any other reason;
-    all else is RUNNING. What is done meanwhile begins anew if it ends before the task is feasible, and is tried again
-    at each tick if it fails.
+    The other begins in the tick in which the task fails because an action in it is unfeasible, and the task in that in
+    which the other gives back: there is no tick in which nothing is required, so the robot is not taken apart and put
+    together again. SUCCESS is the task's, and so is a FAILURE for any other reason; all else is RUNNING. What is done
+    meanwhile begins anew if it ends before the task is feasible, or fails.
 
     Args:
         task: what to do: a behaviour, or a subtree, that fails when what it does becomes unfeasible.
         meanwhile: what to do while the task is unfeasible.
-        memory: finish what is done meanwhile, also when the task is feasible before; otherwise the task goes on in the
-            tick in which it can.
+        memory: finish what is done meanwhile, also when the task is feasible before.
     """
 
     def __init__(self, name: str, task: Behaviour, meanwhile: Behaviour, *, memory: bool = False) -> None:

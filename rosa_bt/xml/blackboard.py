@@ -305,9 +305,9 @@ def key_of(written: str, port: str) -> str | None:
 
 
 def ports_of(made: object) -> tuple[Declared, Declared]:
-    """Return the ports that py_trees knows of a behaviour, or of a class of them: in and out."""
+    """Return the ports that py_trees knows of a behaviour, or of a class of them: all, and those that put out."""
     if isinstance(made, PortsMixin) or (isinstance(made, type) and issubclass(made, PortsMixin)):
-        return made.input_ports(), made.output_ports()
+        return {**made.input_ports(), **made.output_ports()}, made.output_ports()
     return {}, {}
 
 
@@ -382,10 +382,9 @@ class Ports:
 
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""
-        inputs, outputs = ports_of(behaviour)
         client = SimpleNamespace(  # stands in for py_trees' client, whose storage is one for the whole process
             register_key=lambda **_: None,
-            is_registered={**inputs, **outputs}.__contains__,
+            is_registered=ports_of(behaviour)[0].__contains__,
             absolute_name=lambda key: self.keys.get(key) or key,
             exists=self.exists,
             get=self.get,

@@ -263,8 +263,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
         raise XmlError(where(), f"it cannot be decoded: {error}") from None
 
 
-_Kinds = Mapping[str, type[Control] | type[OneChild] | type[XmlLeaf]]
-_NODES: Final[_Kinds] = {**CONTROLS, **DECORATORS, **LEAVES}
+_NODES: Final[Mapping[str, type[Control | OneChild | XmlLeaf]]] = {**CONTROLS, **DECORATORS, **LEAVES}
 
 
 class SubTree(Branch):
@@ -303,10 +302,10 @@ def load_xml(
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
             registry is bound to, or else the monotonic one of this computer.
         enums: names that scripts know, with their numbers, e.g. `{"RED": 1}`.
-        substitutes: what stands in for leaves, for dry runs and tests: by name, by tag, or by a pattern of the path,
-            e.g. `"Mission/*/drive"`: IDs of the trees, then the name. A status, several for one tick each of which the
-            last goes on (such as `trace.statuses("drive")`), or a function of the name that makes a behaviour. The
-            first that fits is taken; rules such as `_skipIf` stay, ports are neither read nor written.
+        substitutes: what stands in for leaves, by name, tag, or pattern of the path, e.g. `"Mission/*/drive"`: IDs of
+            the trees, then the name. A status, several for one tick each of which the last goes on (such as
+            `trace.statuses("drive")`), or a function of the name that makes a behaviour; the first that fits is taken.
+            Rules such as `_skipIf` stay, ports are neither read nor written.
 
     Returns:
         A py_trees behaviour, to be ticked like any other. INVALID after a tick means that it was skipped.

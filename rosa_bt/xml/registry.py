@@ -1,7 +1,7 @@
 """Which behaviour stands behind which name in a file, and making it: arguments and ports from attributes."""
 
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Final, Literal, TypeVar, get_type_hints, overload
@@ -49,15 +49,14 @@ class Entry:
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
         """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""
-        declared, (inputs, outputs) = self._arguments, ports_of(self._maker)
+        declared = self.arguments
         mine = {key: text for key, text in written.items() if key in declared}
-        for key in {**inputs, **outputs}:  # what has a key is read from the port, unless the constructor needs a value
+        for key in ports_of(self.made)[0]:  # what has a key is read from the port, unless the constructor needs a value
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
         given = _values(declared, mine, board)
         behaviour = self.factory(**self._offered(name, branches, board), **given)
-        inputs, outputs = ports_of(behaviour)
-        known = {**inputs, **outputs}
+        known, outputs = ports_of(behaviour)
         rest = {key: text for key, text in written.items() if key not in declared or key in known}
         ports = Ports({**declared, **known}, rest, board)  # raises of what is no port, and says which ports there are
         if isinstance(behaviour, PortsMixin):
@@ -74,12 +73,6 @@ class Entry:
             maker = maker.func
         return maker
 
-    def ports(self) -> Iterator[tuple[str, str, PortInformation]]:
-        """Yield what can be written: "input_port" or "output_port", the name, and what is declared."""
-        inputs, outputs = ports_of(self._maker)
-        for name, port in {**inputs, **outputs, **self._arguments}.items():
-            yield "output_port" if name in outputs else "input_port", name, port
-
     @property
     def made(self) -> type[Behaviour] | None:
         """The class of what it makes, if that is known before."""
@@ -90,14 +83,14 @@ class Entry:
         return inspect.signature(self.factory).parameters
 
     @cached_property
-    def _arguments(self) -> Declared:
+    def arguments(self) -> Declared:
         """The parameters that can be written as attributes, as ports; those of the name of a port have its type."""
         maker = self._maker
         try:
             hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
         except (NameError, TypeError):
             hints = {}
-        hints |= {name: port.data_type for ports in ports_of(maker) for name, port in ports.items()}
+        hints |= {name: port.data_type for name, port in ports_of(self.made)[0].items()}
         taken = {*self.bound, *_ROLES}
         return {
             name: PortInformation(hints.get(name, object), required=one.default is one.empty)

@@ -14,12 +14,12 @@ from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Failure, Success
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIsFailure
-from py_trees.ports import PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
+from rosa_bt.xml.blackboard import ports_of
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
@@ -166,7 +166,7 @@ class _Writer:
         """Raise unless all that the constructor takes is written, or handed in by the registry."""
         known = {"name", "behaviour_class_name", *({"kb"} if self._registry is None else self._registry.bound)}
         known |= {name for name in _NAMES if hasattr(leaf, name)} if isinstance(leaf, ActionBehaviour) else set()
-        if isinstance(leaf, PortsMixin) and not {**leaf.input_ports(), **leaf.output_ports()}.keys() <= known:
+        if not ports_of(leaf)[0].keys() <= known:
             raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
         parameters = inspect.signature(type(leaf)).parameters.values()
         unknown = ", ".join(one.name for one in parameters if one.name not in known and one.kind not in (2, 4))
@@ -201,9 +201,11 @@ def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
         is_condition = is_plain(entry.made)
     leaf = "Condition" if entry.kind == "condition" or (is_condition and entry.kind is None) else "Action"
     element = Element(leaf if most == 0 else "Decorator" if most == 1 else "Control", ID=tag)
-    for direction, name, port in entry.ports():
-        known = {"type": _TYPES.get(port.data_type), "default": port.default_value if port.has_default else None}
-        SubElement(element, direction, {"name": name, **{key: str(one) for key, one in known.items() if one}})
+    known, outputs = ports_of(entry.made)
+    for name, port in {**known, **entry.arguments}.items():
+        direction = "output_port" if name in outputs else "input_port"
+        said = {"type": _TYPES.get(port.data_type), "default": port.default_value if port.has_default else None}
+        SubElement(element, direction, {"name": name, **{key: str(one) for key, one in said.items() if one}})
     return element
 
 
