@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -60,10 +60,10 @@ class Building:
                 raise MissionError(f"{name!r} in map {self.name} is no name: a letter, then letters, digits or '_'")
         for place, point in self.places.items():
             for axis, value in zip("xy", point, strict=True):
-                check_number(f"{axis} of place {place}", value, -_MOST)
+                checked(f"{axis} of place {place}", value, -_MOST)
         object.__setattr__(self, "corridors", {name: self._judged(name, one) for name, one in self.corridors.items()})
-        self.check_place(self.start, "start")
-        self.check_place(self.goal, "goal")
+        self.check("place", self.start, "start")
+        self.check("place", self.goal, "goal")
         ways = [(*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])]
         reached = distances(ways, [self.start])
         if lost := [place for place in self.places if place not in reached]:
@@ -73,13 +73,13 @@ class Building:
     def _judged(self, name: str, corridor: Corridor) -> Corridor:
         """Return a corridor with its name and length."""
         for end in corridor.ends:
-            self.check_place(end, f"corridor {name}")
+            self.check("place", end, f"corridor {name}")
         if corridor.ends[0] == corridor.ends[1]:
             raise MissionError(f"corridor {name} leads from {corridor.ends[0]} to itself; take it out")
         length_m = corridor.length_m or math.dist(*(self.places[end] for end in corridor.ends))
-        check_number(f"length_m of corridor {name}", length_m, 1e-3)
-        check_number(f"obstacles of corridor {name}", corridor.obstacles)
-        check_number(f"light of corridor {name}", corridor.light, most=1.0)
+        checked(f"length_m of corridor {name}", length_m, 1e-3)
+        checked(f"obstacles of corridor {name}", corridor.obstacles)
+        checked(f"light of corridor {name}", corridor.light, most=1.0)
         return replace(corridor, name=name, length_m=length_m)
 
     @cached_property
@@ -88,24 +88,19 @@ class Building:
         corridors = self.corridors.values()
         return {place: tuple(one for one in corridors if place in one.ends) for place in self.places}
 
-    def check_place(self, place: str, what: str) -> None:
-        """Raise MissionError unless there is that place."""
-        _check_known(place, self.places, f"{what} names the place {place!r}, which map {self.name} lacks")
-
-    def check_corridor(self, corridor: str) -> None:
-        """Raise MissionError unless there is that corridor."""
-        _check_known(corridor, self.corridors, f"map {self.name} has no corridor {corridor!r}")
-
-
-def _check_known(name: str, known: Iterable[str], problem: str) -> None:
-    if name not in known:
-        raise MissionError(f"{problem}; near: {', '.join(near(name, known) or list(known)[:8])}")
+    def check(self, kind: str, name: str, who: str) -> None:
+        """Raise MissionError unless there is a "place" or "corridor" of that name, as somebody says."""
+        known = list(self.places if kind == "place" else self.corridors)
+        if name not in known:
+            lacks = f"{who} names the {kind} {name!r}, which map {self.name} lacks"
+            raise MissionError(f"{lacks}; near: {', '.join(near(name, known) or known[:8])}")
 
 
-def check_number(what: str, value: float, least: float = 0.0, most: float = _MOST) -> None:
-    """Raise MissionError unless a value is a number within bounds."""
-    if not isinstance(value, int | float) or not least <= value <= most:
+def checked(what: str, value: object, least: float = 0.0, most: float = _MOST) -> float:
+    """Return a value; MissionError unless it is a number within bounds."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
         raise MissionError(f"{what} is {value!r}; it must be a number from {least:g} to {most:g}")
+    return value
 
 
 PAPER: Final = Building(

@@ -1,21 +1,175 @@
 """Which corridors, and which configuration in each: planned together, to a proven optimum, within limits.
 
-What the corridors allow, and what that takes, is asked of the knowledge base; nothing here knows what a camera is.
+It poses the question to the exact search of `rosa_pddl`. What the corridors allow, and what that takes, is asked of the
+knowledge base by situations; nothing here knows what a camera is. All amounts are whole: milliseconds, millijoules and
+millionths of a collision, rounded once for each corridor and mode (by at most half of one). From there on nothing is
+rounded, so that limits are kept to the unit.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property
+from itertools import product
 from operator import add
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from kb import KnowledgeBase
-from missions.agv.building import Building, Corridor, check_number
+from kb import Choice, KnowledgeBase, Model
+from kb.elements import EstimationKind
+from missions.agv.building import Building, Corridor, checked
 from missions.agv.model import NAVIGATE
-from missions.agv.modes import GOALS, Amounts, Mode, Modes, crossing, switching, weighing
 from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
+
+GOALS: Final = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
+"""What can be weighed: seconds, joules, and collisions expected; and how many of its amounts each is."""
+
+COLLISION_S: Final = 30.0
+"""For how long a collision keeps the robot [s]; as the next three own choice."""
+SWITCH_S: Final = 0.5
+"""To start or stop a component [s]."""
+SET_S: Final = 0.1
+"""To give a component another configuration [s]."""
+STANDING_W: Final = 10.0
+"""What the robot draws while it switches [W]."""
+
+
+class Amounts(NamedTuple):
+    """Time [ms], energy [mJ], expected collisions [millionths]."""
+
+    time: int
+    energy: int
+    collisions: int
+
+    @property
+    def in_units(self) -> Mapping[str, float]:
+        """By goal: [s], [J], and how many collisions are expected."""
+        return {name: amount / GOALS[name] for name, amount in zip(GOALS, self, strict=True)}
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One way to be configured; the same one is the same object, for one `Modes` until a fact changes.
+
+    Attributes:
+        name: of designs and configurations, such as "amcl_kinect fast"; empty if nothing runs.
+        choice: a design for each function and a configuration for each component that has some.
+        components: that run.
+        speed: that its configurations set [m/s].
+        energy: what it is estimated to draw [W].
+        safety: how many collisions are expected for each obstacle that is passed.
+    """
+
+    name: str
+    choice: Choice = field(repr=False)
+    components: frozenset[str] = field(repr=False)
+    speed: float = field(default=math.nan, repr=False)
+    energy: float = field(default=math.nan, repr=False)
+    safety: float = field(default=math.nan, repr=False)
+
+    @property
+    def setup(self) -> tuple[object, ...]:
+        """What two modes have in common if nothing has to be switched from one to the other."""
+        return self.components, self.choice.configurations
+
+
+class Modes:
+    """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.
+
+    What was answered is forgotten, modes included, as soon as a fact or the model has changed.
+
+    Raises:
+        UnknownName: no such function.
+    """
+
+    BOOKKEEPING = "_revision _all _found"
+
+    def __init__(self, kb: KnowledgeBase, function: str) -> None:
+        self._kb, self._function = kb, kb.functions[function].name
+        self._revision = -1
+        self._all: list[Mode] = []
+        self._found: dict[tuple[object, ...], list[Mode]] = {}
+
+    @property
+    def running(self) -> Mode:
+        """How the robot is configured now: the components of the function's designs that are active."""
+        kb = self._kb
+        parts = {part for name in kb.functions[self._function].designs for part in kb.designs[name].components}
+        active = [part for part in kb.model.components if part in parts and kb.components[part].is_active]
+        selected = {part: kb.components[part].selected_configuration for part in active}
+        return Mode("", Choice({}, {part: name for part, name in selected.items() if name}), frozenset(active))
+
+    def under(self, conditions: Mapping[str, float]) -> list[Mode]:
+        """Return the modes that are possible while attributes have these values; none if the function is unfeasible.
+
+        Raises:
+            MissionError: the model does not say of a mode how fast it is, or what it takes.
+        """
+        if self._revision != self._kb.revision:
+            self._revision, self._found, self._all = self._kb.revision, {}, list(self._read())
+        key = tuple(conditions.items())
+        if key not in self._found:
+            situation = self._kb.situation(conditions)
+            designs = {*situation.selectable_designs(self._function)}
+            parts = {part for mode in self._all for part in mode.components}
+            settings = {name for part in parts for name in situation.selectable_configurations(part)}
+            choices = [(mode, mode.choice) for mode in self._all]
+            self._found[key] = [
+                mode
+                for mode, choice in choices
+                if designs.issuperset(choice.designs.values()) and settings.issuperset(choice.configurations.values())
+            ]
+        return self._found[key]
+
+    def _read(self) -> Iterator[Mode]:
+        """Yield all modes of the model, whether they are possible or not."""
+        kb = self._kb
+        for design in kb.functions[self._function].designs:
+            configured = {part: kb.components[part].configurations for part in kb.designs[design].components}
+            parts = {part: names for part, names in configured.items() if names}
+            for chosen in product(*parts.values()):
+                choice = Choice({self._function: design}, dict(zip(parts, chosen, strict=True)))
+                yield _mode(kb.model, choice, frozenset(configured))
+
+
+def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
+    chosen = [model.designs[one] for one in choice.designs.values()]
+    configurations = [model.configurations[one] for one in choice.configurations.values()]
+    name = " ".join(one.name for one in (*chosen, *configurations))
+    given = next((one.parameters["speed"] for one in configurations if "speed" in one.parameters), None)
+    speed = checked(f"speed [m/s], a parameter of the configurations of {name},", given, 1e-6)
+    causers = {id(one) for one in (*chosen, *configurations, *(model.components[one] for one in components))}
+    taken = []
+    for attribute in ("energy", "safety"):
+        some = [one for one in model.estimations if one.attribute == attribute and id(one.causer) in causers]
+        takes = sum([one.value if one.kind is EstimationKind.NEGATIVE else -one.value for one in some])
+        what = f"what {name} takes from {attribute}, by estimations of the kind 'negative',"
+        taken.append(checked(what, takes if some else None))
+    return Mode(name, choice, components, float(speed), *taken)
+
+
+def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
+    """Return what it takes to drive a length [m] past obstacles.
+
+    A collision is a matter of chance; what it costs, it costs as often as it is expected: the robot stands for a while.
+    """
+    collisions = passed * mode.safety
+    time_s = length_m / mode.speed + collisions * COLLISION_S
+    return Amounts(round(time_s * 1e3), round(time_s * mode.energy * 1e3), round(collisions * 1e6))
+
+
+def switching(before: Mode, after: Mode) -> Amounts:
+    """Return what it takes to change from one mode to another: one thing after the other, while the robot stands."""
+    had, has = before.choice.configurations, after.choice.configurations
+    time_s = SWITCH_S * len(before.components ^ after.components)
+    time_s += SET_S * sum(had.get(part) != name for part, name in has.items())
+    return Amounts(round(time_s * 1e3), round(time_s * STANDING_W * 1e3), 0)
+
+
+def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
+    """Return what makes a weighted sum of amounts, in whole thousandths."""
+    per_ms, per_mj, per_millionth = (weights.get(one, 0.0) * (1e3 / scale) for one, scale in GOALS.items())
+    return lambda takes: round(per_ms * takes.time + per_mj * takes.energy + per_millionth * takes.collisions)
 
 
 class Place(NamedTuple):
@@ -48,9 +202,9 @@ class Question:
             for name, value in given.items():
                 if name not in GOALS:
                     raise MissionError(f"there is no {what} {name!r}; there are {', '.join(GOALS)}")
-                check_number(f"the {what} of {name}", value)
+                checked(f"the {what} of {name}", value)
         for name, light in self.light.items():
-            check_number(f"light of corridor {name}", light, most=1.0)
+            checked(f"light of corridor {name}", light, most=1.0)
         if not any(self.weights.values()):
             raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
 
@@ -93,7 +247,17 @@ class Answer:
 
 
 State = tuple[Place, Mode]
-_Way = tuple[Corridor, str, str, float, float, Mapping[str, float]]  # from, to, how far, past how many, under what
+
+
+class _Way(NamedTuple):
+    """A corridor as it is driven: between which places, how far [m], past how many obstacles, under what conditions."""
+
+    corridor: Corridor
+    origin: str
+    to: str
+    length_m: float
+    passed: float
+    conditions: Mapping[str, float]
 
 
 class Task:
@@ -105,28 +269,25 @@ class Task:
         place = question.start or Place(building.start)
         self.start: State = (place if place.corridor else Place(place.name), planner.modes.running)
         self.goal = question.goal or building.goal
-        building.check_place(place.name, "start")
-        building.check_place(self.goal, "goal")
+        building.check("place", place.name, "start")
+        building.check("place", self.goal, "goal")
         for corridor in (*question.light, *filter(None, [place.corridor])):
-            building.check_corridor(corridor)
+            building.check("corridor", corridor, "the question")
         if place.corridor and place.name not in building.corridors[place.corridor].ends:
             raise MissionError(f"corridor {place.corridor} does not begin at {place.name}, from where the robot came")
-        check_number("driven_m", place.driven_m, -math.inf)
+        checked("driven_m", place.driven_m, -math.inf)
         self.limited = tuple(name for name in GOALS if name in question.limits)
         # a hair more, as amounts are rounded
         self.limits = tuple(math.floor(question.limits[name] * GOALS[name] + 1e-6) for name in self.limited)
         self._indices = tuple(list(GOALS).index(name) for name in self.limited)
-        self._crossing, self._weighed = planner.crossing, weighing(question.weights)
-        self._whole = {name: self._priced(*self._way(one, one.ends[0])[3:]) for name, one in building.corridors.items()}
-        self._steps: dict[Place, list[tuple[Leg, int]]] = {}
-        self._switching: dict[tuple[Mode, Mode], tuple[Amounts, int]] = {}
+        self._weighed = weighing(question.weights)
+        self._whole = {name: self._priced(self._way(one, one.ends[0])) for name, one in building.corridors.items()}
+        self.crossings, self.switching = cache(self._crossings), cache(self._switching)
 
     def moves(self, state: State) -> Iterator[Move[State, Leg]]:
         """Yield each corridor from here in each mode that is possible in it."""
         place, before = state
-        if place not in self._steps:
-            self._steps[place] = self.crossings(place)
-        for leg, cost in self._steps[place]:
+        for leg, cost in self.crossings(place):
             switched, more = self.switching(before, leg.mode)
             uses = tuple([switched[number] + leg.takes[number] for number in self._indices])
             yield Move((Place(leg.to), leg.mode), cost + more, uses, leg)
@@ -139,26 +300,22 @@ class Task:
             return 0, (0,) * len(self.limited)
         return self._least.get(state[0].name, (math.inf, (math.inf,) * len(self.limited)))
 
-    def crossings(self, place: Place) -> list[tuple[Leg, int]]:
-        """Return each way from a place, in each mode that is possible, without switching to it, and what it costs."""
-        return [
-            (Leg(corridor.name, origin, to, mode, conditions, takes), cost)
-            for corridor, origin, to, length_m, passed, conditions in self._ways(place)
-            for mode, takes, cost in (
-                self._priced(length_m, passed, conditions) if place.corridor else self._whole[corridor.name]
-            )
-        ]
-
-    def switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
-        """Return what it takes, and costs, to change modes."""
-        if (before, after) not in self._switching:
-            takes = switching(before, after)
-            self._switching[before, after] = takes, self._weighed(takes)
-        return self._switching[before, after]
-
     def demands(self, corridor: Corridor) -> Mapping[str, float]:
         """Return what a corridor demands, as values of attributes: light from 0 to 1, and obstacles [1/m]."""
         return {"light": self.question.light.get(corridor.name, corridor.light), "obstacles": corridor.obstacles}
+
+    def _crossings(self, place: Place) -> list[tuple[Leg, int]]:
+        """Return each way from a place, in each mode that is possible, without switching to it, and what it costs."""
+        return [
+            (Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes), cost)
+            for way in self._ways(place)
+            for mode, takes, cost in (self._priced(way) if place.corridor else self._whole[way.corridor.name])
+        ]
+
+    def _switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
+        """Return what it takes, and costs, to change modes."""
+        takes = switching(before, after)
+        return takes, self._weighed(takes)
 
     def _ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within one, on to its end, or back and into another."""
@@ -167,25 +324,27 @@ class Task:
             return
         inside = self.building.corridors[place.corridor]
         back_m = min(max(place.driven_m, 0.0), inside.length_m)
-        ahead, light = self._way(inside, place.name, inside.length_m - back_m), self.demands(inside)["light"]
+        ahead = self._way(inside, place.name, inside.length_m - back_m)
+        light = ahead.conditions["light"]
         yield ahead
         if place.name == self.goal:
-            yield inside, ahead[2], place.name, back_m, 0.0, {"light": light, "obstacles": 0.0}
+            yield _Way(inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
         for other in self.building.exits[place.name]:
             if other is not inside:  # what was passed on the way here is known, so the way back is free
-                _, origin, to, length_m, passed, conditions = self._way(other, place.name)
-                both = {**conditions, "light": min(light, conditions["light"])}
-                yield other, origin, to, length_m + back_m, passed, both
+                way = self._way(other, place.name)
+                both = {**way.conditions, "light": min(light, way.conditions["light"])}
+                yield way._replace(length_m=way.length_m + back_m, conditions=both)
 
     def _way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
         """Return a corridor from one of its ends: all of it, or what is left of it."""
         left_m = corridor.length_m if length_m is None else length_m
-        return corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, self.demands(corridor)
+        return _Way(
+            corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, self.demands(corridor)
+        )
 
-    def _priced(
-        self, length_m: float, passed: float, conditions: Mapping[str, float]
-    ) -> list[tuple[Mode, Amounts, int]]:
-        taken = [(mode, self._crossing(mode, length_m, passed)) for mode in self.modes.under(conditions)]
+    def _priced(self, way: _Way) -> list[tuple[Mode, Amounts, int]]:
+        """Return the modes that are possible on a way, what it takes in each, and what that costs."""
+        taken = [(mode, crossing(mode, way.length_m, way.passed)) for mode in self.modes.under(way.conditions)]
         return [(mode, takes, self._weighed(takes)) for mode, takes in taken]
 
     @cached_property
@@ -214,8 +373,6 @@ class JointPlanner:
 
     def __init__(self, building: Building, kb: KnowledgeBase) -> None:
         self.building, self._kb, self.modes = building, kb, Modes(kb, NAVIGATE)
-        # what whole corridors take is asked again and again, and what is left of one never again
-        self.crossing = lru_cache(maxsize=100_000)(crossing)
 
     def task(self, question: Question) -> Task:
         """Return a question as a graph; raises MissionError if it names a place or corridor that there is not."""
@@ -254,7 +411,8 @@ class JointPlanner:
 
     def _why_not(self, task: Task) -> str:
         blocked = [one for one in self.building.corridors.values() if not self.modes.under(task.demands(one))]
-        why = self.modes.why_none(task.demands(blocked[0])) if blocked else ""
+        situations = [self._kb.situation(task.demands(one)) for one in blocked[:1]]
+        why = "".join(one.why(one.functions[NAVIGATE]) for one in situations)
         if len(blocked) == len(self.building.corridors):
             wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
             faults = "".join(wrong[:1])

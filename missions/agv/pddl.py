@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
-from missions.agv.joint import Leg, Place, Task
-from missions.agv.modes import Amounts, Mode
+from missions.agv.joint import Amounts, Leg, Mode, Place, Task
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 

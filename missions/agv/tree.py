@@ -19,9 +19,8 @@ from py_trees.composites import Composite
 from kb import Choice, KnowledgeBase, ReconfigurationPlan
 from kb import Status as ElementStatus
 from missions.agv.building import Building
-from missions.agv.joint import Answer, JointPlanner, Leg, Place, Question, Task
+from missions.agv.joint import Answer, JointPlanner, Leg, Mode, Modes, Place, Question, Task
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, heading, headings
-from missions.agv.modes import Mode, Modes
 from missions.agv.pddl import SWITCH, PddlNames
 from missions.engine.mission import Percepts
 from rosa_bt import RosaAction, feasible_then_act
@@ -123,13 +122,12 @@ class Cross(RosaAction):
 
     def initialise(self) -> None:
         """Tell what the corridor demands, and select what was planned."""
-        self._leg = self._choose()
-        if self._leg is not None:
-            way = headings(self._route.building).index((self._leg.corridor, self._leg.origin)) + 1.0
-            self._route.measure({**self._leg.conditions, "way": way})
-            if self.kb.pending_plan is None:  # else it would be abandoned together with that one
-                asked = next((one.number for one in self.kb.required_actions if one.action == self.action), None)
-                self._select(self._leg, asked)  # what it has just told is what it demands itself
+        self._leg = leg = self._choose()
+        if leg is not None:
+            way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
+            self._route.measure({**leg.conditions, "way": way})
+            asked = next((one.number for one in self.kb.required_actions if one.action == self.action), None)
+            self._select(leg, asked)  # what it has just told is what it demands itself
 
     def update(self) -> Status:
         """Look whether the other end is reached; take over what was planned anew for the same corridor."""
@@ -142,7 +140,9 @@ class Cross(RosaAction):
         anew = self._choose()
         if anew is not None and anew.to == leg.to:
             self._leg = leg = anew
-        if self.kb.pending_plan is None and not self._is_selected(leg):
+        choice, kb = _choice(leg), self.kb
+        selected = [kb.designs[name].is_selected for name in choice.designs.values()]
+        if not all([*selected, *(kb.configurations[name].is_selected for name in choice.configurations.values())]):
             self._select(leg)  # it was planned anew, or the manager had to choose before it was
         return Status.RUNNING
 
@@ -151,14 +151,9 @@ class Cross(RosaAction):
         self._route.measure(self._route.standing)
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
-        why = f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
-        choice = _choice(leg)
-        self.kb.select(choice.designs, choice.configurations, why, cause=cause)
-
-    def _is_selected(self, leg: Leg) -> bool:
-        choice, kb = _choice(leg), self.kb
-        chosen = [kb.designs[name].is_selected for name in choice.designs.values()]
-        return all([*chosen, *(kb.configurations[name].is_selected for name in choice.configurations.values())])
+        if self.kb.pending_plan is None:  # else it would be abandoned together with that one
+            choice, why = _choice(leg), f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
+            self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
 
 class Switch(RosaAction):
@@ -253,23 +248,22 @@ class FollowRoute(Composite):
         super().__init__("follow route", list(self._by_corridor.values()))
 
     def tick(self) -> Iterator[Behaviour]:
-        leg = None if self._route.is_there else self._route.leg
-        self._note(self._route.answer)
-        planned = None if leg is None else self._by_corridor[leg.corridor]
+        route, is_there = self._route, self._route.is_there
+        self._note(route.answer)
+        planned = None if is_there or route.leg is None else self._by_corridor[route.leg.corridor]
         for name, child in self._by_corridor.items():
             if child is not planned and child.status is Status.RUNNING:
                 if self._crossings[name].is_crossed:
                     yield from child.tick()
                 else:
                     self._give_up(name)
-        self.current_child = planned
-        if planned is None:
-            self.feedback_message = "" if self._route.is_there else self._route.answer.reason
-            self._end(Status.SUCCESS if self._route.is_there else Status.FAILURE)
-        else:
-            self.feedback_message = self._route.answer.reason
+        self.current_child, self.feedback_message = planned, "" if is_there else route.answer.reason
+        if planned is not None:
             yield from planned.tick()
-            self._end(Status.RUNNING if planned.status is Status.RUNNING else Status.FAILURE)
+        if planned is not None and planned.status is Status.RUNNING:
+            self.status = Status.RUNNING
+        else:
+            self.stop(Status.SUCCESS if is_there else Status.FAILURE)
         yield self
 
     def _note(self, answer: Answer) -> None:
@@ -293,12 +287,6 @@ class FollowRoute(Composite):
         why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])
         kb.cancel_action(crossing.action, "abandoned", why)
         self._by_corridor[corridor].stop(Status.INVALID)
-
-    def _end(self, status: Status) -> None:
-        if status is Status.RUNNING:
-            self.status = status
-        else:
-            self.stop(status)
 
 
 def _is_rest(answer: Answer, before: Answer) -> bool:

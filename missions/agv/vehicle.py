@@ -1,20 +1,20 @@
-"""The vehicle in its building, as MuJoCo simulates it; the only file of the mission that touches MuJoCo."""
+"""The vehicle in its building, as MuJoCo simulates it, and where it turns: along a line, past whatever it sees."""
 
 import math
 from collections import deque
 from collections.abc import Iterator
 from importlib.resources import files
 from itertools import combinations
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import NDArray
 
 from missions.agv.building import Building, Corridor
-from missions.agv.steering import Aim, Array, wheel_speeds
 from missions.engine.mission import MissionError
 
+Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
 RADIUS_M: Final = 0.2
@@ -85,6 +85,66 @@ def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
         yield _GEOM.format(f"{half_m:.4f}", 0.05, 0.4, wx, wy, 0.4, f"{math.atan2(uy, ux):.6f}")
 
 
+_AHEAD_M: Final = 1.0  # how far ahead on the line is aimed at
+_CLEAR_M: Final = 1.1  # how far a heading has to be free
+_ROOMS_M: Final = (0.34, 0.24)  # to either side of it; the second where there is no more
+_STOP_M: Final = 0.28  # how near, in front, the vehicle may get
+_SLOW_M: Final = 0.7  # from how far before that it slows down
+_BACK_M_S: Final = 0.1  # out of where nothing is free
+_OFFSETS: Final = np.radians([0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50, 60, -60, 75, -75, 90, -90])
+_TURN_GAIN: Final = 2.0
+_TURN_RAD_S: Final = 1.2
+
+
+class Aim(NamedTuple):
+    """What to do next: forward speed [m/s] and turning rate [rad/s], left positive."""
+
+    forward: float
+    turn: float
+
+
+def aim_along(position: Array, start: Array, end: Array) -> Array:
+    """Return the point (2,) of the line from start to end to aim at, world frame [m]."""
+    line = end - start
+    length = float(np.hypot(*line))
+    unit = line / max(length, 1e-9)
+    along = min(max(float((position - start) @ unit), 0.0), length)  # a tenth of the time that numpy takes for one
+    point: Array = start + unit * min(along + _AHEAD_M, length)
+    return point
+
+
+def steer(bearing: float, hits: Array, speed: float) -> Aim:
+    """Choose the free heading that is nearest to the one that is wanted.
+
+    Args:
+        bearing: where to, from straight ahead [rad].
+        hits: (n, 2) what is seen in the way [m].
+        speed: to drive at [m/s].
+    """
+    if not len(hits):
+        return _turned_to(bearing, speed)
+    ahead = hits[(hits[:, 0] > 0.0) & (np.abs(hits[:, 1]) < _ROOMS_M[0]), 0]
+    room_m = float(ahead.min(initial=math.inf))
+    speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
+    headings, rooms = bearing + _OFFSETS, list[float]()
+    x, y = hits[:, 0], hits[:, 1]
+    for heading, cos, sin in zip(headings.tolist(), np.cos(headings), np.sin(headings), strict=True):
+        along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
+        rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
+        if rooms[-1] >= _ROOMS_M[0]:  # mostly the first, so that the others need not be looked at
+            return _turned_to(heading, speed)
+    for heading, room in zip(headings.tolist(), rooms, strict=True):
+        if room >= _ROOMS_M[1]:
+            return _turned_to(heading, speed)
+    return Aim(-_BACK_M_S, 0.0)
+
+
+def _turned_to(heading: float, speed: float) -> Aim:
+    error = math.remainder(heading, math.tau)
+    turn = min(max(_TURN_GAIN * error, -_TURN_RAD_S), _TURN_RAD_S)
+    return Aim(speed * max(0.0, math.cos(error)) ** 3, turn)
+
+
 SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}
 """Half of the angle that each sees [rad], and how far it sees [m]; Kinect: its data sheet, else own choice."""
 _RAY_STEP: Final = math.radians(4)
@@ -111,6 +171,9 @@ class Vehicle:
     """
 
     def __init__(self, building: Building, placed: list[Pose], pose: Pose, step_s: float) -> None:
+        import mujoco  # takes long, so not before a mission is run
+
+        self._mujoco: Any = mujoco
         self._model: Any = mujoco.MjModel.from_xml_string(scene_xml(building, placed, pose, step_s))
         self._data: Any = mujoco.MjData(self._model)
         self._qpos = self._data.qpos
@@ -125,8 +188,9 @@ class Vehicle:
 
     def drive(self, aim: Aim, steps: int) -> None:
         """Let time pass with wheels turning as is wanted."""
-        self._data.ctrl[:] = wheel_speeds(aim, WHEEL_M, HALF_TRACK_M)
-        mujoco.mj_step(self._model, self._data, steps)
+        aside = aim.turn * HALF_TRACK_M
+        self._data.ctrl[:] = (aim.forward - aside) / WHEEL_M, (aim.forward + aside) / WHEEL_M
+        self._mujoco.mj_step(self._model, self._data, steps)
         self._stand()
         touches = self._touches()
         self.collisions += touches and not self._touched
@@ -141,7 +205,7 @@ class Vehicle:
         origin = np.array([*here.tolist(), 0.2])
         hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
         past = self._groups, True, self._body
-        mujoco.mj_multiRay(self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m)
+        self._mujoco.mj_multiRay(self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m)
         found = (hit >= 0) & (far > 0.0)
         self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
         apart = np.concatenate(self._seen) - here

@@ -12,8 +12,8 @@ from numpy.random import Generator
 from kb import KnowledgeBase, ManagedSystem
 from missions.agv.building import Building
 from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
-from missions.agv.steering import Aim, Array, aim_along, steer
 from missions.agv.tree import Route
+from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, check_walls, steer
 from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
 from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
 from missions.engine.settings import Constants, declared, setting
@@ -87,8 +87,6 @@ class BuildingWorld(World):
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
-        from missions.agv.vehicle import Vehicle, boxes, check_walls
-
         check_walls(building)
         self._building, self._settings, self._rng = building, settings, rng
         start = building.places[building.start]

@@ -48,15 +48,18 @@ def test_cart_without_faults_is_planned_for():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"speed": None}, "drive set sets no speed; give its configurations a speed above 0"),
-        ({"speed": "quick"}, "sets no speed"),
-        ({"speed": True}, "sets no speed"),
-        ({"speed": 0.0}, "drive set sets speed to 0; give its"),
-        ({"speed": -0.5}, "sets speed to -0.5"),
-        ({"energy": None}, "drive set takes what from energy. give an estimation from 0"),
-        ({"safety": None}, "takes what from safety. give"),
-        ({"energy": -3.0}, "adds 3 to energy. give"),
-        ({"kind": "positive"}, "adds 0.1 to safety"),
+        (
+            {"speed": None},
+            r"speed .m/s., a parameter of the configurations of drive set, is None; it must be a number from 1e-06 to",
+        ),
+        ({"speed": "quick"}, "of drive set, is 'quick'"),
+        ({"speed": True}, "of drive set, is True"),
+        ({"speed": 0.0}, "of drive set, is 0.0"),
+        ({"speed": -0.5}, "of drive set, is -0.5"),
+        ({"energy": None}, "what drive set takes from energy, by estimations of the kind 'negative', is None; it must"),
+        ({"safety": None}, "takes from safety, by estimations of the kind 'negative', is None"),
+        ({"energy": -3.0}, "takes from energy, by estimations of the kind 'negative', is -3.0; it must be a number"),
+        ({"kind": "positive"}, "takes from energy, by estimations of the kind 'negative', is -20.0"),
     ],
 )
 def test_model_that_cannot_be_planned_with_is_refused(changes, words):
@@ -204,8 +207,18 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
             "length_m of corridor c1 is -2; it must be",
         ),
         ({"places": {**HALL["places"], "z": [9, 9]}}, "pass", 2, "disconnected: no way from a to z; add a corridor"),
-        ({}, "made.change(speed, parameters={'gain': 1.0})", 2, "rosa: aruco_camera slow sets no speed; give"),
-        ({}, "made.change(speed, parameters={'speed': 0.0})", 2, "rosa: aruco_camera slow sets speed to 0"),
+        (
+            {},
+            "made.change(speed, parameters={'gain': 1.0})",
+            2,
+            "rosa: speed [m/s], a parameter of the configurations of aruco_camera slow, is None",
+        ),
+        (
+            {},
+            "made.change(speed, parameters={'speed': 0.0})",
+            2,
+            "rosa: speed [m/s], a parameter of the configurations of aruco_camera slow, is 0.0",
+        ),
         (
             {},
             "speed.constrain(light >= 0.5, light <= 0.2)",

@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from kb import KnowledgeBase
 from missions.agv import PAPER, WEIGHTS
-from missions.agv.joint import JointPlanner, Question
+from missions.agv.joint import JointPlanner, Modes, Question
 from missions.agv.model import agv_model
-from missions.agv.modes import Modes
 
 
 class Robot:

@@ -12,9 +12,8 @@ from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase
 from missions.agv import PAPER, WEIGHTS, agv_mission
-from missions.agv.joint import JointPlanner, Question
+from missions.agv.joint import JointPlanner, Modes, Question
 from missions.agv.model import DRAW_W, agv_model, building_model
-from missions.agv.modes import Modes
 from missions.agv.tree import Route, Switch
 from missions.agv.world import Settings
 from missions.engine.mission import MissionError, Percepts

@@ -10,8 +10,7 @@ from running import rosa_run
 
 from missions.agv import agv_mission
 from missions.agv.model import NAVIGATOR, SPEEDS
-from missions.agv.steering import Aim
-from missions.agv.vehicle import Vehicle, boxes, check_walls
+from missions.agv.vehicle import Aim, Vehicle, boxes, check_walls
 from missions.agv.world import BuildingWorld, Settings
 from missions.engine.mission import MissionError
 from missions.engine.settings import RunSettings
