@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict
 
-from suave_env.env import Observation, SuaveEnv
-from suave_env.monitors import Message
+from suave_env.env import SuaveEnv
+from suave_env.monitors import Message, Status
 from suave_env.settings import SuaveEnvError
 
 SPAN_S = 12.0
@@ -28,7 +28,7 @@ def check_env(make: Callable[[int], SuaveEnv], component: str = "spiral_search")
 
     Args:
         make: Opens the environment with a seed.
-        component: A component that it manages and that is inactive at first.
+        component: A component that it manages.
 
     Raises:
         BrokenEnvError: The first promise that is broken.
@@ -97,15 +97,13 @@ def _check_message(message: Message, before: float, until: float) -> None:
         _require(all(isinstance(word, str) for word in words), f"a status holds strings only, not {status!r}")
 
 
-def _run(
-    env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bool = False
-) -> tuple[list[Message], list[tuple[float, str]], Observation]:
+def _run(env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bool = False) -> tuple[object, ...]:
     """Return what was published, happened and is observed at last; if touched, what is returned is taken apart."""
     env.components.activate(component)
-    published: list[Message] = []
+    published = list[tuple[float, list[Status]]]()
     for time in times:
         heard = env.advance(time)
-        published += [{"time": one["time"], "status": list(one["status"])} for one in heard]
+        published += [(one["time"], list(one["status"])) for one in heard]
         if is_touched:
             for message in heard:
                 message["status"].clear()
@@ -118,10 +116,8 @@ def _check_components(env: SuaveEnv, component: str) -> None:
     components = env.components
     for act in (components.activate, components.deactivate, components.is_active, components.parameters):
         _require(_refuses(act, "no such component"), "an unknown component is refused: SuaveEnvError")
-    _require(not components.is_active(component), f"{component} is inactive at first")
-    for wanted, change in ((True, components.activate), (False, components.deactivate)):
+    for change, is_active in ((components.deactivate, False), (components.activate, True)):
         change(component)
-        word = "active" if wanted else "inactive"
-        _require(components.is_active(component) is wanted, f"{component} is {word} when it was asked to be")
-        _require((component in env.observe().active) is wanted, f"{component} is observed to be {word}")
-        env.advance(env.now + 5)
+        word = "active" if is_active else "inactive"
+        _require(components.is_active(component) is is_active, f"{component} is {word} when it was asked to be")
+        _require((component in env.observe().active) is is_active, f"{component} is observed to be {word}")

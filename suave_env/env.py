@@ -90,30 +90,30 @@ class SuaveEnv:
         self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)
         self._spiral = SpiralSearch(settings, self._autopilot, (x, y))
         self._follower = FollowPipeline(settings, self._autopilot, self._outbox)
-        self._start_nodes(phases[:3])
-        self._start_monitors(phases[3:7])
-        self._enter_disturbances()
-
-    def _start_nodes(self, phases: list[float]) -> None:
-        settings, agenda = self.settings, self._agenda
-        recover = RecoverThrusters(settings, self._restored, agenda, self._outbox)
+        recover = RecoverThrusters(settings, self._restored, self._agenda, self._outbox)
         recharge = Recharge(settings, self._autopilot, self._recharge)
         nodes = (self._spiral, self._follower, recover, recharge)
         self.components = Components(nodes, lambda: self.now, self._autopilot.hold, self._switched)
-        periods = settings.spiral_period_s, settings.follow_period_s, settings.recharge_period_s
-        for node, period, phase in zip((self._spiral, self._follower, recharge), periods, phases, strict=True):
-            agenda.every(period, phase * period, node.tick)
-
-    def _start_monitors(self, phases: list[float]) -> None:
-        settings, agenda = self.settings, self._agenda
         self._visibility: float | None = None  # that was published last [m]
         self._whole_periods, self._thruster_news = 0, list[tuple[int, str]]()
-        visibility_period, thruster_period = settings.visibility_monitor_period_s, settings.thruster_monitor_period_s
-        agenda.every(visibility_period, phases[0] * visibility_period, self._publish_visibility)
-        agenda.every(thruster_period, phases[1] * thruster_period, self._publish_thrusters)
-        agenda.at(phases[2] * settings.pose_period_s, self._look)
+        self._enter_timers(phases, recharge)
+        self._enter_disturbances()
+
+    def _enter_timers(self, phases: list[float], recharge: Recharge) -> None:
+        """Start what runs freely, each timer at its phase, a share of its period."""
+        settings, agenda = self.settings, self._agenda
+        timers = (
+            (settings.spiral_period_s, self._spiral.tick),
+            (settings.follow_period_s, self._follower.tick),
+            (settings.recharge_period_s, recharge.tick),
+            (settings.visibility_monitor_period_s, self._publish_visibility),
+            (settings.thruster_monitor_period_s, self._publish_thrusters),
+        )
+        for (period, tick), phase in zip(timers, phases, strict=False):
+            agenda.every(period, phase * period, tick)
+        agenda.at(phases[5] * settings.pose_period_s, self._look)
         if settings.battery:
-            phase = phases[3] * settings.battery_period_s
+            phase = phases[6] * settings.battery_period_s
             agenda.at(phase, self._publish_battery)
             agenda.every(settings.battery_period_s, phase + settings.battery_period_s, self._drain)
 

@@ -7,18 +7,13 @@ from importlib.resources import files
 from struct import Struct
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from suave_env.settings import Settings, SuaveEnvError
 from suave_env.thrusters import COUNT
 
 _log = logging.getLogger(__name__)
-# MuJoCo's own handler prints, and writes a file into the working directory; what matters is raised by the autopilot
-mujoco.set_mju_user_warning(_log.debug)
-
-_OFF = mujoco.mjtDisableBit
-_UNUSED = _OFF.mjDSBL_EQUALITY | _OFF.mjDSBL_FRICTIONLOSS | _OFF.mjDSBL_LIMIT | _OFF.mjDSBL_SENSOR | _OFF.mjDSBL_ISLAND
+_UNUSED = ("EQUALITY", "FRICTIONLOSS", "LIMIT", "SENSOR", "ISLAND", "AUTORESET")  # the last: what is lost stays lost
 _WRITE_THRUSTS = Struct(f"{COUNT}d").pack_into  # a third of the time that a slice of the array takes
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
 
@@ -41,8 +36,13 @@ class Vehicle:
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
-        self.model: Any = _compiled(settings)
-        self.model.opt.disableflags |= _UNUSED | mujoco.mjtDisableBit.mjDSBL_AUTORESET  # what is lost stays lost
+        import mujoco  # takes long, so not before there is a vehicle
+
+        # MuJoCo's own handler prints, and writes a file into the working directory; the autopilot raises what matters
+        mujoco.set_mju_user_warning(_log.debug)
+        self.model: Any = _compiled(mujoco, settings)
+        for name in _UNUSED:
+            self.model.opt.disableflags |= getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}")
         self.data: Any = mujoco.MjData(self.model)
         self._substeps = round(settings.control_period_s / settings.physics_step_s)
         self._step = mujoco.mj_step
@@ -82,7 +82,7 @@ def floated(settings: Settings) -> float:
     return speed * settings.boot_s
 
 
-def _compiled(settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
+def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
     """Compile the packaged model with the figures of the settings in it."""
     spec = mujoco.MjSpec.from_string((files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8"))
     spec.option.timestep = settings.physics_step_s

@@ -141,6 +141,7 @@ class Manager:
 
 
 SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
+_UNTIL = {SEARCH: "pipeline_found", INSPECT: "pipeline_inspected"}
 LOW_LEVEL = 0.25
 
 T = TypeVar("T")
@@ -172,11 +173,11 @@ class BaselineRun(MissionRun):
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world, rng, options, settings.duration_s)
         self._manager = self._ask(manager, self.robot)
-        for period_s, phase, what in (
-            (world.settings.mission_period_s, phases[0], self._decide_task),
-            (self._ask(_checked, self._manager.period_s), phases[1], self._update),
-        ):
-            self.robot.agenda.every(period_s, phase * period_s, what)
+        mission_s, period_s = world.settings.mission_period_s, self._manager.period_s
+        if not 0 < period_s < inf:
+            raise MissionError(f"manager {name}: period_s is {period_s!r}; allowed is a number of seconds above 0")
+        self.robot.agenda.every(mission_s, phases[0] * mission_s, self._decide_task)
+        self.robot.agenda.every(period_s, phases[1] * period_s, self._update)
         self._is_ticked = False
         self._tasks_reported = self._changes_reported = 0
         self.listen(*listeners)
@@ -238,24 +239,19 @@ class BaselineRun(MissionRun):
 
     def _decide_task(self, time: float) -> None:
         """Begin and end tasks as SUAVE's mission node does: search until the pipeline is found, then inspect it."""
-        task = self.robot.task
-        if self._manager.decides_tasks:
+        robot, manager = self.robot, self._manager
+        if manager.decides_tasks:
             return
-        if task is None:
-            self._begin(SEARCH)
-        elif task == SEARCH and self.robot.percepts.holds("pipeline_found"):
-            self._end(SEARCH)
-            self._begin(INSPECT)
-        elif task == INSPECT and self.robot.percepts.holds("pipeline_inspected"):
-            self._end(INSPECT)
-
-    def _begin(self, task: str) -> None:
-        self.robot.begin(task)
-        self._manager.begin(task)
-
-    def _end(self, task: str) -> None:
-        self.robot.end("completed")
-        self._manager.end(task)
+        task = robot.task
+        if task is not None and robot.percepts.holds(_UNTIL.get(task, "")):
+            robot.end("completed")
+            manager.end(task)
+        elif task is not None:
+            return
+        if task != INSPECT:
+            following = INSPECT if task else SEARCH
+            robot.begin(following)
+            manager.begin(following)
 
     def _report(self) -> None:
         """Tell the listeners what has been done since the last time."""
@@ -268,9 +264,3 @@ class BaselineRun(MissionRun):
         for time, text in sorted(said):
             for listener in self.listeners:
                 listener.action(text, time)
-
-
-def _checked(period_s: float) -> float:
-    if not 0 < period_s < inf:
-        raise MissionError(f"period_s is {period_s!r}; allowed is a number of seconds above 0")
-    return period_s

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar, Final
 
-from missions.baselines.manager import Manager, Robot
-from missions.baselines.modes import SystemModes
+from missions.baselines.manager import Robot
+from missions.baselines.modes import FOLLOW, MOTION, SEARCH, ModesManager
 from missions.engine.settings import Setting
 
 
@@ -28,16 +28,16 @@ class Design:
 
 
 DESIGNS: Final = (
-    Design("fd_all_thrusters", "f_maintain_motion", 1.0, tuple(f"c_thruster_{one}" for one in range(1, 7))),
-    Design("fd_follow_pipeline", "f_follow_pipeline", 1.0),
-    Design("fd_spiral_high", "f_generate_search_path", 1.0, qualities=(("water_visibility", 3.25),)),
-    Design("fd_recover_thrusters", "f_maintain_motion", 0.75),
-    Design("fd_spiral_medium", "f_generate_search_path", 0.5, qualities=(("water_visibility", 2.25),)),
-    Design("fd_spiral_low", "f_generate_search_path", 0.25, qualities=(("water_visibility", 1.25),)),
+    Design("fd_all_thrusters", MOTION, 1.0, tuple(f"c_thruster_{one}" for one in range(1, 7))),
+    Design("fd_follow_pipeline", FOLLOW, 1.0),
+    Design("fd_spiral_high", SEARCH, 1.0, qualities=(("water_visibility", 3.25),)),
+    Design("fd_recover_thrusters", MOTION, 0.75),
+    Design("fd_spiral_medium", SEARCH, 0.5, qualities=(("water_visibility", 2.25),)),
+    Design("fd_spiral_low", SEARCH, 0.25, qualities=(("water_visibility", 1.25),)),
 )
 """All there are, the best first, then in order of name; kas-lab/suave v1.3.0, ontology."""
 
-ALWAYS_IMPROVED: Final = frozenset({"f_generate_search_path"})
+ALWAYS_IMPROVED: Final = frozenset({SEARCH})
 """The functions that are improved though all is well; of the same source."""
 
 
@@ -47,20 +47,14 @@ def designs_of(function: str) -> tuple[Design, ...]:
 
 
 class Standing(StrEnum):
-    """How an objective stands; the first that holds."""
+    """How an objective stands: by the first of these that holds, in their order."""
 
-    UNGROUNDED = "UNGROUNDED"
-    """No design serves it."""
-    COMPONENT_ERROR = "IN_ERROR_COMPONENT"
-    """Its design needs a component that has failed."""
-    FUNCTION_ERROR = "IN_ERROR_FR"
-    """The mode of its design is not in force though it was asked for."""
-    QUALITY_ERROR = "IN_ERROR_NFR"
-    """A quality that its design needs is measured to be less."""
-    UPDATABLE = "UPDATABLE"
-    """A component has recovered: something better may be possible."""
+    UNGROUNDED = "UNGROUNDED"  # no design serves it
+    COMPONENT_ERROR = "IN_ERROR_COMPONENT"  # its design needs a component that has failed
+    FUNCTION_ERROR = "IN_ERROR_FR"  # the mode of its design is not in force though it was asked for
+    QUALITY_ERROR = "IN_ERROR_NFR"  # a quality that its design needs is measured to be less
+    UPDATABLE = "UPDATABLE"  # a component has recovered: something better may be possible
     SATISFIED = "SATISFIED"
-    """All is well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,14 +110,11 @@ def _suffices(design: Design, situation: Situation) -> bool:
     return all(not measured[name] < value for name, value in design.qualities if name in measured)
 
 
-OBJECTIVES: Final = {
-    "search_pipeline": ("f_maintain_motion", "f_generate_search_path"),
-    "inspect_pipeline": ("f_maintain_motion", "f_follow_pipeline"),
-}
+OBJECTIVES: Final = {"search_pipeline": (MOTION, SEARCH), "inspect_pipeline": (MOTION, FOLLOW)}
 """Functions that each task asks for; kas-lab/suave v1.3.0, task bridge."""
 
 
-class Metacontrol(Manager):
+class Metacontrol(ModesManager):
     """Grounds the objectives of a task in function designs, and changes the designs of those that are in error.
 
     One pass of reasoning sees what was heard; what follows from an inference of the pass is seen by the next one. So a
@@ -139,7 +130,6 @@ class Metacontrol(Manager):
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = robot.options["reasoning_period_s"]
-        self._modes = SystemModes(robot)
         self._situation = Situation()
         self._objectives: tuple[str, ...] = ()
         self._is_reasoning = False
@@ -151,7 +141,7 @@ class Metacontrol(Manager):
         self._objectives = ()
         self._situation = replace(self._situation, grounded={})
         for function in OBJECTIVES[task]:
-            self._modes.unground(function)
+            self.modes.unground(function)
 
     def update(self) -> None:
         if not self._is_reasoning:
@@ -161,30 +151,29 @@ class Metacontrol(Manager):
     def _reason(self) -> None:
         before = self._situation
         failed = frozenset(name for name, word in self.robot.reported.items() if word in ("FALSE", "ERROR"))
+        amiss = frozenset(name for name, mode in before.grounded.items() if not self.modes.is_in(name, mode))
         situation = self._situation = replace(
             before,
             measured=dict(self.robot.measured),
             failed=failed,
-            not_in_force=frozenset(
-                function for function, mode in before.grounded.items() if not self._modes.is_in(function, mode)
-            ),
+            not_in_force=amiss,
             recovered=before.recovered or not before.failed <= failed,
         )
         self.robot.later(self.robot.options["reasoning_s"], lambda: self._act(situation))
 
     def _act(self, seen: Situation) -> None:
         """Ask for what was found, then reason again if an inference may have further consequences."""
-        inferred = unrealisable(seen)
         for function in self._objectives:
             stands = standing(seen, function)
             if stands is not Standing.SATISFIED or function in ALWAYS_IMPROVED:
                 self._ground(function, stands, seen)
-        if inferred == seen.unrealisable:
-            self._situation = replace(self._situation, recovered=False)
-            self._is_reasoning = False
-        else:
+        inferred = unrealisable(seen)
+        self._is_reasoning = inferred != seen.unrealisable
+        if self._is_reasoning:
             self._situation = replace(self._situation, unrealisable=inferred)
             self._reason()
+        else:
+            self._situation = replace(self._situation, recovered=False)
 
     def _ground(self, function: str, stands: Standing, seen: Situation) -> None:
         errors = seen.errors
@@ -193,5 +182,5 @@ class Metacontrol(Manager):
             self._situation = replace(self._situation, errors=self._situation.errors | errors)
         design = best_design(replace(seen, errors=errors), function)
         if design is not None:
-            self._modes.request(function, design.name)
+            self.modes.request(function, design.name)
             self._situation = replace(self._situation, grounded={**self._situation.grounded, function: design.name})

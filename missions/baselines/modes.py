@@ -1,13 +1,34 @@
-"""Modes of functions in the manner of ROS 2 System Modes, and SUAVE's two baselines that only ask for modes."""
+"""SUAVE's own managers, which switch components by modes of functions in the manner of ROS 2 System Modes.
+
+Two only ask for modes. The third is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and of its extended mission,
+which decides about tasks and adapts the vehicle, both in one tree:
+
+mission (reactive)
+├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode fd_recover_thrusters
+└── work or recharge
+    ├── work (reactive)
+    │   ├── battery ok?                                        extended mission only
+    │   ├── find: found?, or else (altitude by visibility -> search)
+    │   └── mode fd_follow_pipeline -> inspect
+    └── unground search and inspection -> mode normal -> recharge -> mode inactive
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from missions.baselines.manager import Manager, Robot
-from missions.engine.mission import MissionError
+import numpy as np
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.composites import Selector, Sequence
 
+from missions.baselines.manager import Manager, Robot
+from missions.engine.mission import Condition
+
+SEARCH, FOLLOW, MOTION = "f_generate_search_path", "f_follow_pipeline", "f_maintain_motion"
+RECHARGE = "f_generate_recharge_path"
 UNGROUND = "fd_unground"
+LOW_LEVEL = np.float32(0.25)
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,17 +43,17 @@ _ON, _OFF = Mode(True), Mode(False)
 _LOW, _MEDIUM, _HIGH = (Mode(True, {"spiral_altitude": metres}) for metres in (1.0, 2.0, 3.0))
 
 FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
-    "f_generate_search_path": (
+    SEARCH: (
         "spiral_search",
         {"__DEFAULT__": _LOW, "fd_spiral_high": _HIGH, "fd_spiral_medium": _MEDIUM, "fd_spiral_low": _LOW}
         | {UNGROUND: _OFF},
     ),
-    "f_follow_pipeline": ("follow_pipeline", {"__DEFAULT__": _OFF, "fd_follow_pipeline": _ON, UNGROUND: _OFF}),
-    "f_maintain_motion": (
+    FOLLOW: ("follow_pipeline", {"__DEFAULT__": _OFF, "fd_follow_pipeline": _ON, UNGROUND: _OFF}),
+    MOTION: (
         "recover_thrusters",
         {"__DEFAULT__": _ON, "fd_all_thrusters": _OFF, "fd_recover_thrusters": _ON, UNGROUND: _OFF},
     ),
-    "f_generate_recharge_path": ("recharge", {"__DEFAULT__": _OFF, "normal": _ON, "inactive": _OFF, UNGROUND: _OFF}),
+    RECHARGE: ("recharge", {"__DEFAULT__": _OFF, "normal": _ON, "inactive": _OFF, UNGROUND: _OFF}),
 }
 """The component and the modes of each function; kas-lab/suave v1.3.0, System Modes."""
 
@@ -44,19 +65,19 @@ class SystemModes:
         self._robot = robot
         self._requested: dict[str, str] = {}
 
-    def of(self, function: str) -> tuple[str, ...]:
-        return tuple(_known(function)[1])
-
     def request(self, function: str, mode: str) -> None:
         """Ask for a mode; one that was asked for last already is ignored."""
-        component, modes = _known(function)
-        if mode not in modes:
-            raise MissionError(f"function {function} has no mode {mode!r}; there are {', '.join(modes)}")
-        before = self._requested.get(function)
+        before, (component, modes) = self._requested.get(function), FUNCTIONS[function]
         if mode == before:
             return
+        had, wanted = modes[before] if before else None, modes[mode]
         self._requested[function] = mode
-        self._switch(component, modes.get(before or ""), modes[mode])
+        if wanted.parameters and (had is None or had.parameters != wanted.parameters):
+            self._robot.set_parameters(component, wanted.parameters)
+        if wanted.active and (had is None or not had.active):
+            self._robot.activate(component)
+        elif not wanted.active and had is not None and had.active:
+            self._robot.deactivate(component)
 
     def unground(self, function: str) -> None:
         """Ask for the mode in which the function's component is inactive."""
@@ -64,66 +85,137 @@ class SystemModes:
 
     def is_in(self, function: str, mode: str) -> bool:
         """Tell whether what is in force is what a mode means; several modes may mean the same."""
-        component, modes = _known(function)
-        wanted = modes[mode]
-        parameters = self._robot.parameters(component)
+        component, modes = FUNCTIONS[function]
+        wanted, parameters = modes[mode], self._robot.parameters(component)
         return wanted.active == self._robot.is_active(component) and all(
             parameters.get(key) == value for key, value in wanted.parameters.items()
         )
 
-    def _switch(self, component: str, before: Mode | None, mode: Mode) -> None:
-        if mode.parameters and (before is None or before.parameters != mode.parameters):
-            self._robot.set_parameters(component, mode.parameters)
-        if mode.active and (before is None or not before.active):
-            self._robot.activate(component)
-        elif not mode.active and before is not None and before.active:
-            self._robot.deactivate(component)
 
-
-def _known(function: str) -> tuple[str, Mapping[str, Mode]]:
-    if function not in FUNCTIONS:
-        raise MissionError(f"there is no function {function!r}; there are {', '.join(FUNCTIONS)}")
-    return FUNCTIONS[function]
-
-
-MODES = {
-    "search_pipeline": ("f_generate_search_path", "fd_spiral_low"),
-    "inspect_pipeline": ("f_follow_pipeline", "fd_follow_pipeline"),
-}
+MODES = {"search_pipeline": (SEARCH, "fd_spiral_low"), "inspect_pipeline": (FOLLOW, "fd_follow_pipeline")}
 """Function and mode of each task; kas-lab/suave v1.3.0."""
 
 
-class NoManager(Manager):
-    """Searches at 1 m whatever the water is like, inspects, and never recovers a thruster."""
+class ModesManager(Manager):
+    """Has the modes of functions, and ungrounds the function of a task when the task ends."""
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._modes = SystemModes(robot)
-
-    def begin(self, task: str) -> None:
-        self._modes.request(*MODES[task])
+        self.modes = SystemModes(robot)
 
     def end(self, task: str) -> None:
-        self._modes.unground(MODES[task][0])
+        self.modes.unground(MODES[task][0])
+
+
+class NoManager(ModesManager):
+    """Searches at 1 m whatever the water is like, inspects, and never recovers a thruster."""
+
+    def begin(self, task: str) -> None:
+        self.modes.request(*MODES[task])
 
 
 PERIODS_S = {"2024": 15.0, "2025": 30.0}
 """From one choice to the next [s], by the rules. 30 s were meant from the first; v1.3.0 reads another parameter."""
 
 
-class RandomManager(Manager):
+class RandomManager(ModesManager):
     """Every 15 or 30 s asks for any mode of the function that the task needs, also for the one that stops it."""
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
         self.period_s = PERIODS_S[robot.settings.rules]
-        self._modes = SystemModes(robot)
 
     def update(self) -> None:
         if self.robot.task is not None:
             function, _ = MODES[self.robot.task]
-            modes = self._modes.of(function)
-            self._modes.request(function, modes[self.robot.rng.integers(len(modes))])
+            modes = list(FUNCTIONS[function][1])
+            self.modes.request(function, modes[self.robot.rng.integers(len(modes))])
 
-    def end(self, task: str) -> None:
-        self._modes.unground(MODES[task][0])
+
+class TreeManager(ModesManager):
+    """Ticks the tree every 0.15 s; it sleeps for 100 ms after each tick and for 50 ms in each running action."""
+
+    decides_tasks = True
+
+    def __init__(self, robot: Robot) -> None:
+        super().__init__(robot)
+        self.period_s = robot.settings.tree_period_s
+        self.root = _tree(robot, self.modes)
+
+    @property
+    def is_done(self) -> bool:
+        return self.robot.percepts.count("pipeline_inspected") > 0
+
+    def update(self) -> None:
+        self.root.tick_once()
+
+
+class _RequestMode(Behaviour):
+    """Asks for a mode, unless it was asked for already; succeeds at once."""
+
+    def __init__(self, modes: SystemModes, function: str, mode: str) -> None:
+        super().__init__(f"{function}: {mode}")
+        self._modes, self._function, self._mode = modes, function, mode
+
+    def update(self) -> Status:
+        self._modes.request(self._function, self._mode)
+        return Status.SUCCESS
+
+
+class _DoTask(Behaviour):
+    """Does a task until something was published once more; then, or when it is halted, functions are ungrounded."""
+
+    def __init__(self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]) -> None:
+        super().__init__(task)
+        self._robot, self._modes, self._task, self._until, self._functions = robot, modes, task, until, functions
+        self._before = 0
+
+    def initialise(self) -> None:
+        self._robot.begin(self._task)
+        self._before = self._robot.percepts.count(self._until)
+
+    def update(self) -> Status:
+        return Status.SUCCESS if self._robot.percepts.count(self._until) > self._before else Status.RUNNING
+
+    def terminate(self, new_status: Status) -> None:
+        if self.status is Status.RUNNING or new_status is Status.SUCCESS:
+            self._robot.end("completed" if new_status is Status.SUCCESS else "abandoned")
+            for function in self._functions:
+                self._modes.unground(function)
+
+
+def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
+    measured, heard = robot.measured, robot.percepts.count
+
+    def request(function: str, mode: str) -> Behaviour:
+        return _RequestMode(modes, function, mode)
+
+    def do(task: str, until: str, *functions: str) -> Behaviour:
+        return _DoTask(robot, modes, task, until, functions)
+
+    def altitude(mode: str, least_m: float) -> Behaviour:
+        clear = Condition(f"visibility >= {least_m} m?", lambda: measured.get("water_visibility", 9.0) >= least_m)
+        return Sequence(mode, memory=False, children=[clear, request(SEARCH, mode)])
+
+    works = Condition("all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values()))
+    all_of_them = Sequence("thrusters ok", memory=False, children=[works, request(MOTION, "fd_all_thrusters")])
+    motion = Selector("motion", memory=False, children=[all_of_them, request(MOTION, "fd_recover_thrusters")])
+    altitudes = [altitude(f"fd_spiral_{name}", m) for name, m in (("high", 3.25), ("medium", 2.25), ("low", 1.25))]
+    search = [Selector("altitude", memory=False, children=altitudes), do("search_pipeline", "pipeline_found", SEARCH)]
+    found = Condition("found?", lambda: heard("pipeline_found") > 0)
+    inspect = [request(FOLLOW, "fd_follow_pipeline"), do("inspect_pipeline", "pipeline_inspected", FOLLOW)]
+    work = [
+        Condition("battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)),
+        Selector("find", memory=True, children=[found, Sequence("search", memory=False, children=search)]),
+        Sequence("inspect", memory=False, children=inspect),
+    ]
+    recharge = [
+        request(SEARCH, UNGROUND),
+        request(FOLLOW, UNGROUND),
+        request(RECHARGE, "normal"),
+        do("recharge", "battery_recharged"),
+        request(RECHARGE, "inactive"),
+    ]
+    either = [Sequence("work", memory=False, children=work), Sequence("recharge", memory=True, children=recharge)]
+    root = [motion, Selector("work or recharge", memory=True, children=either)]
+    return Sequence("mission", memory=False, children=root)

@@ -14,7 +14,7 @@ from missions.engine.task_layer import TASK_KINDS, check_task
 MANAGERS: Final = {
     "none": "missions.baselines.modes:NoManager",
     "random": "missions.baselines.modes:RandomManager",
-    "bt": "missions.baselines.bt:TreeManager",
+    "bt": "missions.baselines.modes:TreeManager",
     "metacontrol": "missions.baselines.metacontrol:Metacontrol",
     "rosa": "missions.baselines.rosa:RosaManager",
     "ahead": "missions.baselines.ahead:AheadManager",
@@ -38,6 +38,7 @@ def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyM
     Raises:
         MissionError: no such manager, or none that goes with the mission; the message lists those there are.
     """
+    in_sea = mission is None or _is_in_sea(mission)
     if isinstance(name, type):
         found: Any = name
     else:
@@ -48,7 +49,7 @@ def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyM
     if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
         shown = getattr(name, "__name__", name)
         raise MissionError(f"{shown!r} is no subclass of missions.baselines.Policy or Manager")
-    if mission is not None and issubclass(found, Manager) and not _is_in_sea(mission):
+    if mission is not None and issubclass(found, Manager) and not in_sea:
         what = f"{found.__name__} commands the sea's vehicle, and {mission.name} does not happen in the sea"
         raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
     if mission is not None and mission.selects:

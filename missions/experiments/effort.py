@@ -14,9 +14,8 @@ from py_trees.behaviour import Behaviour
 from kb import KnowledgeBase, Model
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
-from missions.baselines.bt import TreeManager
 from missions.baselines.manager import BaselineRun
-from missions.baselines.modes import FUNCTIONS
+from missions.baselines.modes import FUNCTIONS, TreeManager
 from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS, find_mission

@@ -8,10 +8,7 @@ import logging
 import math
 from collections.abc import Sequence
 from importlib.resources import files
-from struct import Struct
 from typing import Any, Final
-
-import mujoco
 
 from missions.uav.settings import Settings
 
@@ -41,7 +38,7 @@ def velocity_wanted(position: Vector, target: Vector, speed: float, climb: float
     z = POSITION_GAIN * (target[2] - position[2])
     far = math.hypot(x, y)
     scale = speed / far if far > speed else 1.0
-    return x * scale, y * scale, -climb if z < -climb else climb if z > climb else z
+    return x * scale, y * scale, _within(z, climb)
 
 
 def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Vector:
@@ -79,7 +76,10 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
     forward = (nose * east + aside * north + 2 * (i * k - w * j) * up) / size
     left = (2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up) / size
     # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
-    turn_x, turn_y = (-left, forward) if thrust / size > 0 else _unit(-left, forward)
+    turn_x, turn_y = -left, forward
+    if thrust <= 0.0:
+        sine = math.hypot(left, forward)
+        turn_x, turn_y = (-left / sine, forward / sine) if sine > 0 else (1.0, 0.0)
     return thrust, (
         _STIFFNESS[0] * (TILT_GAIN * turn_x - rates[0]),
         _STIFFNESS[1] * (TILT_GAIN * turn_y - rates[1]),
@@ -93,27 +93,17 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
     """
     x, y, z = torques[0] / _ARMS_M, torques[1] / _ARMS_M, torques[2] / _REACTIONS_M
-    most = 0.1 * limit
-    z = -most if z < -most else most if z > most else z  # heading matters least
+    z = _within(z, 0.1 * limit)  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
-    low, high = min(turning), max(turning)
-    even = thrust / 4
-    if not -low <= even <= limit - high:
-        even = max(-low, min(limit - high, even))
-    if even + low >= 0.0 and even + high <= limit:  # mostly
-        return [even + turning[0], even + turning[1], even + turning[2], even + turning[3]]
+    even = max(-min(turning), min(limit - max(turning), thrust / 4))
     return [max(0.0, min(limit, even + one)) for one in turning]
 
 
-def _unit(x: float, y: float) -> tuple[float, float]:
-    size = math.hypot(x, y)
-    return (x / size, y / size) if size > 0 else (1.0, 0.0)
+def _within(value: float, limit: float) -> float:
+    return max(-limit, min(limit, value))
 
 
 _log = logging.getLogger(__name__)
-mujoco.set_mju_user_warning(_log.debug)  # MuJoCo's own handler prints, and writes a file into the working directory
-
-_WRITE: Final = Struct("5d").pack_into  # a third of the time that a slice of the array takes
 ON_GROUND_M: Final = 0.35
 """Height of the vehicle's origin when it stands [m]."""
 SUBSTEPS: Final = 2
@@ -139,8 +129,11 @@ class Quadrotor:
     """
 
     def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
-        self._settings, self._step_s = settings, SUBSTEPS * settings.physics_step_s
-        self.model: Any = _compiled(settings)
+        import mujoco  # takes long, so not before there is a vehicle
+
+        mujoco.set_mju_user_warning(_log.debug)  # its own handler prints, and writes a file into the working directory
+        self._settings, self._step_s, self._advance = settings, SUBSTEPS * settings.physics_step_s, mujoco.mj_step
+        self.model: Any = _compiled(mujoco, settings)
         self.data: Any = mujoco.MjData(self.model)
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
         self._mass = float(self.model.body_subtreemass[0])
@@ -204,8 +197,8 @@ class Quadrotor:
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
-        _WRITE(self._ctrl, 0, *thrusts, self._arm)
-        mujoco.mj_step(self.model, self.data, SUBSTEPS)
+        self._ctrl[:] = *thrusts, self._arm
+        self._advance(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d))
         x, y, z, a, b, c, d, *_ = self._qpos.tolist()
@@ -225,8 +218,9 @@ class Quadrotor:
         settings, (u, v, w) = self._settings, self.velocity
         east, north, up = velocity_wanted(self.position, self._aim(), settings.speed_m_s, settings.climb_m_s)
         error = (east - u, north - v, up - w)
-        x, y, z = self._trim
-        self._trim = trim = _trimmed(x, error[0], step_s), _trimmed(y, error[1], step_s), _trimmed(z, error[2], step_s)
+        moved = [one + TRIM_GAIN * _within(off, 1.0) * step_s for one, off in zip(self._trim, error, strict=True)]
+        x, y, z = (_within(one, TRIM_LIMIT) for one in moved)
+        self._trim = trim = (x, y, z)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
         return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)
 
@@ -240,13 +234,7 @@ class Quadrotor:
         return x if is_low else to_x, y if is_low else to_y, cruise + ON_GROUND_M
 
 
-def _trimmed(one: float, off: float, step_s: float) -> float:
-    off = 1.0 if off > 1.0 else -1.0 if off < -1.0 else off  # a third of the time that min and max take
-    moved = one + TRIM_GAIN * off * step_s
-    return TRIM_LIMIT if moved > TRIM_LIMIT else -TRIM_LIMIT if moved < -TRIM_LIMIT else moved
-
-
-def _compiled(settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
+def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
     spec = mujoco.MjSpec.from_string((files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8"))
     spec.option.timestep = settings.physics_step_s
     spec.option.gravity = (0, 0, -settings.gravity_m_s2)

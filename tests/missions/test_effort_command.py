@@ -11,7 +11,7 @@ from running import called
 
 from kb import KnowledgeBase, Model
 from missions import suave
-from missions.baselines.modes import FUNCTIONS, SystemModes
+from missions.baselines.modes import FUNCTIONS
 from missions.engine.mission import MissionError, Percepts
 from missions.engine.registry import MISSIONS, find_mission
 from missions.experiments import effort
@@ -102,12 +102,11 @@ def test_tree_of_the_manager_is_counted_as_it_is_built(everything):
 
 
 def test_modes_are_those_of_the_functions_that_the_mission_needs(everything):
-    modes = SystemModes(None)  # only asked which modes there are
     base, extended = (one["modes"] for one in everything["trees"])
     altitudes = 4  # only searching has a value beside `active`
-    names = sum(len(modes.of(function)) for function in FUNCTIONS)
+    names = sum(len(modes) for _, modes in FUNCTIONS.values())
     assert extended == 2 * names + altitudes
-    assert extended - base == 2 * len(modes.of("f_generate_recharge_path"))
+    assert extended - base == 2 * len(FUNCTIONS["f_generate_recharge_path"][1])
     first, second = (TREES[one["name"]][1] for one in everything["trees"])
     assert extended - base == second - first
 

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missions.engine.mission import MissionError
-from missions.uav.nodes import UavWorld
 from missions.uav.settings import Settings
 from missions.uav.vehicle import (
     ARM_M,
@@ -20,6 +19,7 @@ from missions.uav.vehicle import (
     mixed,
     velocity_wanted,
 )
+from missions.uav.world import UavWorld
 
 PLACES = st.tuples(st.floats(-10, 10), st.floats(-10, 10), st.floats(0.5, 6))
 SMALL = st.floats(-0.05, 0.05)

@@ -10,8 +10,8 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
-from missions.uav.nodes import Sample, UavWorld
 from missions.uav.settings import Settings
+from missions.uav.world import Sample, UavWorld
 
 FOLDED_DEG = 9
 MOVERS = ("search_planner", "pick_up_planner", "hover_planner", "return_planner", "landing_planner")
