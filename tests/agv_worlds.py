@@ -91,10 +91,7 @@ def declarations_of_task(task: Task) -> Declarations:
         pddl.problem,
         goal=(f"(at {pddl.places[task.goal]})",),
         facts=(*pddl.problem.facts, *facts),
-        numbers={
-            **pddl.switching(task, pddl.by_mode),
-            **{name: value for name, value in known.items() if not isinstance(value, bool)},
-        },
+        numbers={name: value for name, value in known.items() if not isinstance(value, bool)},
     )
     return Declarations("joint", [switch_schema(task.limited), cross_schema(task.limited)], problem)
 

@@ -4,7 +4,7 @@ Switching and crossing are actions of their own; both cost what the search count
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 from missions.agv.building import Building
@@ -58,11 +58,11 @@ def cross_schema(limited: Iterable[str]) -> ActionSchema:
 
 
 class Via(NamedTuple):
-    """A corridor as it is driven to one of its ends, all of it or from where the robot is within a corridor."""
+    """A corridor as it is driven to one of its ends; from where the robot is within a corridor, the origin is empty."""
 
     corridor: str
+    origin: str
     to: str
-    is_whole: bool
 
 
 class PddlNames:
@@ -75,24 +75,19 @@ class PddlNames:
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:
         self.building, self.limited = building, tuple(limited)
         self._taken = {SWITCH}
+        corridors = building.corridors.values()
         self.actions = {name: self._distinct(f"cross_{name}") for name in building.corridors}
         self.places = {name: self._distinct(name) for name in building.places} | {"": self._distinct("here")}
         self.now = self._distinct("now")
         self.by_mode = {self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes}
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
-        self.vias = {
-            Via(one.name, to, is_whole): self._distinct(
-                f"{one.name}_{self.places[one.other(to) if is_whole else '']}_{to}"
-            )
-            for is_whole in (True, False)
-            for one in building.corridors.values()
-            for to in one.ends
-        }
-        self.by_way = {word: via for via, word in self.vias.items()}
+        vias = [Via(one.name, one.other(to), to) for one in corridors for to in one.ends]
+        vias += [via._replace(origin="") for via in vias]
+        self.vias = {via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}") for via in vias}
         # The way to where the robot is within a corridor. It is never planned, but without it planners that look ahead
         # what can happen at all take it that the robot never is there.
-        self._entering = self._distinct("entering")
-        self._ways = (*self.vias.values(), self._entering)
+        self.vias[Via(vias[0].corridor, vias[0].to, "")] = self._distinct("entering")
+        self.by_way = {word: via for via, word in self.vias.items()}
 
     @property
     def problem(self) -> DeclaredProblem:
@@ -101,20 +96,19 @@ class PddlNames:
             **dict.fromkeys(self.places.values(), "place"),
             **dict.fromkeys(self.by_mode, "mode"),
             self.now: "setup",
-            **dict.fromkeys(self._ways, "way"),
+            **dict.fromkeys(self.by_way, "way"),
         }
+        fixed = [
+            fact
+            for via, way in self.vias.items()
+            for fact in (
+                f"(leads {way} {self.places[via.origin]} {self.places[via.to]})",
+                f"(crosses {self.actions[via.corridor]} {way})",
+            )
+        ]
         goal = (f"(at {self.places[self.building.goal]})",)
         limits = {used(name): f"({left_of(name)})" for name in self.limited}
-        return DeclaredProblem(goal, objects, tuple(self._fixed()), types={"mode": "setup"}, limits=limits)
-
-    def _fixed(self) -> Iterator[str]:
-        for via, way in self.vias.items():
-            origin = self.building.corridors[via.corridor].other(via.to) if via.is_whole else ""
-            yield f"(leads {way} {self.places[origin]} {self.places[via.to]})"
-            yield f"(crosses {self.actions[via.corridor]} {way})"
-        one = next(iter(self.building.corridors.values()))
-        yield f"(leads {self._entering} {self.places[one.ends[0]]} {self.places['']})"
-        yield f"(crosses {self.actions[one.name]} {self._entering})"
+        return DeclaredProblem(goal, objects, tuple(fixed), types={"mode": "setup"}, limits=limits)
 
     def facts(self, task: Task) -> dict[str, bool | float]:
         """Return all that may change: where the robot is, how configured, what is possible, and what that costs.
@@ -122,45 +116,36 @@ class PddlNames:
         Driving and switching cost and use up whole thousandths; of what is limited it is said how much is left.
         """
         place, now = task.start
-        at, configured = self.places["" if place.corridor else place.name], self._mode(now)
+        at = self.places["" if place.corridor else place.name]
+        configured = next((word for word, one in self.by_mode.items() if one.setup == now.setup), self.now)
         facts: dict[str, bool | float] = {
             **{f"(at {one})": one == at for one in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
-            **{f"(possible {way} {mode})": False for way in self._ways for mode in self.by_mode},
+            **{f"(possible {way} {mode})": False for way in self.by_way for mode in self.by_mode},
         }
-        for way, leg, cost in self._crossings(task):
-            things = f"{way} {self.modes[leg.mode.name]}"
+        for via, leg, cost in self._crossings(task):
+            things = f"{self.vias[via]} {self.modes[leg.mode.name]}"
             facts |= {f"(possible {things})": True, **self._numbers("crossing", things, leg.takes, cost)}
-        facts |= self.switching(task, {self.now: now})
+        for before, one in {**self.by_mode, self.now: now}.items():
+            for mode, other in self.by_mode.items():
+                facts |= self._numbers("switching", f"{before} {mode}", *task.switching(one, other))
         left = dict(zip(task.limited, task.limits, strict=True))
         for name in self.limited:  # what was used up is left no more
             facts |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
         return facts
 
-    def switching(self, task: Task, setups: Mapping[str, Mode]) -> dict[str, float]:
-        """Return what it costs and uses up, in whole thousandths, to switch from setups to each mode; that stays so."""
-        numbers: dict[str, float] = {}
-        for now, one in setups.items():
-            for mode, other in self.by_mode.items():
-                numbers |= self._numbers("switching", f"{now} {mode}", *task.switching(one, other))
-        return numbers
-
     def _numbers(self, kind: str, things: str, takes: Amounts, cost: int) -> dict[str, float]:
         uses = {f"({kind}_{name} {things})": float(getattr(takes, name)) for name in self.limited}
         return {f"({kind} {things})": cost, **uses}
 
-    def _crossings(self, task: Task) -> Iterator[tuple[str, Leg, int]]:
+    def _crossings(self, task: Task) -> Iterator[tuple[Via, Leg, int]]:
         start = task.start[0]
         for place in [*map(Place, task.building.places), *([start] if start.corridor else [])]:
             for leg, cost in task.crossings(place):
                 if leg.mode.name in self.modes:  # else the model has got it since the problem was made
-                    # what was begun within a corridor goes on when the robot is in none any more, as it soon will be
-                    for is_whole in (not place.corridor, False)[: 1 if start.corridor else 2]:
-                        yield self.vias[Via(leg.corridor, leg.to, is_whole)], leg, cost
-
-    def _mode(self, mode: Mode) -> str:
-        """Return the object for how the robot is configured."""
-        return next((word for word, one in self.by_mode.items() if one.setup == mode.setup), self.now)
+                    yield Via(leg.corridor, "" if place.corridor else leg.origin, leg.to), leg, cost
+                    if not start.corridor:  # what was begun within one goes on when the robot soon is in none any more
+                        yield Via(leg.corridor, "", leg.to), leg, cost
 
     def _distinct(self, wanted: str) -> str:
         while wanted in self._taken:

@@ -189,15 +189,12 @@ class PlanningState:
         self.route, self.pddl = route, pddl
         self._revision: tuple[object, ...] = ()
         self._facts: Mapping[str, bool | float] = {}
-        self._switching: Mapping[str, float] = {}
 
     @property
     def facts(self) -> Mapping[str, bool | float]:
         """What holds and costs now; worked out when something has happened, not with every metre and joule."""
         if self._revision != self.route.revision:
-            self._revision, task = self.route.revision, self.route.task
-            self._switching = self._switching or self.pddl.switching(task, self.pddl.by_mode)
-            self._facts = {**self._switching, **self.pddl.facts(task)}
+            self._revision, self._facts = self.route.revision, self.pddl.facts(self.route.task)
         return self._facts
 
     def cross(self, step: Step) -> Cross:
