@@ -22,15 +22,14 @@ COMPONENTS = ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge
 ALTITUDES_M = (1.0, 2.0, 3.0)
 """The altitudes of the spiral search [m] that the last part of an action chooses from."""
 
-OBSERVED = (
-    "water_visibility",
-    "battery_level",
-    *(f"c_thruster_{number}" for number in range(1, COUNT + 1)),
-    "pipeline_found",
-)
-"""What the parts of an observation are."""
+OBSERVED = {
+    "water_visibility": 0.0,
+    "battery_level": 1.0,
+    **{f"c_thruster_{number}": 1.0 for number in range(1, COUNT + 1)},
+    "pipeline_found": 0.0,
+}
+"""What the parts of an observation are, and their values before anything is published."""
 
-_UNKNOWN = (0.0, 1.0, *[1.0] * COUNT, 0.0)
 _WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
 
 
@@ -73,31 +72,21 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         """Begin an episode; the same seed gives the same one. There are no options."""
         super().reset(seed=seed)
         self._env = SuaveEnv(self._settings, self.np_random)
-        self._known = dict(zip(OBSERVED, _UNKNOWN, strict=True))
-        self._wanted: tuple[int, ...] = (0,) * len(COMPONENTS)
-        self._altitude_m = self._settings.spiral_altitude_m
-        self._inspected_m, self._done = 0.0, False
+        self._known, self._inspected_m, self._done = dict(OBSERVED), 0.0, False
         return self._observation(), self._info(self._env)
 
     def step(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Switch what the action changes, and let a step of time pass."""
         if self._env is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
-        self._switch(self._env, [int(part) for part in action])
+        components, (*wanted, altitude) = self._env.components, [int(part) for part in action]
+        components.set_parameters("spiral_search", {"spiral_altitude": ALTITUDES_M[altitude]})
+        for name, is_wanted in zip(COMPONENTS, wanted, strict=True):
+            (components.activate if is_wanted else components.deactivate)(name)
         self._hear(self._env.advance(min(self._env.now + self._step_s, self._duration_s)))
         before, self._inspected_m = self._inspected_m, self._env.metrics.total_inspected_m
         is_late = self._env.now >= self._duration_s
         return self._observation(), self._inspected_m - before, self._done, is_late, self._info(self._env)
-
-    def _switch(self, env: SuaveEnv, action: list[int]) -> None:
-        *wanted, altitude = action
-        if ALTITUDES_M[altitude] != self._altitude_m:
-            self._altitude_m = ALTITUDES_M[altitude]
-            env.components.set_parameters("spiral_search", {"spiral_altitude": self._altitude_m})
-        for name, before, after in zip(COMPONENTS, self._wanted, wanted, strict=True):
-            if before != after:
-                (env.components.activate if after else env.components.deactivate)(name)
-        self._wanted = tuple(wanted)
 
     def _hear(self, messages: list[Message]) -> None:
         for message in messages:
@@ -108,7 +97,7 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
                     self._done = self._done or key == "pipeline_inspected"
 
     def _observation(self) -> NDArray[np.float32]:
-        return np.array([self._known[name] for name in OBSERVED], dtype=np.float32)
+        return np.array(list(self._known.values()), dtype=np.float32)
 
     def _info(self, env: SuaveEnv) -> dict[str, Any]:
         return {"time_s": env.now, "search_time_s": env.metrics.search_time_s}

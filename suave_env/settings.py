@@ -50,7 +50,6 @@ RULES: Final[Mapping[str, Mapping[str, float | bool | str]]] = {
 """What each set of rules says of the settings in which they differ, where that is not the default."""
 
 _SUAVE = "kas-lab/suave v1.3.0"
-_WORLD = "remaro_worlds 2650f19, min_pipes_environment"
 _MODEL = "vehicle model clydemcqueen/bluerov2_ignition"
 _SUB = "ArduPilot, defaults of Sub"
 _OWN = "own choice"

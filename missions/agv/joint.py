@@ -113,11 +113,11 @@ class Modes:
             designs = {*situation.selectable_designs(self._function)}
             parts = {part for mode in self._all for part in mode.components}
             settings = {name for part in parts for name in situation.selectable_configurations(part)}
-            choices = [(mode, mode.choice) for mode in self._all]
             self._found[key] = [
                 mode
-                for mode, choice in choices
-                if designs.issuperset(choice.designs.values()) and settings.issuperset(choice.configurations.values())
+                for mode in self._all
+                if designs.issuperset(mode.choice.designs.values())
+                and settings.issuperset(mode.choice.configurations.values())
             ]
         return self._found[key]
 

@@ -17,7 +17,7 @@ MANAGERS: Final = {
     "bt": "missions.baselines.modes:TreeManager",
     "metacontrol": "missions.baselines.metacontrol:Metacontrol",
     "rosa": "missions.baselines.rosa:RosaManager",
-    "ahead": "missions.baselines.ahead:AheadManager",
+    "ahead": "missions.baselines.rosa:AheadManager",
 }
 """The managers of the sea's vehicle, all but ours, each with its home."""
 

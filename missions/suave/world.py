@@ -30,10 +30,7 @@ class Sea(World):
     """Adapter of the simulator to what a mission needs."""
 
     def __init__(self, env: "SuaveEnv") -> None:
-        from suave_env import SuaveEnvError
-
         self._env = env
-        self._trouble = SuaveEnvError
         settings = env.settings
         takes = settings.activation_s, settings.deactivation_s, settings.parameter_s
         self._nodes = SimulatedComponents(lambda: env.now, env.components, dict(zip(VERBS, takes, strict=True)))
@@ -56,14 +53,11 @@ class Sea(World):
 
     def advance(self, until: float) -> list[Message]:
         env, nodes = self._env, self._nodes
-        try:
-            while True:
-                end = nodes.next_event()
-                messages = env.advance(until if end >= until else max(env.now, end), pause=True)
-                if nodes.catch_up() or messages or env.now >= until:
-                    return list(messages)
-        except self._trouble as error:
-            raise MissionError(str(error)) from error
+        while True:
+            end = nodes.next_event()
+            messages = env.advance(until if end >= until else max(env.now, end), pause=True)
+            if nodes.catch_up() or messages or env.now >= until:
+                return list(messages)
 
     def results(self) -> Mapping[str, float | None]:
         from suave_env.metrics import mean_reactions

@@ -13,6 +13,9 @@ PICK_UP_LEVEL: Final = 0.55
 SEARCH_LEVEL: Final = 0.3
 ANALYSE_LEVEL: Final = 0.2
 
+MOST_SAMPLES: Final = 8
+"""How many samples there may be; the planned task layer has an object for each."""
+
 _FUNCTIONS: Final = {
     "generate_search_path": ["search_planner"],
     "detect_samples": ["sample_camera"],

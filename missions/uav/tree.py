@@ -25,7 +25,7 @@ from py_trees.composites import Selector, Sequence
 
 from kb import KnowledgeBase
 from missions.engine.mission import Condition, Percepts
-from missions.uav.settings import MOST_SAMPLES
+from missions.uav.model import MOST_SAMPLES
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
 from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
@@ -44,14 +44,9 @@ def analysed(percepts: Percepts) -> int:
     return sum(percepts.holds(f"{one}_analysed") for one in SAMPLES)
 
 
-def _target(percepts: Percepts) -> str:
+def target(percepts: Percepts) -> str:
     """Return the sample that is to be analysed next; empty if there is none."""
     return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
-
-
-def is_waiting(percepts: Percepts) -> bool:
-    """Whether there is a sample to be analysed next."""
-    return bool(_target(percepts))
 
 
 def is_all_analysed(percepts: Percepts) -> bool:
@@ -67,7 +62,7 @@ def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     is_folded = percepts.holds("gripper_folded")
     if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
         is_folded = "gripper" not in kb.pending_plan.activate
-    return known | {"(looking drone)": not is_waiting(percepts), "(gripper_folded drone)": is_folded}
+    return known | {"(looking drone)": not target(percepts), "(gripper_folded drone)": is_folded}
 
 
 class UavAction(RosaAction):
@@ -95,14 +90,14 @@ class SearchForSamples(UavAction):
     )
 
     def update(self) -> Status:
-        return Status.SUCCESS if is_waiting(self.percepts) else Status.RUNNING
+        return Status.SUCCESS if target(self.percepts) else Status.RUNNING
 
 
 class _Analyse(UavAction):
     """Analyse one sample; finished when the one for which it was begun is not to be analysed any more."""
 
     def initialise(self) -> None:
-        self._sample = _target(self.percepts)
+        self._sample = target(self.percepts)
 
     def update(self) -> Status:
         return Status.RUNNING if self.percepts.holds(f"{self._sample}_target") else Status.SUCCESS
@@ -180,7 +175,7 @@ class ReturnAndRecharge(UavAction):
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until all samples are analysed that are wanted."""
     search = feasible_then_act(SearchForSamples(kb, percepts))
-    waiting = Condition("sample waiting?", lambda: is_waiting(percepts))
+    waiting = Condition("sample waiting?", lambda: bool(target(percepts)))
     find = Selector("find", memory=True, children=[waiting, search])
     analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
     # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.

@@ -18,10 +18,10 @@ from missions.engine.components import NamedComponents, SimulatedComponents
 from missions.engine.mission import MISSION_STATUS, Message, MissionError, Percepts, Setting, Verdict, WorldKind
 from missions.engine.settings import declared
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
-from missions.uav.settings import PERIOD_S, Settings
 from missions.uav.tree import analysed, is_all_analysed
-from missions.uav.vehicle import ON_GROUND_M, SUBSTEPS, Quadrotor
+from missions.uav.vehicle import ON_GROUND_M, SUBSTEPS, Quadrotor, Settings
 
+PERIOD_S: Final = 0.1  # from one time that the components act to the next
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missions.engine.mission import MissionError
-from missions.uav.settings import Settings
 from missions.uav.vehicle import (
     ARM_M,
     ON_GROUND_M,
     REACTION_M,
     SUBSTEPS,
     Quadrotor,
+    Settings,
     attitude,
     mixed,
     velocity_wanted,

@@ -10,7 +10,7 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
-from missions.uav.settings import Settings
+from missions.uav.vehicle import Settings
 from missions.uav.world import Sample, UavWorld
 
 FOLDED_DEG = 9
