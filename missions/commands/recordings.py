@@ -23,7 +23,7 @@ from missions.testing.recorded import replay as decide
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
-from missions.wires.mcap import Bag, McapFile, Reader, is_bag, read_bag
+from missions.wires.mcap import Bag, is_bag, messages, read_bag, write_in_chunks
 
 record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
 
@@ -112,21 +112,18 @@ def convert(recording: Path, output: Path) -> None:
     """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
     if output.suffix not in (".mcap", ".jsonl"):
         raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
-    bag: Bag | Reader
+    bag = Bag()
     with files_tried(f"write {output}"), draft(output) as part:  # what is there stays until the new one is whole
         if output.suffix == ".jsonl":
             bag = read_bag(recording)
             part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
         else:
-            bag = Reader(recording)
-            with McapFile(part) as file:
-                for raw in bag:
-                    file.copy(raw)
+            write_in_chunks(part, messages(recording, bag))
         part.replace(output)
     _print_notes(open_console(), bag)
 
 
-def _print_notes(console: Console, bag: Bag | Reader) -> None:
+def _print_notes(console: Console, bag: Bag) -> None:
     notes = [f"{bag.cut}; all before that is read"] if bag.cut else []
     for note in [*notes, *(f"not read, {count} times: {problem}" for problem, count in bag.problems.items())]:
         console.print(note, style="yellow", markup=False)

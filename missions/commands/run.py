@@ -11,7 +11,7 @@ import typer
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.mission import MissionError, Verdict
-from missions.engine.recording import LineRecorder
+from missions.engine.recording import LineRecorder, header
 from missions.engine.registry import find_mission, needs
 from missions.engine.runner import MissionRun
 from missions.views.console import Narrator, print_result
@@ -87,9 +87,11 @@ def run(
             stack.callback(view.close)
             console.print(f"live: {view.url}", soft_wrap=True)
         if page and mcap:
-            from missions.wires.mcap import record_run
+            from missions.wires.mcap import McapRecorder
 
-            opened.listen(stack.enter_context(record_run(mcap, opened, seed, page.recorder)))
+            tree = opened.tree if isinstance(opened, RosaRun) else None
+            made = McapRecorder(mcap, opened.kb, tree, page=page.recorder, run=header(opened, seed)["run"])
+            opened.listen(stack.enter_context(made))
         with narrator.progress if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
             console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")

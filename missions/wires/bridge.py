@@ -148,8 +148,7 @@ class Bridge:
         self._node.publish("/rosa_kb/events", ros.STRING, {"data": kind})
         if event.kind is not EventKind.MONITORING_DATA or event.changes:
             changes = "".join(f"; {one.name} is {one.new}" for one in event.changes)
-            why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-            self._node.publish(LOG, ros.LOG, ros.log(event.time, ros.INFO, f"{event.text}{why}{changes}"))
+            self._node.publish(LOG, ros.LOG, ros.log_of(event, changes))
 
     def _changed(self, is_connected: bool, text: str) -> None:
         _log.log(logging.INFO if is_connected else logging.WARNING, "%s", text)

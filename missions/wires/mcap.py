@@ -6,14 +6,13 @@ All is in ROS 2's own messages; docs/recordings.md has the topics.
 import json
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from os.path import exists, isdir
 from pathlib import Path
-from queue import SimpleQueue
 from tempfile import TemporaryDirectory
-from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
@@ -23,9 +22,8 @@ from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
 from kb.typeql.writer import typeql_text
 from missions.engine.mission import Message, MissionError
-from missions.engine.recording import header
 from missions.engine.registry import needs
-from missions.engine.runner import Listener, MissionRun, RosaRun
+from missions.engine.runner import Listener
 from missions.views.recorder import Recorder
 from missions.views.rows import VERBATIM, Recorded, Row
 from missions.wires import ros
@@ -41,8 +39,8 @@ _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configu
 _LARGEST_RECORD: Final = 2**30
 """Of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
+_LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
 _NAMES: Final = {Status.INVALID: "IDLE"}
-_STOP: Final = None
 _log = logging.getLogger(__name__)
 
 
@@ -56,11 +54,40 @@ class Raw(NamedTuple):
     data: bytes
 
 
+class _Records:
+    """What an MCAP file consists of, written one by one; each type and topic when it first occurs."""
+
+    def __init__(self, file: BinaryIO, *, use_chunking: bool) -> None:
+        from mcap.writer import Writer
+
+        self._channels, self._schemas = dict[str, int](), dict[str, int]()
+        self._writer: Any = Writer(file, chunk_size=CHUNK_BYTES, use_chunking=use_chunking)
+        self._writer.start(profile="ros2", library="rosa-taca")
+        self.finish: Callable[[], object] = self._writer.finish
+
+    def add(self, one: Raw) -> None:
+        topic, kind, definition, stamp, data = one
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                text = definition or ros.types().definition(kind)
+                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+        self._writer.add_message(self._channels[topic], stamp, data, stamp)
+
+
+def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
+    """Write messages as a file in chunks, compressed, with the index that tools seek in."""
+    with path.open("wb") as file:
+        records = _Records(file, use_chunking=True)
+        for one in recorded:
+            records.add(one)
+        records.finish()
+
+
 class McapFile(AbstractContextManager["McapFile"]):
     """A file that grows by a record with each message, so that one cut off can be read up to there.
 
-    When it is closed it is put in the form that tools seek in: chunks, compressed, with an index. Encoding and writing
-    happen in a thread of its own.
+    When it is closed it is put in the form that tools seek in. Encoding and writing happen in a thread of its own.
 
     Args:
         path: of the file; one that is there is replaced.
@@ -71,28 +98,21 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.types = ros.types()
         with needs("mcap", "recordings as MCAP"):
             import mcap.writer  # noqa: F401  # found out before a file that is there is emptied
         try:
             if self.path.exists() and not self.path.is_file():
                 raise OSError("it is no file; name one that is there, or a new one")
-            self._file: BinaryIO = self.path.open("wb")
+            self._file = self.path.open("wb")
         except (OSError, ValueError) as error:
             raise self._unwritten(error) from error
-        self._records = _Records(self._file, self.types, use_chunking=False)
+        self._records = _Records(self._file, use_chunking=False)
         self._error: Exception | None = None
-        self._queue: SimpleQueue[tuple[str, str, float, Callable[..., dict[str, Any]], Any] | None] = SimpleQueue()
-        self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
-        self._thread.start()
+        self._writing = ThreadPoolExecutor(1, "mcap")
 
     def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
         """Have a message written: what `make(*arguments)` returns, as a type of ROS 2, at a time [s]."""
-        self._queue.put((topic, kind, time_s, make, arguments))
-
-    def copy(self, one: Raw) -> None:
-        """Write a message as it stands in another recording; raises OSError if that cannot be done."""
-        self._records.add(one)
+        self._writing.submit(self._write, topic, kind, time_s, make, arguments)
 
     def close(self) -> None:
         """Write what there is, and put the file in its final form.
@@ -100,68 +120,37 @@ class McapFile(AbstractContextManager["McapFile"]):
         Raises:
             MissionError: something could not be written; the file holds what came before.
         """
-        if not self._thread.is_alive():
+        self._writing.shutdown()
+        if self._file.closed:
             return
-        self._queue.put(_STOP)
-        self._thread.join()
         try:
             with self._file:
                 if self._error is not None:
                     raise self._error
                 self._records.finish()
-            self._put_in_chunks()
+            with draft(self.path) as part:
+                write_in_chunks(part, mcap_messages(self.path, Counter()))
+                part.replace(self.path)
         except Exception as error:  # also one of what makes a message
             raise self._unwritten(error) from error
 
-    def _put_in_chunks(self) -> None:
-        """Replace the file by one in chunks with an index, when that is complete."""
-        with draft(self.path) as part:
-            with part.open("wb") as target:
-                records = _Records(target, self.types, use_chunking=True)
-                for one in messages(self.path, Counter()):
-                    records.add(one)
-                records.finish()
-            part.replace(self.path)
-
-    def _write_all(self) -> None:
-        while (item := self._queue.get()) is not _STOP:
-            try:
-                if self._error is None:
-                    topic, kind, time_s, make, arguments = item
-                    data = self.types.encode(kind, make(*arguments))
-                    self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
-                    if self._queue.empty():
-                        self._file.flush()
-            except Exception as error:  # reported when it is closed; the mission goes on
-                self._error = error
-                _log.warning("%s is recorded no further: %s", self.path, error)
+    def _write(
+        self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], arguments: tuple[Any, ...]
+    ) -> None:
+        try:
+            if self._error is None:
+                data = ros.types().encode(kind, make(*arguments))
+                self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
+                self._file.flush()
+        except Exception as error:  # reported when it is closed; the mission goes on
+            self._error = error
+            _log.warning("%s is recorded no further: %s", self.path, error)
 
     def _unwritten(self, error: Exception) -> MissionError:
         return MissionError(f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}")
 
     def __exit__(self, *reason: object) -> None:
         self.close()
-
-
-class _Records:
-    """What an MCAP file consists of, written one by one; each type and topic when it first occurs."""
-
-    def __init__(self, file: BinaryIO, types: ros.Types, *, use_chunking: bool) -> None:
-        from mcap.writer import Writer
-
-        self._types, self._channels, self._schemas = types, dict[str, int](), dict[str, int]()
-        self._writer: Any = Writer(file, chunk_size=CHUNK_BYTES, use_chunking=use_chunking)
-        self._writer.start(profile="ros2", library="rosa-taca")
-        self.finish: Callable[[], object] = self._writer.finish
-
-    def add(self, one: Raw) -> None:
-        topic, kind, definition, stamp, data = one
-        if topic not in self._channels:
-            if kind not in self._schemas:
-                text = definition or self._types.definition(kind)
-                self._schemas[kind] = self._writer.register_schema(kind, "ros2msg", text.encode())
-            self._channels[topic] = self._writer.register_channel(topic, "cdr", self._schemas[kind])
-        self._writer.add_message(self._channels[topic], stamp, data, stamp)
 
 
 class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
@@ -192,22 +181,25 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         page: Recorder | None = None,
         run: Mapping[str, object] | None = None,
     ) -> None:
-        self._file, self._kb, self._tree = McapFile(path), kb, tree
+        self._file, self._kb, self._open = McapFile(path), kb, ExitStack()
         self._numbered: NumberedTree | None = None
         self._statuses: dict[int, str] = {}
-        self._own_page = Recorder(kb, tree, what_if=False) if page is None else None
-        self._page = page or self._own_page
-        assert self._page is not None
+        self._open.callback(self._file.close)
+        shown = page or Recorder(kb, tree, what_if=False)
+        self._open.callback(shown.rows.heard.remove, self._row)
+        if page is None:
+            self._open.callback(shown.close)
         header = {"rosa": VERSION, "model": kb.model.name, "typeql": typeql_text(kb.model), **(run or {})}
-        self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": self._page.header})
+        self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": shown.header})
         for event in kb.log:
             self._event(event)
-        for row in self._page.rows.since(0)[1]:
+        for row in shown.rows.since(0)[1]:
             self._row(row)
-        self._stop = kb.subscribe(self._event)
-        self._page.rows.heard.append(self._row)
+        self._open.callback(kb.subscribe(self._event))
+        shown.rows.heard.append(self._row)
         if tree is not None:
             tree.add_post_tick_handler(self._tick)
+            self._open.callback(tree.post_tick_handlers.remove, self._tick)
 
     def message(self, message: Message) -> None:
         """Record what was heard: a message with its time [s] and statuses, each with name, message and values."""
@@ -220,14 +212,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         Raises:
             MissionError: something could not be written; the file holds what came before.
         """
-        self._stop()
-        if self._own_page is not None:
-            self._own_page.close()
-        if self._page is not None and self._row in self._page.rows.heard:
-            self._page.rows.heard.remove(self._row)
-        if self._tree is not None and self._tick in self._tree.post_tick_handlers:
-            self._tree.post_tick_handlers.remove(self._tick)
-        self._file.close()
+        self._open.close()
 
     def __exit__(self, *reason: object) -> None:
         self.close()
@@ -237,11 +222,10 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
             write(f"/attributes/{event.subject}", ros.FLOAT, event.time, lambda: {"data": float(event.arguments[1])})
-        elif event.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN):
-            why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-            write(LOG, ros.LOG, event.time, ros.log, event.time, ros.INFO, f"{event.text}{why}")
-        elif event.verb == "component_failed":
-            write(LOG, ros.LOG, event.time, ros.log, event.time, ros.WARN, event.text)
+        elif (
+            event.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN) or event.verb == "component_failed"
+        ):
+            write(LOG, ros.LOG, event.time, ros.log_of, event)
 
     def _row(self, row: Row) -> None:
         time_s, track, _, value = row
@@ -265,12 +249,6 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
                 self._statuses[uid] = status
         if changes:
             self._file.write(TREE_LOG, ros.TREE_LOG, now, ros.tree_log, now, changes)
-
-
-def record_run(path: Path, run: MissionRun, seed: int, page: Recorder) -> McapRecorder:
-    """Return the recorder of a run that is opened, to be given its messages."""
-    tree = run.tree if isinstance(run, RosaRun) else None
-    return McapRecorder(path, run.kb, tree, page=page, run=header(run, seed)["run"])
 
 
 @dataclass(slots=True)
@@ -333,37 +311,37 @@ def read_bag(path: str | Path) -> Bag:
     Raises:
         MissionError: there is none, or nothing of it can be read; or the extra `mcap` is missing.
     """
-    place, bag, types = Reader(path), Bag(), ros.types()
+    bag, counts, exact = Bag(), Counter[tuple[str, str]](), dict[int, float]()
     found: list[tuple[int, list[dict[str, Any]]]] = []
-    exact: dict[int, float] = {}
-    counts: Counter[tuple[str, str]] = Counter()
-    for raw in place:
+    for raw in messages(path, bag):
         counts[raw.topic, raw.kind] += 1
         try:
             if raw.kind == ros.DIAGNOSTICS:
                 found.append((raw.stamp, ros.statuses_of(raw.data)))
             elif raw.topic == EVENTS:
-                event = Event.from_json(json.loads(types.decode(ros.STRING, raw.data).data))
+                event = Event.from_json(_json_of(raw))
                 bag.events.append(event)
                 exact[raw.stamp] = event.time
             elif raw.topic == ROWS:
-                row = json.loads(types.decode(ros.STRING, raw.data).data)
+                row = _json_of(raw)
                 bag.rows.append((bag.events[-1].number if bag.events else 0, row))
                 exact.setdefault(raw.stamp, row[0])
             elif raw.topic == RUN:
-                bag.run = _run_of(json.loads(types.decode(ros.STRING, raw.data).data), path)
+                bag.run = _run_of(_json_of(raw), path)
         except MissionError:
             raise
         except Exception as error:  # whatever a message that is none, or a damaged one, may raise
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
-    bag.cut = place.cut
-    bag.problems += place.problems
     found.sort(key=lambda one: one[0])
     start = 0 if bag.run or not found else found[0][0]
     for stamp, statuses in found:  # a time in nanoseconds may miss the one that it was by a rounding
         bag.messages.append({"time": exact.get(stamp, (stamp - start) / 1e9), "status": statuses})
     return bag
+
+
+def _json_of(raw: Raw) -> Any:  # noqa: ANN401  # whatever JSON holds
+    return json.loads(ros.types().decode(ros.STRING, raw.data).data)
 
 
 def read_page(path: str | Path) -> Recorded:
@@ -413,7 +391,7 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
     return run
 
 
-def messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
+def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
     """Yield the messages of an MCAP file from the first byte on, without the index, which one that is cut off lacks.
 
     Problems that are no end of it are counted; raises what the library and its compression do.
@@ -435,57 +413,49 @@ def messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
                 yield Raw(*channels[record.channel_id], record.log_time, record.data)
 
 
-class Reader:
-    """Yields the messages of a recording as they stand there, in order; up to where it is cut off or damaged.
+def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
+    """Yield the messages of a recording as they stand there, in order; `bag` is told where it is cut off or damaged.
 
     Raises:
         MissionError: there is no such file or folder, or nothing of it can be read; or the extra `mcap` is missing.
     """
-
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        if not exists(path):  # noqa: PTH110  # nor is there a file of a name that none can have
-            raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
-        if not is_bag(path):
-            is_heard = "holds what was heard only, for `rosa replay` and tests" if self._path.suffix == ".jsonl" else ""
-            holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
-            raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
-        self.cut = ""
-        self.problems: Counter[str] = Counter()
-        self._types = ros.types()
-
-    def __iter__(self) -> Iterator[Raw]:
-        place, is_any = self._path, False
-        files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
-        if (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap":
-            for raw in self._rosbag2():
+    place, is_any = Path(path), False
+    if not exists(path):  # noqa: PTH110  # nor is there a file of a name that none can have
+        raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
+    if not is_bag(path):
+        is_heard = "holds what was heard only, for `rosa replay` and tests" if place.suffix == ".jsonl" else ""
+        holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
+        raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
+    for file, found in _ways(place, bag):
+        try:
+            for raw in found:
                 is_any = True
                 yield raw
-            if is_any or not self.cut or not place.is_dir():
-                files = []
-        elif not files:
-            self.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
-        for file in files:  # `rosbags` takes none that has lost its end
-            try:
-                for raw in messages(file, self.problems):
-                    is_any = True
-                    yield raw
-            except Exception as error:  # of the reader and its compression: each has its own
-                self._stop(file, error)
-        if self.cut and not is_any:
-            raise MissionError(f"cannot read the recording {place}: {self.cut}")
+        except Exception as error:  # of a library and its compression: each has its own
+            said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
+            bag.cut = f"{file.name} is cut off or damaged ({said})"
+        if file is place and (is_any or not bag.cut):
+            return
+    if bag.cut and not is_any:
+        raise MissionError(f"cannot read the recording {place}: {bag.cut}")
 
-    def _rosbag2(self) -> Iterator[Raw]:
+
+def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
+    """Yield what is read, and how: a rosbag2 as a whole; its files one by one where `rosbags` takes none cut off."""
+    is_bag2 = (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap"
+    if is_bag2:
+        yield place, _rosbag2(place)
+    files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
+    if not files and not is_bag2:
+        bag.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
+    if place.is_dir() or not is_bag2:
+        yield from ((file, mcap_messages(file, bag.problems)) for file in files)
+
+
+def _rosbag2(place: Path) -> Iterator[Raw]:
+    with needs("mcap", "recordings as MCAP and rosbag2"):
         from rosbags.highlevel import AnyReader
-
-        try:
-            with AnyReader([self._path], default_typestore=self._types.store) as reader:
-                kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
-                for connection, stamp, data in reader.messages():
-                    yield Raw(*kinds[connection.id], stamp, data)
-        except Exception as error:
-            self._stop(self._path, error)
-
-    def _stop(self, place: Path, error: Exception) -> None:
-        said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
-        self.cut = f"{place.name} is cut off or damaged ({said})"
+    with AnyReader([place], default_typestore=ros.types().store) as reader:
+        kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
+        for connection, stamp, data in reader.messages():
+            yield Raw(*kinds[connection.id], stamp, data)

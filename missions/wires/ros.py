@@ -6,6 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from kb import Event
 from missions.engine.registry import needs
 from missions.wires.node import Field, Message, RosError, made
 
@@ -127,6 +128,12 @@ def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message
         for one in statuses
     ]
     return {"header": _header(time_s, ""), "status": statuses}
+
+
+def log_of(event: Event, more: str = "") -> Message:
+    """Return what an event says in words: of a plan with its reason, of a failed component as a warning."""
+    why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
+    return log(event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}")
 
 
 def log(time_s: float, level: int, text: str) -> Message:
