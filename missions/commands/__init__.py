@@ -1,12 +1,10 @@
 """The sub-commands of `rosa`, a file each; what a command works with is imported when it is called."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-__all__ = ["FAILED", "MISSION", "ROBOT", "UNFINISHED", "WRONG_USE", "assignments", "complain", "open_console"]
 
 FAILED: Final = 1
 """Exit status if it was done, but did not do what it was for."""
@@ -38,6 +36,17 @@ def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> 
             raise MissionError(f"{option} takes {form}, not {text!r}")
         values[name.strip()] = value.strip()
     return values
+
+
+def tree_builder(reference: str) -> Callable[..., object]:
+    """Return what is given as module:callable; MissionError if it cannot be imported or called."""
+    from missions.engine.mission import MissionError
+    from missions.engine.registry import load
+
+    found: object = load("tree", reference, {}, "none by name, a tree is given as module:callable")
+    if not callable(found):
+        raise MissionError(f"{reference!r} is a {type(found).__name__}, not a function that builds a tree")
+    return found
 
 
 def complain(text: str) -> None:

@@ -14,10 +14,9 @@ from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
-from missions.commands import ROBOT, assignments, open_console
+from missions.commands import ROBOT, assignments, open_console, tree_builder
 from missions.engine.mission import MissionError, Percepts, built
 from missions.engine.registry import find_robot
-from missions.views.names import tree_builder
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import Node
 from rosa_bt import TreeRunner
@@ -94,10 +93,6 @@ def _node(settings: BridgeSettings, serve: int | None, host: str, token: str, *,
         from missions.wires.rclpy_node import RclpyNode
 
         return RclpyNode()
-    if serve is not None:
-        from missions.wires.rosbridge_server import RosbridgeServer
+    from missions.wires.rosbridge import Rosbridge, RosbridgeServer
 
-        return RosbridgeServer(serve, host, token)
-    from missions.wires.rosbridge import Rosbridge
-
-    return Rosbridge(settings.url, token)
+    return Rosbridge(settings.url, token) if serve is None else RosbridgeServer(serve, host, token)

@@ -1,23 +1,33 @@
 """`rosa check`: a model, from files or of a mission, judged together with the trees and domains that use it."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
+from py_trees.behaviour import Behaviour
 from rich.markup import escape
 
 from kb import KnowledgeBase, Model
 from kb.checks import Finding, found, rules
 from kb.files import read_text
-from missions.commands import FAILED, complain, open_console
-from missions.engine.mission import Mission, MissionError
+from missions.commands import FAILED, complain, open_console, tree_builder
+from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import find_mission
-from missions.engine.task_layer import mission_domain
-from missions.views.names import names_in_pddl, names_in_tree, planned_names, tree_builder
+from missions.engine.task_layer import declarations_of, mission_domain
+from rosa_bt import IsActionFeasible, RosaAction
+from rosa_bt.idioms import unguarded
+from rosa_pddl.domain import ACTION_TYPE
+from rosa_pddl.syntax import Node, Source, read_source, section, typed
+
+ACTION_SUFFIX: Final = "_action"
+
+
+Uses = list[tuple[str, str]]
+"""Names of actions, each with the place where it stands; an empty name is one that a tree only gets as it runs."""
 
 COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
@@ -137,3 +147,80 @@ def _print(model: str, findings: Iterable[Finding]) -> None:
     counts = [(len(_of(severity, findings)), severity) for severity in COLOURS]
     shown = [f"{count} {severity}{'s' if count > 1 else ''}" for count, severity in counts if count]
     console.print(f"model {escape(model)}: {' and '.join(shown) or 'nothing found'}")
+
+
+class _Tolerant(KnowledgeBase):
+    """A knowledge base of which trees may ask for actions that there are not, so that they can be built and judged."""
+
+    def is_feasible(self, action: str) -> bool:
+        return True
+
+
+def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tuple[Uses, Uses]:
+    """Return the actions that the behaviours of a tree are about; and those that go on when they become unfeasible.
+
+    It is built with a knowledge base and percepts, or with as many of these as it needs.
+    """
+    root = built(title, Behaviour, build, _Tolerant(model), Percepts())  # type: ignore[type-abstract]  # only asked about
+    asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
+    uses, careless = (
+        [(_action(one), f"behaviour {one.name!r} of {title}") for one in some] for some in (asking, unguarded(root))
+    )
+    return uses, careless
+
+
+def _action(behaviour: IsActionFeasible | RosaAction) -> str:
+    try:
+        return behaviour.action
+    except Exception:  # py_trees raises several kinds when a port is not connected before the tree runs
+        return ""
+
+
+def names_in_pddl(paths: Iterable[Path]) -> Uses:
+    """Return the actions that PDDL files are about: the constants and objects of type action or of a type below it.
+
+    A domain by itself may have none; then each predicate `(NAME_action ?a)` of one action stands for the action NAME.
+    """
+    sources = [read_source(path) for path in paths]
+    parents = {name.lower: of for source in sources for name, of in _declared(source, section(source, ":types"))}
+    found = [
+        (str(name), _place(source, name))
+        for source in sources
+        for name, of in _declared(source, section(source, ":constants") + section(source, ":objects"))
+        if _is_action(of, parents)
+    ]
+    return found or [use for source in sources for use in _by_predicate(source, parents)]
+
+
+def planned_names(mission: Mission) -> Uses:
+    """Return the ROSA actions that the planned task layer of a mission is about."""
+    declared = declarations_of(mission)
+    if declared is not None:
+        objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
+        return [(name, f"the schemas of {mission.name}") for name in dict.fromkeys([*declared.rosa_actions, *objects])]
+    return names_in_pddl(path for path in (mission.domain, mission.problem) if isinstance(path, Path))
+
+
+def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for predicate in section(source, ":predicates"):
+        name = predicate.children[0]
+        types = [of for _, of in _declared(source, predicate.children[1:])]
+        if name.lower.endswith(ACTION_SUFFIX) and len(types) == 1 and _is_action(types[0], parents):
+            yield str(name)[: -len(ACTION_SUFFIX)], _place(source, name)
+
+
+def _declared(source: Source, nodes: Iterable[Node]) -> list[tuple[Node, str]]:
+    """Return what a list declares, each with its type in lower case; what has no type is an object."""
+    return [(name, "object" if of is None else of.lower) for name, of in typed(source, nodes)]
+
+
+def _is_action(name: str, parents: Mapping[str, str]) -> bool:
+    seen: set[str] = set()
+    while name != ACTION_TYPE and name in parents and name not in seen:
+        seen.add(name)
+        name = parents[name]
+    return name == ACTION_TYPE
+
+
+def _place(source: Source, node: Node) -> str:
+    return f"{source.file}:{node.line}:{node.column}"

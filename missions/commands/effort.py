@@ -1,6 +1,5 @@
 """`rosa effort`: how large models are by the ROSA paper's way of counting, and what their authors write."""
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -24,9 +23,8 @@ def effort(
     function designs, component configurations, constraints (one that is
     shared counts once), estimations.
     """
-    with ExitStack() as stack:
-        files = open_files({"json": json}, stack)
-        found = survey(models or ())
-        typer.echo("\n".join(lines_of(found)))
-        if "json" in files:
-            files["json"].finish(as_json(found))
+    files = open_files({"json": json})
+    found = survey(models or ())
+    typer.echo("\n".join(lines_of(found)))
+    if "json" in files:
+        files["json"].finish(as_json(found))

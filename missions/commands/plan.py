@@ -1,6 +1,5 @@
 """`rosa plan`: a plan asked for by hand: what to do in which order, and why actions are out."""
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -40,24 +39,23 @@ def plan(
         raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")
     if failures is not None and not certificate:
         raise MissionError("--failures says how much to certify; add --certificate")
-    with ExitStack() as stack:
-        outputs = open_files(paths, stack)
-        if certificate:
-            proven = certified(question, timeout, failures)
-            for line in certificate_lines(proven):
-                typer.echo(line)
-            for output in outputs.values():
-                output.finish(as_json(certificate_as_data(proven)))
-            raise typer.Exit(0 if proven.entries[()].outcome.is_solved else FAILED)
-        found = answer(question, timeout)
-        for line in lines_of(found):
+    outputs = open_files(paths)
+    if certificate:
+        proven = certified(question, timeout, failures)
+        for line in certificate_lines(proven):
             typer.echo(line)
-        is_solved = found.result.outcome.is_solved
-        for name, output in outputs.items():
-            if is_solved or name == "json":
-                output.finish(_written(name, found))
-            else:
-                typer.echo(f"{paths[name]} is not written, as there is no plan")
+        for output in outputs.values():
+            output.finish(as_json(certificate_as_data(proven)))
+        raise typer.Exit(0 if proven.entries[()].outcome.is_solved else FAILED)
+    found = answer(question, timeout)
+    for line in lines_of(found):
+        typer.echo(line)
+    is_solved = found.result.outcome.is_solved
+    for name, output in outputs.items():
+        if is_solved or name == "json":
+            output.finish(_written(name, found))
+        else:
+            typer.echo(f"{paths[name]} is not written, as there is no plan")
     if not is_solved:
         raise typer.Exit(FAILED)
 

@@ -97,7 +97,8 @@ def info(recording: Path) -> None:
     bag, console = read_bag(recording), open_console()
     known = [(key, bag.run.get(key)) for key in ("mission", "task", "seed", "model")]
     run = ", ".join(f"{key} {value}" for key, value in known if value is not None)
-    console.print(f"{recording}: {run or 'no recording of ours'}; {bag.duration_s:.1f} s")
+    times = [*(float(one["time"]) for one in bag.messages[-1:]), *(one.time for one in bag.events[-1:])]
+    console.print(f"{recording}: {run or 'no recording of ours'}; {max(times, default=0.0):.1f} s")
     table = Table("topic", "type", "messages")
     for topic, (kind, count) in sorted(bag.topics.items()):
         table.add_row(topic, kind, str(count))

@@ -15,11 +15,10 @@ from missions.engine.recording import LineRecorder, header
 from missions.engine.registry import find_mission, needs
 from missions.engine.runner import MissionRun
 from missions.views.console import Narrator, print_result
-from missions.views.live import KEEP, LiveView
+from missions.views.live import KEEP, LiveView, Steering
 from missions.views.output import as_json, open_files, summary, timing_of
 from missions.views.recorder import RunRecorder
 from missions.views.report import report as page_of
-from missions.views.steering import Steering
 
 
 def run(
@@ -63,7 +62,7 @@ def run(
     with ExitStack() as stack:
         mcap = record if record is not None and record.suffix == ".mcap" else None
         lines = None if mcap else record
-        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}, stack)
+        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines})
         steering = Steering((1.0 if live is not None or tui else 0.0) if speed is None else speed)
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
         progress = progress and not tui

@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -39,39 +39,38 @@ def verify(
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
     setup = setup_of(find_mission(mission), task, **options)
     groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
-    with ExitStack() as stack:
-        files = open_files({"json": json, "report": report, "test": test, "resume": resume}, stack)
+    files = open_files({"json": json, "report": report, "test": test, "resume": resume})
 
-        def explore(found: Exploration) -> None:
-            if resume is not None and resume.exists():
-                try:
-                    found.go_on_from(resume.read_bytes())
-                except (MissionError, OSError) as error:
-                    advice = "begin anew with another file, or with none"
-                    raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
-            with _interruptible(found):
-                found.explore(most, seconds, cores)
-            if resume is not None:
-                files["resume"].finish(found.as_bytes())
+    def explore(found: Exploration) -> None:
+        if resume is not None and resume.exists():
+            try:
+                found.go_on_from(resume.read_bytes())
+            except (MissionError, OSError) as error:
+                advice = "begin anew with another file, or with none"
+                raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
+        with _interruptible(found):
+            found.explore(most, seconds, cores)
+        if resume is not None:
+            files["resume"].finish(found.as_bytes())
 
-        proof = prove(setup, explore, reaction=reaction, exclusive=groups)
-        typer.echo(f"{mission}: {proof}")
-        rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
-        rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
-        wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
-        for facts, reaches, actions in rows:
-            typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
-        if "json" in files:
-            files["json"].finish(as_json(proof.as_data()))
-        if report is not None:
-            proof.report(report)
-        shown = proof.shown
-        if "test" in files and shown is not None and shown.trail is not None:
-            made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
-            files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown.name, shown.what, shown.trail))
-        elif "test" in files:
-            why = "no story shows what is broken" if proof.broken else "nothing is broken"
-            typer.echo(f"{why}: no test is written")
+    proof = prove(setup, explore, reaction=reaction, exclusive=groups)
+    typer.echo(f"{mission}: {proof}")
+    rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
+    rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
+    wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
+    for facts, reaches, actions in rows:
+        typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
+    if "json" in files:
+        files["json"].finish(as_json(proof.as_data()))
+    if report is not None:
+        proof.report(report)
+    shown = proof.shown
+    if "test" in files and shown is not None and shown.trail is not None:
+        made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
+        files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown.name, shown.what, shown.trail))
+    elif "test" in files:
+        why = "no story shows what is broken" if proof.broken else "nothing is broken"
+        typer.echo(f"{why}: no test is written")
     if proof.broken:
         raise typer.Exit(FAILED)
     if not proof.found.is_finished:

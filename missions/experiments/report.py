@@ -115,8 +115,7 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
         folder.mkdir(parents=True, exist_ok=True)
     contents = {**document.pictures, **texts}
     for name, content in contents.items():
-        with OutputFile(folder / name) as file:
-            file.finish(content)
+        OutputFile(folder / name).finish(content)
     return [folder / name for name in contents]
 
 

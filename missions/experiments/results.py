@@ -17,9 +17,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, Final, NamedTuple, Self
 
+from kb.files import draft, put
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import Campaign, PlannedRun, from_data
-from missions.views.output import OutputFile, files_tried
+from missions.views.output import files_tried
 
 FORMAT: Final = 2
 FILE: Final = "campaign.sqlite3"
@@ -247,10 +248,11 @@ def write_tables(kept: Kept, folder: Path) -> list[Path]:
     written = []
     for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
         written.append(folder / f"{name}.csv")
-        with OutputFile(written[-1]) as file:
+        with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
             first = next(rows, None)
-            writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(chain([first] if first else [], rows))
-            file.finish()
+            with part.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(chain([first] if first else [], rows))
+            put(part, written[-1].resolve())
     return written

@@ -19,28 +19,26 @@ CHOSEN = ("function", "component")
 
 def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
     """Return what an element is, as plain values; other elements are given by their indices."""
-    one = node.element
+    one, parts, wholes = node.element, [part.index for part in node.parts], [whole.index for whole in node.wholes]
     shown: dict[str, Any] = {"kind": node.kind, "name": node.name}
-    parts = [part.index for part in node.parts]
     if isinstance(one, Constraint):
-        shown |= {"attribute": parts[0], "operator": one.operator, "value": one.value, "hysteresis": one.hysteresis}
-        return shown | {"dwell": one.dwell, "on": [whole.index for whole in node.wholes]}
+        fields = {name: getattr(one, name) for name in ("operator", "value", "hysteresis", "dwell")}
+        return shown | fields | {"attribute": parts[0], "on": wholes}
     constraints = [each.index for each in node.constraints]
     if isinstance(one, Attribute):
-        shown |= {"of": str(one.kind), "unit": units.get(one.name, one.unit), "thresholds": constraints}
-        return shown | {"max_age": None if one.max_age == inf else one.max_age}
-    if isinstance(one, Function):
-        return shown | {"designs": parts, "improve": one.always_improve}
+        shown |= {"of": str(one.kind), "unit": units.get(one.name, one.unit), "max_age": plain(one.max_age)}
+        return shown | {"thresholds": constraints}
     shown["constraints"] = constraints
     if isinstance(one, Action):
         shown["functions"] = parts
+    elif isinstance(one, Function):
+        shown["designs"] = parts
     elif isinstance(one, FunctionDesign):
-        shown |= {"function": node.wholes[0].index, "components": parts, "priority": one.priority}
+        shown |= {"function": wholes[0], "components": parts, "priority": one.priority}
     elif isinstance(one, Component):
         shown |= {"switched": str(one.kind), "configurations": parts}
     elif isinstance(one, Configuration):
-        shown |= {"component": node.wholes[0].index, "priority": one.priority}
-        shown["parameters"] = {name: plain(value) for name, value in one.parameters.items()}
+        shown |= {"component": wholes[0], "priority": one.priority, "parameters": plain(one.parameters)}
     return shown
 
 

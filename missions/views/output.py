@@ -8,12 +8,12 @@ import math
 import os
 import sqlite3
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 from kb import Model
-from kb.files import draft, put
+from kb.files import draft, write_file
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.runner import MissionRun
 
@@ -36,8 +36,8 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
         raise MissionError(f"cannot {what}: {why}{advice}") from error
 
 
-class OutputFile(AbstractContextManager["OutputFile"]):
-    """A file that appears under its name, in the place of another one, only when it is complete; used as a context.
+class OutputFile:
+    """A file that appears under its name, in the place of another one, only when it is complete.
 
     A device such as /dev/stdout is written directly.
 
@@ -46,40 +46,34 @@ class OutputFile(AbstractContextManager["OutputFile"]):
     """
 
     def __init__(self, path: Path) -> None:
-        self._what, self._stack = f"write {path}", ExitStack()
-        with files_tried(self._what):
-            self._direct = path.exists() and not path.is_file()
-            # a link is followed, not replaced; that to a pipe leads to no path
-            self._target = path if self._direct else path.resolve()
-            if self._target.is_dir():
+        self._path, self._parts = path, list[bytes]()
+        with files_tried(f"write {path}"):
+            if path.is_dir():
                 raise IsADirectoryError("it is a directory; name a file in it")
-            if self._target.is_file() and not os.access(self._target, os.W_OK):
+            self._direct = path.exists() and not path.is_file()
+            if path.is_file() and not os.access(path, os.W_OK):
                 raise PermissionError("the file there is read-only")
-            self._draft = self._target if self._direct else self._stack.enter_context(draft(self._target))
-            self._file = self._draft.open("wb")
-
-    def __exit__(self, *reason: object) -> None:
-        with suppress(OSError):  # what could not be written is for finish to say
-            self._file.close()
-        self._stack.close()
+            if not self._direct:
+                with draft(path.resolve()):  # it is only tried
+                    pass
 
     def write(self, content: str | bytes) -> None:
-        """Append text or bytes."""
-        with files_tried(self._what):
-            self._file.write(content.encode() if isinstance(content, str) else content)
+        """Append text or bytes, which are written when it is complete."""
+        self._parts.append(content.encode() if isinstance(content, str) else content)
 
     def finish(self, content: str | bytes = b"") -> None:
         """Append the last text or bytes, and put the file, which is complete now, in its place."""
         self.write(content)
-        with files_tried(self._what):
-            self._file.close()
-            if not self._direct:
-                put(self._draft, self._target)
+        with files_tried(f"write {self._path}"):
+            if self._direct:
+                self._path.write_bytes(b"".join(self._parts))
+            else:
+                write_file(self._path, b"".join(self._parts))
 
 
-def open_files(paths: Mapping[str, Path | None], stack: ExitStack) -> dict[str, OutputFile]:
-    """Open every file that an option asks for, so that it is found out first if one cannot be written."""
-    return {name: stack.enter_context(OutputFile(path)) for name, path in paths.items() if path is not None}
+def open_files(paths: Mapping[str, Path | None]) -> dict[str, OutputFile]:
+    """Try every file that an option asks for, so that it is found out first if one cannot be written."""
+    return {name: OutputFile(path) for name, path in paths.items() if path is not None}
 
 
 _ADAPTATION: Final = ("at_s", "kind", "trigger", "reason", "change", "reaction_s")

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from io import BytesIO
-from itertools import pairwise, product
+from itertools import groupby, product
 from typing import Any, Final
 
 import numpy as np
@@ -39,7 +39,7 @@ class RunTimeline:
     Attributes:
         end: when it ended [s].
         times: of its poses (n,) [s].
-        xy: where the robot was (n, 2) [m], world frame.
+        xy: where the robot was (n, 2) [m], world frame; `places` are those of the scene, points (n, 2) [m] by name.
         actions, designs, configurations: what was done, and what was chosen where there was a choice.
         courses: what was measured (2, n), times [s] and values, by name; units by name.
         limits: labels of the thresholds by attribute and value.
@@ -52,9 +52,9 @@ class RunTimeline:
         self._elements = {key: one for _, key, one in run.track("element") if one is not None}
         poses = np.array([(time, *position[:2]) for time, _, position in run.track("pose")], dtype=float).reshape(-1, 3)
         self.times, self.xy = poses[:, 0], poses[:, 1:]
+        self.places = {one["name"]: np.array(one["points"]) for one in run.last("scene").get(0, ()) if one["points"]}
         acted = list(run.last("action").values())
         self.actions = [(self._name(one["action"]), one["start"], one["end"] or self.end) for one in acted]
-        self.completed = [(self._name(one["action"]), one["end"]) for one in acted if one["result"] == "completed"]
         self.designs, self.configurations = map(list[Span], map(self._chosen, _ALL))
         self.units: dict[str, str] = {}
         self.courses = self._courses()
@@ -71,19 +71,14 @@ class RunTimeline:
 
     def legs(self) -> Iterator[tuple[str, str, Array]]:
         """Yield each part of the way with one action and one choice: these, and places (n, 2) [m]."""
-        edges = sorted({time for _, *both in (*self.actions, *self.designs, *self.configurations) for time in both})
-        legs: list[tuple[str, str, float, float]] = []
-        for start, end in pairwise(edges):
-            done, *chosen = (
-                _at(spans, (start + end) / 2) for spans in (self.actions, self.designs, self.configurations)
-            )
-            choice = ", ".join(filter(None, chosen))
-            if legs and legs[-1][:2] == (done, choice):
-                start = legs.pop()[2]
-            legs.append((done, choice, start, end))
-        for done, choice, start, end in legs:
+        at_poses = groupby(zip(self.times, self.xy, strict=True), key=lambda pose: self._doing(pose[0]))
+        for (done, choice), poses in at_poses:
             if done and choice:
-                yield done, choice, self.xy[(start <= self.times) & (self.times <= end)]
+                yield done, choice, np.array([xy for _, xy in poses])
+
+    def _doing(self, time: float) -> tuple[str, str]:
+        done, *chosen = (_at(spans, time) for spans in (self.actions, self.designs, self.configurations))
+        return done, ", ".join(filter(None, chosen))
 
     def _name(self, key: int | str) -> str:
         return str(self._elements[key]["name"])
@@ -209,13 +204,13 @@ def picture(run: Recorded) -> Figure:
     seen = figure.add_subplot(above[: 2 - has_list]) if has_map else None
     listed = figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[]) if has_list else None
     if seen is not None:
-        _map(seen, run, timeline, hues)
+        _map(seen, timeline, hues)
     figure.draw_without_rendering()  # what is written from here on is put where there is room
     figure.set_layout_engine("none")
     for axes in figure.axes:  # the layout is exact to a rounding only
         axes.set_position(np.round(axes.get_position().bounds, 3).tolist())
     if seen is not None:
-        _label(seen, run, timeline, hues)
+        _label(seen, timeline, hues)
     if listed is not None:
         _list(listed, entries, len(timeline.adaptations))
     return figure
@@ -238,8 +233,6 @@ def _legend(figure: Figure, timeline: RunTimeline, hues: Mapping[str, str]) -> N
         styles[f"{kind} adaptation"] = {**ROUND, "ms": 9, "mfc": BADGES[kind][0], "mec": BADGES[kind][1]}
     if timeline.disturbances:
         styles["disturbance"] = {"linewidth": 1, "linestyle": "--", **DIAMOND}
-    if timeline.completed:
-        styles["completed"] = {**ROUND, "ms": 8, "color": MUTED, "mfc": "none", "mew": 1.6}
     entries = [Line2D([], [], label=label, **style) for label, style in styles.items()]
     letters = 9 * min(1.0, WIDTH / max(sum(78 + 9.4 * len(label) for label in styles), 1.0))
     legend = figure.legend(handles=entries, loc="center left", ncols=max(len(entries), 1), fontsize=letters)
@@ -249,12 +242,11 @@ def _legend(figure: Figure, timeline: RunTimeline, hues: Mapping[str, str]) -> N
 # ---------------------------------------------------------------- the map, seen from above
 
 
-def _map(axes: Axes, run: Recorded, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
-    places = _places(run)
-    near = [points[np.argmin(np.hypot(*(points - timeline.xy[0]).T))] for points in places.values()]
+def _map(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
+    near = [points[np.argmin(np.hypot(*(points - timeline.xy[0]).T))] for points in timeline.places.values()]
     axes.set(xlabel="east x [m]", ylabel="north y [m]", facecolor="#f6f9fb", xmargin=0.06, ymargin=0.1)
     axes.update_datalim([*near, *timeline.xy, *(timeline.xy[0] + [[-1.0, -1.0], [1.0, 1.0]])])
-    for points in places.values():
+    for points in timeline.places.values():
         axes.plot(
             *points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2, scalex=False, scaley=False
         )
@@ -263,12 +255,6 @@ def _map(axes: Axes, run: Recorded, timeline: RunTimeline, hues: Mapping[str, st
         inside = timeline.xy[(start <= timeline.times) & (timeline.times <= end)]
         width = 4.6 - 2.8 * number / len(timeline.actions)  # an earlier passage stays in sight below
         axes.plot(*inside.T, color=hues[name], linewidth=width, solid_capstyle="round", zorder=4)
-    for name, time in timeline.completed:
-        axes.plot(*timeline.where(time), "o", color=hues[name], markersize=13, zorder=5.5, mfc="none", mew=2)
-
-
-def _places(run: Recorded) -> dict[str, Array]:
-    return {one["name"]: np.array(one["points"]) for one in run.last("scene").get(0, ()) if one["points"]}
 
 
 class _Room:
@@ -309,7 +295,7 @@ def _are_within(points: Array, low: Array, high: Array) -> Any:  # noqa: ANN401 
     return ((low < points) & (points < high)).all(axis=-1)
 
 
-def _label(axes: Axes, run: Recorded, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
+def _label(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.apply_aspect()
     axes.autoscale(False)
@@ -317,11 +303,10 @@ def _label(axes: Axes, run: Recorded, timeline: RunTimeline, hues: Mapping[str, 
     plain: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.5, foreground="white")]}
     _mark(axes, timeline.xy[0], "o", 8, INK)
     room.write(timeline.xy[0], "start", **plain)
-    places = _places(run)
-    for name, points in places.items():
+    for name, points in timeline.places.items():
         inside = points[[axes.viewLim.contains(*point) for point in points]]
         lonely = np.array([np.hypot(*(timeline.xy - point).T).min() for point in inside])
-        if not len(inside) or (len(places) > CROWD and np.median(lonely) > LONELY_M):
+        if not len(inside) or (len(timeline.places) > CROWD and np.median(lonely) > LONELY_M):
             continue
         named = inside[lonely.argmax() if lonely.max() > LONELY_M else len(inside) // 2]
         _mark(axes, named, "" if len(points) > 1 else "s", 9, INK)
@@ -335,23 +320,10 @@ def _label(axes: Axes, run: Recorded, timeline: RunTimeline, hues: Mapping[str, 
         frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "linewidth": 1.4}
         middle = xy[np.searchsorted(driven_m, driven_m[-1] / 2)]
         room.write(middle, choice, 8, fontsize=8, bbox={**frame, "edgecolor": hues[name.split(", ")[0]]})
-    for text, xy in _times(timeline, 1 / scale):
-        _mark(axes, xy, "o", 4.5, MUTED)
-        room.write(xy, text, color=MUTED, **plain)
 
 
 def _mark(axes: Axes, xy: Array, marker: str, size: float, color: str) -> None:
     axes.plot(*xy, marker, color=color, markersize=size, zorder=6, mec="white", mew=0.7)
-
-
-def _times(timeline: RunTimeline, least_m: float) -> Iterator[tuple[str, Array]]:
-    """Yield round times, and where the robot was then (2,) [m]; where it stands, one is enough."""
-    step = next(one for one in (5, 10, 30, 60, 120, 300, 600, 1800, 7200, 10**9) if timeline.end / one <= 10)
-    marked = timeline.xy[0]
-    for time in range(step, int(timeline.end) + 1, step):
-        if np.hypot(*(timeline.where(time) - marked)) > least_m:
-            marked = timeline.where(time)
-            yield f"{time} s", marked
 
 
 def _badge(kind: str) -> dict[str, Any]:
@@ -432,12 +404,12 @@ def _rows(
 
 
 def _levels(events: Sequence[Entry], end_s: float) -> list[int]:
-    """Return on which line each text goes so that none is written over another."""
-    ends, levels = [0.0], list[int]()
+    """Return on which line each text goes so that none is written over another, as far as six lines have room."""
+    ends, levels = [0.0] * 6, list[int]()
     for one in events:
         start = min(one["t"] / end_s * TIME_AXIS, TIME_AXIS - LETTER * len(one["words"]))
-        levels.append(next((level for level, taken in enumerate(ends) if taken <= start), min(len(ends), 5)))
-        ends[levels[-1] : levels[-1] + 1] = [start + 26 + LETTER * len(one["words"])]
+        levels.append(next((level for level, taken in enumerate(ends) if taken <= start), 5))
+        ends[levels[-1]] = start + 26 + LETTER * len(one["words"])
     return levels
 
 

@@ -3,7 +3,6 @@
 import logging
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
 from itertools import compress, count
 from math import inf, isfinite
 from operator import ne
@@ -25,7 +24,8 @@ from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
 from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described, plain
 from missions.views.output import figure_in_words
-from missions.views.rows import VERSION, Recorded, Rows
+from missions.views.report import framed, write_report
+from missions.views.rows import Recorded, Rows
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 
@@ -80,10 +80,11 @@ class Recorder:
         header: Mapping[str, Any] | None = None,
     ) -> None:
         self.rows = Rows(keep)
-        named = {"title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})}
-        nothing = {**dict.fromkeys(("mission", "words", "task"), ""), "manager": "ours"}
-        program = {"version": VERSION, "program": _program(), "live": False}
-        self.header: dict[str, Any] = {**program, **named, **nothing, "seed": None, "settings": {}, **(header or {})}
+        self.header: dict[str, Any] = {
+            **{"live": False, "title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})},
+            **{"mission": "", "words": "", "task": "", "manager": "ours", "seed": None, "settings": {}},
+            **(header or {}),
+        }
         self.kb, self._pose, self._what_if = kb, pose, what_if
         self._own = None if header is not None else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
         if self._own is not None:
@@ -124,8 +125,6 @@ class Recorder:
 
     def report(self, path: str) -> None:
         """Write the run up to now as one self-contained page."""
-        from missions.views.report import write_report
-
         write_report(path, self.recorded)
 
     def close(self) -> None:
@@ -138,8 +137,6 @@ class Recorder:
         self.rows.put(self.kb.now, "now", 0, "end")
 
     def _repr_html_(self) -> str:
-        from missions.views.report import framed
-
         return framed(self.recorded)
 
     # ---------------------------------------------------------------- what the knowledge base tells
@@ -153,9 +150,8 @@ class Recorder:
             if not event.changes:
                 return
         self._events.append(event)
-        shown = {"verb": event.verb, "words": event.text, "subject": event.subject, "kind": str(event.kind)}
-        written = plain(event.to_json())
-        shown |= {name: written[name] for name in ("arguments", "cause", "changes", "effects") if written.get(name)}
+        shown = {"verb": event.verb, "words": event.text, "kind": str(event.kind)}
+        shown |= {name: one for name, one in event.to_json().items() if name in ("cause", "changes")}
         self.rows.put(time, "event", event.number, shown)
         self._look(time)
         self._note_records(event)
@@ -329,7 +325,7 @@ class _TreeRows(VisitorBase):
 
     def _note(self) -> None:
         recorder = self._recorder
-        is_news = not self._below or any(one.children != children for one, children in self._below)
+        is_news = any(one.children != children for one, children in self._below)
         if is_news:
             self._describe()
         present = {one: (_LETTERS[one.status].lower(), one.feedback_message) for one in self._ids} | self._ticked
@@ -378,13 +374,6 @@ def _shape(behaviour: Behaviour) -> str:
     return "other" if behaviour.children else "action"
 
 
-def _program() -> str:
-    try:
-        return f"rosa-taca {version('rosa-taca')}"
-    except PackageNotFoundError:  # it runs from its sources
-        return "rosa-taca"
-
-
 def _ending(one: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
     return {name: getattr(one, name) for name in ("start", "end", "result", "reason")}
 
@@ -410,11 +399,11 @@ class RunRecorder(Listener):
         self._own = None if is_ours else kb
         self._sample = sample = run.world.sample()
         self._measured = frozenset(kb.attributes)
+        signals = dict(map(_split, sample.signals if sample else ()))
         header = {
             **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
             **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
-            "signals": [name for name, _ in map(_split, sample.signals if sample else ())],
-            "units": {name: unit for name, unit in map(_split, sample.signals if sample else ()) if unit},
+            **{"signals": list(signals), "units": {name: unit for name, unit in signals.items() if unit}},
         }
         tree = getattr(run, "tree", None)
         self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)

@@ -62,8 +62,7 @@ def report(run: Recorded, other: Recorded | None = None) -> str:
 
 def write_report(path: str | Path, run: Recorded, other: Recorded | None = None) -> None:
     """Write the page of a run, or of two beside each other; the file is complete or not there at all."""
-    with OutputFile(Path(path)) as file:
-        file.finish(report(run, other))
+    OutputFile(Path(path)).finish(report(run, other))
 
 
 def framed(run: Recorded) -> str:

@@ -273,30 +273,18 @@ class Bag:
     cut: str = ""
     problems: Counter[str] = field(default_factory=Counter)
 
-    @property
-    def duration_s(self) -> float:
-        """Time of the last message or event [s]."""
-        heard = (float(one["time"]) for one in self.messages[-1:])
-        return max(0.0, *heard, *(one.time for one in self.events[-1:]), 0.0)
-
     def header(self) -> Message:
         """Return the message that a replay begins with: how it was run, and how commands went then."""
         return {"time": 0.0, "status": [], **({"run": {**self.run, "commands": self._commands()}} if self.run else {})}
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands in order: what, to which component, how long it took [s], and if it went well."""
-        given: dict[int, tuple[str, str, float]] = {}
-        ended: dict[int, tuple[float, bool]] = {}
-        for event in self.events:
-            if event.verb == "record_attempt":
-                _, component, operation, *_ = event.arguments
-                given[len(given) + 1] = _COMMANDS[operation], component, event.time
-            elif event.verb == "finish_attempt":
-                ended[event.arguments[0]] = event.time, event.arguments[1] == "completed"
+        given = [one for one in self.events if one.verb == "record_attempt"]
+        ended = {one.arguments[0]: one for one in self.events if one.verb == "finish_attempt"}
         return [
-            (verb, component, ended[number][0] - start, ended[number][1])
-            for number, (verb, component, start) in given.items()
-            if number in ended
+            (_COMMANDS[one.arguments[2]], one.arguments[1], end.time - one.time, end.arguments[1] == "completed")
+            for number, one in enumerate(given, start=1)
+            if (end := ended.get(number)) is not None
         ]
 
 
@@ -348,13 +336,17 @@ def read_page(path: str | Path) -> Recorded:
     """Read a recording of ours as what a report shows: what it knows is told once more, all else is as it was.
 
     Raises:
-        MissionError: it cannot be read, or is somebody else's, which `rosa replay --report` decides and shows.
+        MissionError, kb.ModelError: it cannot be read, or is somebody else's, which `rosa replay --report` shows.
     """
     bag = read_bag(path)
     if not bag.run:
         raise MissionError(f"{path} is none of ours; rosa replay {path} --mission NAME --report FILE.html shows it")
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / f"{Path(path).stem}.tql"
+        file.write_text(bag.run["typeql"], encoding="utf-8")
+        model = Model.load(file, name=bag.run["model"])
     now = [0.0]
-    kb = KnowledgeBase(model_of(bag, path), clock=lambda: now[0])
+    kb = KnowledgeBase(model, clock=lambda: now[0])
     recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)
     row = next(rows, None)
     for event in [*bag.events, None]:
@@ -368,18 +360,6 @@ def read_page(path: str | Path) -> Recorded:
             kb.tell(event)
     recorder.close()
     return replace(recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else "")
-
-
-def model_of(bag: Bag, path: str | Path) -> Model:
-    """Return the model that a recording of ours was made with.
-
-    Raises:
-        kb.ModelError: it cannot be read.
-    """
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / f"{Path(path).stem}.tql"
-        file.write_text(bag.run["typeql"], encoding="utf-8")
-        return Model.load(file, name=bag.run["model"])
 
 
 def _run_of(run: object, place: str | Path) -> dict[str, Any]:

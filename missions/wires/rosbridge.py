@@ -1,23 +1,29 @@
-"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge."""
+"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge, and the other side of it.
+
+The server is a `Node` too, one of its own clients without a connection: so roslib, Foxglove, other bridges and robots
+connect to us, without ROS.
+"""
 
 import json
 import logging
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
+from hmac import compare_digest
 from itertools import count
-from threading import Event, Lock, Thread
-from typing import Any, Final
-from urllib.parse import urlsplit
+from threading import Event, Lock, RLock, Thread
+from typing import Any, Final, NamedTuple, cast
+from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
 from missions.engine.registry import needs
 from missions.views.facts import plain
-from missions.wires.node import NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
+from missions.wires.node import LOOPBACK, NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
 
 PORT: Final = 9090
-LARGEST: Final = 2**20
+_LARGEST: Final = 2**20
 """Of a message [bytes]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
 _log = logging.getLogger(__name__)
@@ -94,13 +100,13 @@ class Wire(Node):
 
     def _hear(self, message: Message) -> None:
         if message["op"] == "publish":
-            self.refused.hand_on(dict_of(message, "msg"), self._subscribed[text_of(message, "topic")])
+            self.refused.hand_on(_dict_of(message, "msg"), self._subscribed[_text_of(message, "topic")])
         elif message["op"] == "service_response":
-            future = self._open.pop(text_of(message, "id"), None)
+            future = self._open.pop(_text_of(message, "id"), None)
             if future is not None:
                 _finish(future, message)
         elif message["op"] == "call_service":
-            self._send(_answered(self._served[text_of(message, "service")], message))
+            self._send(_answered(self._served[_text_of(message, "service")], message))
         elif message["op"] == "status" and message.get("level") in ("error", "warning"):
             _log.warning("the other side of rosbridge says: %s", message.get("msg"))
 
@@ -149,7 +155,7 @@ class Rosbridge(Wire):
         wait_s, self._away_since = _FIRST_WAIT_S, time.monotonic()
         while not self._closing.is_set():
             try:
-                limits: Any = {"max_size": LARGEST, "open_timeout": 5, "close_timeout": 1}
+                limits: Any = {"max_size": _LARGEST, "open_timeout": 5, "close_timeout": 1}
                 with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
                     wait_s = _FIRST_WAIT_S
                     self._talk(socket)
@@ -168,7 +174,7 @@ class Rosbridge(Wire):
                 socket.close()
             for text in socket:
                 try:
-                    self._hear(read(text))
+                    self._hear(_read(text))
                 except NONSENSE as error:
                     self.refused.add(error)
         except Exception as error:  # also one that was cut
@@ -202,7 +208,191 @@ class Rosbridge(Wire):
             self._tell(False, why)
 
 
-def read(text: str | bytes) -> Message:
+class _Client:
+    """Who takes part: what it subscribes to, which types its topics have, what it serves; `send` hands it a message."""
+
+    def __init__(self, send: Callable[[Message], object]) -> None:
+        self.send = send
+        self.topics: set[str] = set()
+        self.types: dict[str, str] = {}
+        self.services: dict[str, str] = {}
+
+
+class _Call(NamedTuple):
+    """A call that a client is to answer, and whose it is, by what number there."""
+
+    server: _Client | None
+    service: str
+    caller: _Client
+    number: object
+
+
+class RosbridgeServer(Wire):
+    """Serves rosbridge's protocol, on this machine unless set otherwise.
+
+    Args:
+        port: TCP port; 0 for any that is free.
+        host: where to listen; anything but this machine needs a token.
+        token: what a client has to give, as `Authorization: Bearer TOKEN` or `?token=TOKEN`.
+
+    Raises:
+        MissionError: the port is taken, a token is missing, or the extra `ros2` is.
+    """
+
+    def __init__(self, port: int = PORT, host: str = "127.0.0.1", token: str = "") -> None:
+        with needs("ros2", "rosbridge"):
+            from websockets.sync.server import serve
+        if host not in LOOPBACK and not token:
+            raise MissionError(f"{host} is not this machine only: give a token that clients have to give too")
+        super().__init__(nullcontext())  # its own connection never ends
+        self._token, self._lock, self._numbers = token, RLock(), count(1)
+        self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
+        self._clients: dict[_Client, Peer | None] = {self._own: None}
+        self._forwarded: dict[str, _Call] = {}
+        try:
+            limits: Any = {"max_size": _LARGEST, "close_timeout": 1, "compression": None}
+            self._server = serve(self._attend, host, port, process_request=self._admit, **limits)
+        except (OSError, OverflowError) as error:
+            raise MissionError(f"rosbridge cannot be served on {host}:{port}: {error}; give another port") from None
+        self.port = int(self._server.socket.getsockname()[1])
+        self._tell(True, f"serving rosbridge on port {self.port}")
+        self._introspect()
+        self._thread = Thread(target=self._server.serve_forever, name="rosbridge-server", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        for peer in filter(None, list(self._clients.values())):
+            peer.close()
+        self._thread.join()
+
+    def _admit(self, connection: Any, request: Any) -> Any:  # noqa: ANN401  # websockets is imported late
+        """Refuse who has no token where one is asked for; and a page of another site, which a browser would let in."""
+        query = parse_qs(urlsplit(request.path).query)
+        given = request.headers.get("Authorization", "").removeprefix("Bearer ") or query.get("token", [""])[0]
+        if self._token:
+            if not compare_digest(given.encode(), self._token.encode()):
+                return connection.respond(401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n")
+        elif not _is_of_this_machine(request.headers.get("Origin", "file:")):
+            return connection.respond(403, "pages of other sites are let in with a token only\n")
+        return None
+
+    def _attend(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
+        peer = Peer(socket)
+        client = _Client(peer.send)
+        with self._lock:
+            self._clients[client] = peer
+        try:
+            for text in socket:
+                self._take(client, text)
+        except Exception as error:  # cut off, or too big: this client only
+            _log.info("a rosbridge client is gone: %s", error)
+        finally:
+            with self._lock:
+                del self._clients[client]
+                left = [number for number, call in self._forwarded.items() if client in (call.server, call.caller)]
+            for number in left:
+                self._respond(number, {"values": "who served it is gone", "result": False})
+            peer.close()
+
+    def _take(self, client: _Client, text: str | bytes) -> None:
+        try:
+            self._do(client, _read(text))
+        except NONSENSE as error:
+            client.send({"op": "status", "level": "error", "msg": self.refused.add(error)})
+
+    def _send(self, message: Message) -> bool:
+        self._do(self._own, message)
+        return True
+
+    def _do(self, client: _Client, message: Message) -> None:
+        getattr(self, f"_op_{message['op']}", self._op_unknown)(client, message)
+
+    def _op_unknown(self, client: _Client, message: Message) -> None:
+        raise ValueError(f"op {message['op']!r:.40} is not served")
+
+    def _op_advertise(self, client: _Client, message: Message) -> None:
+        client.types.setdefault(_text_of(message, "topic"), str(message.get("type", "")))
+
+    def _op_unadvertise(self, client: _Client, message: Message) -> None:
+        client.types.pop(_text_of(message, "topic"), None)
+
+    def _op_subscribe(self, client: _Client, message: Message) -> None:
+        client.topics.add(_text_of(message, "topic"))
+        if message.get("type"):
+            client.types.setdefault(message["topic"], str(message["type"]))
+
+    def _op_unsubscribe(self, client: _Client, message: Message) -> None:
+        client.topics.discard(_text_of(message, "topic"))
+
+    def _op_publish(self, client: _Client, message: Message) -> None:
+        topic, content = _text_of(message, "topic"), _dict_of(message, "msg")
+        with self._lock:
+            hearers = [one for one in self._clients if topic in one.topics]
+        for one in hearers:
+            one.send({"op": "publish", "topic": topic, "msg": content})
+
+    def _op_advertise_service(self, client: _Client, message: Message) -> None:
+        client.services[_text_of(message, "service")] = str(message.get("type", ""))
+
+    def _op_unadvertise_service(self, client: _Client, message: Message) -> None:
+        client.services.pop(_text_of(message, "service"), None)
+
+    def _op_call_service(self, client: _Client, message: Message) -> None:
+        """Have the client that serves it answer a call."""
+        service = _text_of(message, "service")
+        if isinstance(message.get("args"), list):  # by place, which rosbridge allows and nobody can check
+            raise ValueError('"args" of call_service is an object')
+        request = _dict_of(message, "args")
+        with self._lock:
+            server = next((one for one in self._clients if service in one.services), None)
+            own = f"call_service:{next(self._numbers)}"
+            self._forwarded[own] = _Call(server, service, client, message.get("id"))
+        if server is None:
+            self._respond(own, {"values": f"nobody serves {service}", "result": False})
+        else:
+            server.send({"op": "call_service", "id": own, "service": service, "args": request})
+
+    def _op_service_response(self, client: _Client, message: Message) -> None:
+        number = _text_of(message, "id")
+        if number not in self._forwarded or self._forwarded[number].server is not client:
+            raise ValueError(f"nobody waits for the answer {number!r:.40}")
+        self._respond(number, message)
+
+    def _op_status(self, client: _Client, message: Message) -> None:
+        _log.info("a rosbridge client says: %s", str(message.get("msg"))[:200])
+
+    _op_set_level = _op_status
+
+    def _respond(self, own: str, answer: Message) -> None:
+        with self._lock:
+            call = self._forwarded.pop(own, None)
+        if call is None:  # it was answered while who had asked, or who served it, was going
+            return
+        made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
+        made |= {"result": answer.get("result", True)} | ({} if call.number is None else {"id": call.number})
+        call.caller.send(made)
+
+    def _introspect(self) -> None:
+        answers: dict[str, Answer] = {
+            "Topics": lambda _: {"topics": list(known := self._known("types")), "types": list(known.values())},
+            "TopicType": lambda one: {"type": self._known("types").get(str(one.get("topic")), "")},
+            "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
+            "Services": lambda _: {"services": list(self._known("services"))},
+            "ServiceType": lambda one: {"type": self._known("services").get(str(one.get("service")), "")},
+        }
+        for kind, answer in answers.items():
+            name = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind).lstrip("_")
+            self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
+
+    def _known(self, what: str) -> dict[str, str]:
+        """Return the topics ("types") or services of all who take part, with their types; who came first counts."""
+        with self._lock:
+            found = [one for client in self._clients for one in list(getattr(client, what).items())]
+        return {**dict(found), **dict(reversed(found))}
+
+
+def _read(text: str | bytes) -> Message:
     if isinstance(text, bytes):
         raise ValueError("binary messages are not taken; send JSON (compression none)")
     message = json.loads(text)
@@ -211,14 +401,14 @@ def read(text: str | bytes) -> Message:
     return message
 
 
-def text_of(message: Message, key: str) -> str:
+def _text_of(message: Message, key: str) -> str:
     value = message.get(key)
     if not isinstance(value, str) or not value:
         raise ValueError(f'{message["op"]} has a text "{key}"')
     return value
 
 
-def dict_of(message: Message, key: str) -> Message:
+def _dict_of(message: Message, key: str) -> Message:
     value = message.get(key, {})
     if not isinstance(value, dict):
         raise ValueError(f'"{key}" of {message["op"]} is an object')
@@ -236,9 +426,15 @@ def _finish(future: "Future[Message]", message: Message) -> None:
 def _answered(answer: Answer, message: Message) -> Message:
     made = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
     try:
-        return {**made, "values": answer(dict_of(message, "args")), "result": True}
+        return {**made, "values": answer(_dict_of(message, "args")), "result": True}
     except RosError as error:
         return {**made, "values": str(error), "result": False}
     except Exception as error:  # ours is not the caller's to suffer
         _log.exception("%s could not be answered", message["service"])
         return {**made, "values": f"{type(error).__name__}: {error}", "result": False}
+
+
+def _is_of_this_machine(origin: str) -> bool:
+    """Tell whether a page comes from this machine; "null" is what frames of other sites can call themselves."""
+    place = urlsplit(origin)
+    return place.scheme == "file" or place.hostname in LOOPBACK

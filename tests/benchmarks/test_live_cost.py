@@ -12,9 +12,8 @@ from figures import table
 
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
-from missions.views.live import LiveView
+from missions.views.live import LiveView, Steering
 from missions.views.recorder import RunRecorder
-from missions.views.steering import Steering
 
 sys.path.append(str(Path(__file__).parents[1] / "missions"))
 

@@ -8,8 +8,7 @@ from contextlib import suppress
 from typing import NamedTuple
 
 from missions.wires.node import RosError
-from missions.wires.rosbridge import Rosbridge
-from missions.wires.rosbridge_server import RosbridgeServer
+from missions.wires.rosbridge import Rosbridge, RosbridgeServer
 
 
 class Outcome(NamedTuple):

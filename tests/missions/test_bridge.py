@@ -19,8 +19,7 @@ from missions.engine.mission import MissionError
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import QUEUED, Outbox, RosError
 from missions.wires.rosa_services import parameter_messages
-from missions.wires.rosbridge import Peer, Rosbridge
-from missions.wires.rosbridge_server import RosbridgeServer
+from missions.wires.rosbridge import Peer, Rosbridge, RosbridgeServer
 
 SETTINGS = BridgeSettings(attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"})
 

@@ -18,9 +18,8 @@ from websockets.sync.client import connect
 from missions.baselines import open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
-from missions.views.live import LiveView
+from missions.views.live import LiveView, Steering
 from missions.views.recorder import RunRecorder
-from missions.views.steering import Steering
 
 SOON_S = 120.0
 

@@ -22,8 +22,7 @@ from missions.wires import ros
 from missions.wires.dds import DdsNode, Structs
 from missions.wires.node import RosError, made, message_of
 from missions.wires.rclpy_node import Messages, RclpyNode
-from missions.wires.rosbridge import Rosbridge
-from missions.wires.rosbridge_server import RosbridgeServer
+from missions.wires.rosbridge import Rosbridge, RosbridgeServer
 
 HERE = Path(__file__).parent
 DOMAIN = 40 + os.getpid() % 50

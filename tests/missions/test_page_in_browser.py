@@ -13,9 +13,9 @@ from test_live import mission
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
 from missions.proof.verification import prove, setup_of
+from missions.views.live import Steering
 from missions.views.recorder import RunRecorder
 from missions.views.report import page_of, report
-from missions.views.steering import Steering
 
 sync_api = pytest.importorskip("playwright.sync_api")
 AXE = Path(__file__).parents[2] / "missions" / "views" / "page" / "node_modules" / "axe-core" / "axe.min.js"

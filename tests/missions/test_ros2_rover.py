@@ -11,7 +11,7 @@ from threading import Timer
 
 import pytest
 
-from missions.wires.rosbridge_server import RosbridgeServer
+from missions.wires.rosbridge import RosbridgeServer
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = ROOT / "examples" / "ros2_rover"
