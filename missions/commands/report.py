@@ -9,7 +9,6 @@ from missions.engine.mission import MissionError
 from missions.engine.registry import needs
 from missions.experiments.results import read_store
 from missions.views import report as page
-from missions.views.rows import Recorded
 
 
 def report(
@@ -46,7 +45,7 @@ def report(
     typer.echo(target)
 
 
-def _page_of(path: Path) -> Recorded:
+def _page_of(path: Path) -> page.Recorded:
     if path.suffix not in (".mcap", ".jsonl"):
         return page.read_page(path)
     from missions.wires.mcap import read_page

@@ -13,7 +13,7 @@ from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import LineRecorder, header
 from missions.engine.registry import find_mission, needs
-from missions.engine.runner import MissionRun
+from missions.engine.runner import MissionRun, RosaRun
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
 from missions.views.output import as_json, open_files, summary, timing_of

@@ -12,6 +12,7 @@ from kb.network import Node
 from kb.planners import Choice, choice_by_priority, ranked
 from kb.state import Overlay, State
 from missions.engine.adaptations import Adaptation
+from missions.views.output import plain
 
 CHOSEN = ("function", "component")
 """The kinds for which something is chosen."""
@@ -40,16 +41,6 @@ def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
     elif isinstance(one, Configuration):
         shown |= {"component": wholes[0], "priority": one.priority, "parameters": plain(one.parameters)}
     return shown
-
-
-def plain(value: object) -> Any:  # noqa: ANN401  # whatever JSON holds
-    if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items()}
-    if isinstance(value, float) and not -inf < value < inf:
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return [plain(one) for one in value] if isinstance(value, list | tuple) else str(value)
 
 
 def choice_of(kb: KnowledgeBase, node: Node) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, quote, urlsplit
 
-from kb import KnowledgeBase, KnowledgeBaseError, UnknownName
+from kb import KnowledgeBase, KnowledgeBaseError, Model
 from kb.diagnostics import MEASUREMENTS
 from kb.elements import finite_number
 from missions.engine.mission import Message, MissionError
@@ -28,8 +28,7 @@ from missions.engine.registry import needs
 from missions.engine.runner import Listener, MissionRun
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
-from missions.views.report import page_of
-from missions.views.rows import VERSION, encoded
+from missions.views.report import VERSION, encoded, page_of
 
 if TYPE_CHECKING:
     from websockets.asyncio.server import ServerConnection
@@ -51,7 +50,6 @@ _PAST: Final = 20_000
 """How many rows of the past are given in one answer."""
 _LONGEST: Final = 65_536
 """The longest message that a page may send [bytes]."""
-_MOST_PAGES: Final = 200
 _PATIENCE_S: Final = 2.0
 """How long pages get for the last rows when the view is closed [s], of this machine's time."""
 _HEADERS: Final = {
@@ -82,8 +80,7 @@ class Steering(Listener):
         self._said: list[tuple[str, str]] = []
         self._change = Condition()
         self._start: tuple[float, float] | None = None
-        self._attributes: frozenset[str] = frozenset()
-        self._components: frozenset[str] = frozenset()
+        self._model: Model | None = None
 
     @property
     def state(self) -> dict[str, Any]:
@@ -92,8 +89,7 @@ class Steering(Listener):
             return {"paused": self._is_paused, "speed": self._speed, "held": dict(self._held)}
 
     def begin(self, run: MissionRun) -> None:
-        self._attributes, self._components = frozenset(run.model.attributes), frozenset(run.model.components)
-        run.alter = self.alter
+        self._model, run.alter = run.model, self.alter
 
     def do(self, asked: Mapping[str, Any]) -> None:
         """Do what a page asks for; see `docs/see_it.md`.
@@ -116,10 +112,12 @@ class Steering(Listener):
             self._change.notify_all()
 
     def _inject(self, asked: Mapping[str, Any]) -> None:
-        measured = dict(asked.get("measure", {}))
-        values = {_known("attribute", one, self._attributes): finite_number(value) for one, value in measured.items()}
-        released = [_known("attribute", one, self._attributes) for one in asked.get("release", ())]
-        told = [(one, _known("component", asked[one], self._components)) for one in ("fail", "recover") if one in asked]
+        if self._model is None:
+            raise MissionError("no run is disturbed here yet")
+        attributes, components = self._model.attributes, self._model.components
+        values = {attributes[one].name: finite_number(value) for one, value in dict(asked.get("measure", {})).items()}
+        released = [attributes[one].name for one in asked.get("release", ())]
+        told = [(one, components[asked[one]].name) for one in ("fail", "recover") if one in asked]
         self._held = {name: value for name, value in {**self._held, **values}.items() if name not in released}
         self._said += [("measure", name) for name in values] + told
 
@@ -275,8 +273,6 @@ class LiveView(AbstractContextManager["LiveView"]):
                 return connection.respond(403, refusal + "\n")
         except (LookupError, ValueError):  # a header twice, an address or a text that is none
             return connection.respond(400, f"the address, host or origin is malformed; open {self._place}\n")
-        if len(self._pages) >= _MOST_PAGES:
-            return connection.respond(503, f"{_MOST_PAGES} pages look already\n")
         if path.path == "/ws":
             return None
         response = connection.respond(200, self._page) if path.path == "/" else connection.respond(404, "\n")
@@ -377,12 +373,6 @@ def _with(message: Message, held: Mapping[str, float]) -> Message:
         for one in message["status"]
     ]
     return {**message, "status": statuses}
-
-
-def _known(kind: str, name: Any, names: frozenset[str]) -> str:  # noqa: ANN401  # whatever a page sends
-    if name in names:
-        return str(name)
-    raise UnknownName(kind, name, sorted(names))
 
 
 def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends

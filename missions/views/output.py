@@ -113,7 +113,18 @@ def _fields(one: object, *names: str) -> dict[str, Any]:
 
 def as_json(data: Mapping[str, Any]) -> str:
     """Write data as JSON text; numbers to 6 decimals, so that no rounding of sums shows."""
-    return json.dumps(_rounded(data), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+    return json.dumps(plain(data, digits=6), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+
+def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # whatever JSON holds
+    """Return a value as JSON holds it, numbers to so many decimals; what is no number is null, a thing its words."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(one, digits) for key, one in value.items()}
+    if isinstance(value, float):
+        return None if not math.isfinite(value) else value if digits is None else round(value, digits)
+    if value is None or isinstance(value, int | str):
+        return value
+    return [plain(one, digits) for one in value] if isinstance(value, list | tuple) else str(value)
 
 
 def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
@@ -146,13 +157,3 @@ def figure_in_words(name: str, value: float | None, model: Model | None = None) 
     else:
         shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
     return words, sign, shown
-
-
-def _rounded(value: object) -> object:
-    if isinstance(value, float):
-        return round(value, 6) if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {key: _rounded(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(item) for item in value]
-    return value

@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 from numpy.typing import NDArray
 
-from missions.views.rows import Recorded
+from missions.views.report import Recorded
 
 Array = NDArray[np.float64]
 Span = tuple[str, float, float]
@@ -159,7 +159,7 @@ BADGES: Final = {  # how the number of an adaptation looks: face, edge, digits
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
 ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
 CROWD, LONELY_M = 20, 1.0  # of more places only those are named that the way comes so near to
-LONGEST, STEPS, FIGURES = 420, 3, 3  # letters of a reason, steps of a plan and figures in the title at most
+LONGEST, FIGURES = 420, 3  # letters of a reason, and figures in the title at most
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
@@ -184,11 +184,10 @@ def picture(run: Recorded) -> Figure:
     hues = dict(zip(dict.fromkeys(name for name, *_ in timeline.actions), HUES * 99, strict=False))
     _title(figure, run)
     _legend(figure, timeline, hues)
-    entries = [*_first_plan(run), *timeline.adaptations]
     has_map, has_list = bool(len(timeline.xy)), run.header["manager"] == "ours"  # how others adapt is not known
     rows = list(_rows(timeline, hues, has_map=has_map))
     heights = [height for height, _ in rows]
-    top = max(HEIGHT - 160 - sum(heights), 260) if has_map else 50 + 50 * len(entries)
+    top = max(HEIGHT - 160 - sum(heights), 260) if has_map else 50 + 50 * len(timeline.adaptations)
     outer = figure.add_gridspec(2, 1, height_ratios=(top, sum(heights) or 1))
     above = outer[0].subgridspec(1, 2, width_ratios=(3, 2))
     below = outer[1].subgridspec(len(rows) or 1, 1, height_ratios=heights or None)
@@ -212,7 +211,7 @@ def picture(run: Recorded) -> Figure:
     if seen is not None:
         _label(seen, timeline, hues)
     if listed is not None:
-        _list(listed, entries, len(timeline.adaptations))
+        _list(listed, timeline.adaptations)
     return figure
 
 
@@ -335,23 +334,11 @@ def _badge(kind: str) -> dict[str, Any]:
 # ---------------------------------------------------------------- the list of adaptations
 
 
-def _first_plan(run: Recorded) -> list[Entry]:
-    """Return the first plan as an entry of the list, with how it was found in place of how soon it was in force."""
-    plan = run.last("taskplan").get(1)
-    if plan is None:
-        return []
-    more = [f"{len(plan['steps']) - STEPS} more"] if len(plan["steps"]) > STEPS else []
-    change = ", then ".join([*plan["steps"][:STEPS], *more]) or "none"
-    found = f"{plan['outcome']}, {plan['engine']}"
-    entry = {"t": plan["asked"], "kind": "plan", "cause": "first plan", "decided": plan["reason"]}
-    return [{**entry, "changed": change, "found": found}]
-
-
-def _list(axes: Axes, entries: Sequence[Entry], adaptations: int) -> None:
-    """Write the plan, what set each adaptation off and what was changed, as large and as fully as there is room."""
+def _list(axes: Axes, entries: Sequence[Entry]) -> None:
+    """Write what set each adaptation off and what was changed, as large and as fully as there is room."""
     width, height = axes.bbox.width * 72 / DPI, axes.bbox.height * 72 / DPI - 20  # [pt]
     axes.set(xlim=(0, width), ylim=(height, -20))
-    head = "adaptations: what set them off → what was changed" if adaptations else "no adaptation"
+    head = "adaptations: what set them off → what was changed" if entries else "no adaptation"
     axes.text(0, -20, head, fontsize=10, fontweight="bold", va="top")
     for size, full in (*product((10, 9, 8.5, 8, 7.5, 7), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
         line, left = 1.25 * size, 10 + 7.5 * size
@@ -359,22 +346,19 @@ def _list(axes: Axes, entries: Sequence[Entry], adaptations: int) -> None:
         starts = np.cumsum([0, *(line * (len(text) + 0.4) for text in texts)])
         if starts[-1] <= height:
             break
-    for number, (one, text, y) in enumerate(
-        zip(entries, texts, starts, strict=False), start=1 + adaptations - len(entries)
-    ):
+    for number, (one, text, y) in enumerate(zip(entries, texts, starts, strict=False), start=1):
         if y + line * (len(text) + 1.4) > height and one is not entries[-1]:
-            axes.text(left, y, f"… and {adaptations + 1 - number} more", fontsize=size, color=MUTED, va="top")
+            axes.text(left, y, f"… and {len(entries) + 1 - number} more", fontsize=size, color=MUTED, va="top")
             break
-        if number > 0:
-            axes.text(7, y + line * 0.8, str(number), **_badge(one["kind"]))
+        axes.text(7, y + line * 0.8, str(number), **_badge(one["kind"]))
         axes.text(18, y, f"{one['t']:.1f} s", fontsize=size, fontweight="bold", va="top")
         axes.text(18, y + line, one["kind"], fontsize=size - 0.5, color=MUTED, va="top")
         axes.text(left, y, "\n".join(text), fontsize=size, va="top", linespacing=1.25 / 1.16)
 
 
 def _lines(one: Entry, full: bool, width: float) -> list[str]:
-    reaction = one.get("reaction")
-    how = one.get("found", "not in force") if reaction is None else f"in\u00a0{reaction:.2f}\u00a0s"
+    reaction = one["reaction"]
+    how = "not in force" if reaction is None else f"in\u00a0{reaction:.2f}\u00a0s"
     why = re.sub(r" \(measured [^)]*\)", "", f": {one['decided']}") if full else ""
     texts = one["cause"] + brief(why, LONGEST), f"-> {one['changed']} [{how}]"
     return [part for text in texts for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")]

@@ -148,10 +148,10 @@ def svg_of(order: CausalOrder, title: str) -> str:
         links = [link for link in order.links if link.target == number]
         before = [link.source for link in links] + [earlier for earlier, later in order.orders if later == number]
         depths.append(max((depths[one] + 1 for one in (range(goal) if number == goal else before)), default=0))
-        box = _Box(_GAP + depths[number] * _INDENT, height, _lines(order, number, links))
-        boxes.append(box)
-        height += box.size[1] + _ROW_GAP
-    width = max(box.x + box.size[0] for box in boxes) + _GAP
+        lines = _lines(order, number, links)
+        boxes.append(_Box(_GAP + depths[number] * _INDENT, height, lines, *svg_size(lines)))
+        height += boxes[-1].height + _ROW_GAP
+    width = max(box.x + box.width for box in boxes) + _GAP
     width = max(width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
     height += LINE if order.orders else 0.0
     arrows = [_arrow(boxes, link.source, link.target, is_order=False) for link in order.links]
@@ -164,7 +164,7 @@ def svg_of(order: CausalOrder, title: str) -> str:
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
             *arrows,
-            *(line for box in boxes for line in svg_box(*box, _GOAL if box is boxes[-1] else _STEP)),
+            *(line for box in boxes for line in svg_box(*box[:3], _GOAL if box is boxes[-1] else _STEP)),
             *([f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>'] if order.orders else []),
             "</svg>",
             "",
@@ -173,15 +173,13 @@ def svg_of(order: CausalOrder, title: str) -> str:
 
 
 class _Box(NamedTuple):
-    """A step or the goal: where its upper left corner is [px], and what it says."""
+    """A step or the goal: where its upper left corner is [px], what it says, and how wide and high that is [px]."""
 
     x: float
     y: float
     lines: list[str]
-
-    @property
-    def size(self) -> tuple[float, float]:
-        return svg_size(self.lines)
+    width: float
+    height: float
 
 
 def _lines(order: CausalOrder, number: int, links: Iterable[Link]) -> list[str]:
@@ -198,5 +196,5 @@ def _arrow(boxes: Sequence[_Box], earlier: int, later: int, *, is_order: bool) -
     source, target = boxes[earlier], boxes[later]
     x, y = source.x + 8 + 6 * (earlier % 5) + 3 * is_order, target.y + LINE * (1.1 if is_order else 0.6)
     style = f'stroke="{_LATER}" stroke-dasharray="5 4"' if is_order else f'stroke="{_EDGE}"'
-    way = f"M{x:g} {source.y + source.size[1]:g}V{y:g}H{target.x:g}"
+    way = f"M{x:g} {source.y + source.height:g}V{y:g}H{target.x:g}"
     return f'<path d="{way}" fill="none" {style} marker-end="url(#{"wait" if is_order else "so"})"/>'

@@ -22,10 +22,9 @@ from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
-from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described, plain
-from missions.views.output import figure_in_words
-from missions.views.report import framed, write_report
-from missions.views.rows import Recorded, Rows
+from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described
+from missions.views.output import figure_in_words, plain
+from missions.views.report import Recorded, Rows, framed, write_report
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 

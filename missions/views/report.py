@@ -1,18 +1,36 @@
-"""Pages in a file: a run to click through, or two side by side; self-contained, and read again as a recording."""
+"""Runs as a page shows them, and pages in a file: a run to click through, or two side by side, that can be read again.
+
+A page is made of rows (time, track, key, value), each an assignment that holds from its time on. The last row of each
+track and key up to an instant is all that there is to see then. A report has all rows, a live page gets the same ones
+as they come, and a recording is the same ones in a file.
+"""
 
 import json
 import re
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
+from math import isfinite
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final, NamedTuple
 
 from missions.engine.mission import MissionError
 from missions.views.output import OutputFile
-from missions.views.rows import VERSION, Recorded, encoded
 
+VERSION: Final = 1
+NUMBERED: Final = frozenset({"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"})
+"""The tracks whose keys are numbers of what happened: only more come, and what is too old to be kept is let go."""
+
+VERBATIM: Final = frozenset(
+    {"pose", "signal", "scene", "disturbance", "problem", "result", "taskplan", "tree", "node", "tick", "adaptation"}
+)
+"""The tracks that do not follow from the events of a knowledge base: a recording holds these beside the events."""
+
+Row = tuple[float, str, int | str, Any]
+_ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
 )
@@ -20,8 +38,103 @@ _POLICY: Final = (
 _DATA: Final = re.compile(r'<script type="application/json" id="rosa-data">(.*?)</script>', re.DOTALL)
 _MOST: Final = 200
 """How many differences are shown."""
+_DEFAULT: Final = "the default"
 _LATER_S: Final = 1.0
 """The same decision counts as different if it came so much later or earlier [s]."""
+
+
+class Rows:
+    """The rows of a run, in order; written by one thread at a time, read by any.
+
+    Args:
+        keep: how many to keep at most, the newest; of those before, the last of each track and key is known. None for
+            all.
+
+    Attributes:
+        first: number of the oldest row that is kept; the first of all is 0.
+        heard: called with each row as it comes; for a file.
+    """
+
+    def __init__(self, keep: int | None = None) -> None:
+        self.first = 0
+        self.heard: list[Callable[[Row], None]] = []
+        self._keep = keep
+        self._rows: list[Row] = []
+        self._latest: dict[tuple[str, int | str], Row] = {}
+        self._lock = Lock()
+        self._now = 0.0
+
+    @property
+    def next(self) -> int:
+        return self.first + len(self._rows)
+
+    @property
+    def now(self) -> float:
+        """Time of the last row [s]."""
+        return self._now
+
+    def put(self, time: float, track: str, key: int | str, value: object) -> None:
+        """Append a row, unless it says what holds already; a measurement counts each time."""
+        if isinstance(value, float) and not isfinite(value):
+            value = None
+        with self._lock:
+            before = self._latest.get((track, key))
+            if before is not None and before[3] == value and track != "value":
+                return
+            self._now = max(self._now, round(time, 3))
+            row = self._latest[track, key] = (self._now, track, key, value)
+            self._rows.append(row)
+            if self._keep is not None and len(self._rows) > 1.25 * self._keep:
+                self._let_go(len(self._rows) - self._keep)
+        for hear in self.heard:
+            hear(row)
+
+    def since(self, number: int, most: int | None = None) -> tuple[int, list[Row]]:
+        """Return the rows from a number on, at most so many, and the number of the first: later if it is not kept."""
+        with self._lock:
+            start = min(max(0, number - self.first), len(self._rows))
+            return self.first + start, self._rows[start : None if most is None else start + most]
+
+    def snapshot(self) -> tuple[list[Row], int]:
+        """Return the last row of each track and key, by time, and the number of the next row to come."""
+        with self._lock:
+            return sorted(self._latest.values(), key=lambda row: row[0]), self.next
+
+    def _let_go(self, count: int) -> None:
+        for row in self._rows[:count]:
+            if (row[1] in NUMBERED or row[3] is None) and self._latest.get((row[1], row[2])) is row:
+                del self._latest[row[1], row[2]]
+        del self._rows[:count]
+        self.first += count
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A run as a page shows it: a header, and its rows.
+
+    Attributes:
+        header: what was run: title, mission, task, manager, seed, settings, model.
+        rows: all of them, by time.
+        note: what is wrong with it, in a sentence; empty if nothing is.
+    """
+
+    header: Mapping[str, Any]
+    rows: list[Row] = field(repr=False)
+    note: str = ""
+
+    @property
+    def title(self) -> str:
+        return str(self.header.get("title", ""))
+
+    def track(self, name: str) -> Iterator[tuple[float, int | str, Any]]:
+        return ((time, key, value) for time, track, key, value in self.rows if track == name)
+
+    def last(self, name: str) -> dict[int | str, Any]:
+        return {key: value for _, key, value in self.track(name)}
+
+
+def encoded(value: object) -> str:
+    return _ENCODER.encode(value)
 
 
 def page_of(document: Mapping[str, Any], title: str) -> str:
@@ -102,11 +215,7 @@ class _Moment(NamedTuple):
     kind: str
     words: str
     time: float
-    cause: str
-
-    @property
-    def why(self) -> str:
-        return f", because {self.cause}" if self.cause else ""
+    why: str
 
 
 def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
@@ -118,9 +227,11 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
     models = one.header["model"], other.header["model"]
     if models[0] != models[1]:
         raise MissionError(f"runs of one model can be compared, not of {models[0]} and {models[1]}")
+    in_a, in_b = _settings(one.header), _settings(other.header)
     asked = [
-        {"t": 0.0, "words": f"{name}: {shown[0]} in A, {shown[1]} in B", "a": None, "b": None}
-        for name, shown in _settings(one.header, other.header)
+        {"t": 0.0, "words": f"{name}: {value} in A, {in_b.get(name, _DEFAULT)} in B", "a": None, "b": None}
+        for name, value in {**dict.fromkeys(in_b, _DEFAULT), **in_a}.items()
+        if value != in_b.get(name, _DEFAULT)
     ]
     found: list[tuple[float, str]] = []
     moments: defaultdict[tuple[str, str], tuple[list[_Moment], list[_Moment]]] = defaultdict(lambda: ([], []))
@@ -151,14 +262,10 @@ def _unmet(moments: list[_Moment], others: list[_Moment]) -> list[_Moment]:
     return [one for one in moments if all(abs(one.time - other.time) >= _LATER_S for other in others)]
 
 
-def _settings(one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[tuple[str, tuple[Any, Any]]]:
-    for name in ("mission", "task", "manager", "seed"):
-        if one.get(name) != other.get(name):
-            yield name, (one.get(name), other.get(name))
-    mine, theirs = one.get("settings", {}), other.get("settings", {})
-    for name in sorted(mine.keys() | theirs.keys()):
-        if mine.get(name) != theirs.get(name):
-            yield f"setting {name}", (mine.get(name, "the default"), theirs.get(name, "the default"))
+def _settings(header: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a run was asked for, by what that is called."""
+    asked = {name: header.get(name) for name in ("mission", "task", "manager", "seed")}
+    return asked | {f"setting {name}": value for name, value in header.get("settings", {}).items()}
 
 
 def _moments(run: Recorded) -> Iterator[_Moment]:
@@ -166,13 +273,17 @@ def _moments(run: Recorded) -> Iterator[_Moment]:
     for time, _, event in run.track("event"):
         cause = events.get(event.get("cause"), {}).get("words", "")
         if event["kind"] in ("action update", "reconfiguration plan"):
-            yield _Moment(event["kind"], event["words"].partition(": ")[0], time, cause)
+            yield _Moment(event["kind"], event["words"].partition(": ")[0], time, _because(cause))
         elif event["kind"] == "monitoring data":
             for kind, name, _, new in event.get("changes", ()):
                 if kind in ("action", "function design", "configuration") and new in ("unfeasible", "feasible"):
-                    yield _Moment("status", f"{name} is {new}", time, event["words"])
+                    yield _Moment("status", f"{name} is {new}", time, _because(event["words"]))
     for time, _, ended in run.track("result"):
-        yield _Moment("result", f"the mission ends: {ended['outcome']}", time, ended["reason"])
+        yield _Moment("result", f"the mission ends: {ended['outcome']}", time, _because(ended["reason"]))
+
+
+def _because(cause: str) -> str:
+    return f", because {cause}" if cause else ""
 
 
 def _adaptation_at(run: Recorded, time: float) -> int | None:

@@ -6,8 +6,6 @@ It is a fold over the same rows as the page: the last row of each track and key 
 import json
 from collections import deque
 from collections.abc import Iterator, Mapping
-from queue import Empty, SimpleQueue
-from threading import Thread
 from typing import Any, ClassVar, Final
 from urllib.parse import urlsplit
 
@@ -70,35 +68,26 @@ class SocketFeed:
         query = f"token={token}" if token else place.query
         url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
         self.title = f"{place.hostname}:{port}"
-        self._heard: SimpleQueue[list[Any]] = SimpleQueue()
         self._wrong = ""
         try:
             self._socket = connect(url, max_size=None, open_timeout=5)
         except Exception as error:  # nobody, no WebSocket, a token that is refused
             raise MissionError(f"no live view at {self.title}: {error}") from None
-        Thread(target=self._hear, name="watch", daemon=True).start()
 
     def take(self) -> tuple[list[Any], str]:
         """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
         rows: list[Any] = []
         try:
             while True:
-                rows += self._heard.get_nowait()
-        except Empty:
-            return rows, self._wrong
-
-    def _hear(self) -> None:
-        try:
-            with self._socket as socket:
-                for text in socket:
-                    given = json.loads(text)
-                    self._heard.put(given.get("rows") or [])
-                    dropped = given.get("dropped")
-                    self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
-        except Exception as error:
+                given = json.loads(self._socket.recv(timeout=0))
+                rows += given.get("rows") or []
+                dropped = given.get("dropped")
+                self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
+        except TimeoutError:  # there is no more yet
+            pass
+        except Exception as error:  # closed, by the view or on the way; the reason is in its words
             self._wrong = f"the connection has ended: {error}"
-        else:
-            self._wrong = "the live view has ended"
+        return rows, self._wrong
 
 
 class Fold:

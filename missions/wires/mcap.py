@@ -25,7 +25,7 @@ from missions.engine.mission import Message, MissionError
 from missions.engine.registry import needs
 from missions.engine.runner import Listener
 from missions.views.recorder import Recorder
-from missions.views.rows import VERBATIM, Recorded, Row
+from missions.views.report import VERBATIM, Recorded, Row
 from missions.wires import ros
 from rosa_bt.xml import NumberedTree
 

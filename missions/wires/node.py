@@ -20,7 +20,7 @@ from time import monotonic
 from typing import Any, Final, NamedTuple, Protocol
 
 from missions.engine.mission import MissionError
-from missions.views.facts import plain
+from missions.views.output import plain
 
 Message = dict[str, Any]
 Heard = Callable[[Message], object]

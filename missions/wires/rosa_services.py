@@ -12,17 +12,12 @@ from missions.wires import ros
 from missions.wires.node import Answer, Message, Node, RosError
 
 LOG: Final = "/rosa/log"
+_KINDS: Final = {"fds": "design", "c_configs": "configuration"}
+"""What the things of a field are, where its name does not say so."""
 _log = logging.getLogger(__name__)
 _BY_TYPE: Final = {bool: (1, "bool"), int: (2, "integer"), float: (3, "double"), str: (4, "string")}
 """Types of a parameter in rcl_interfaces/ParameterValue; an array of one has the type 5 more."""
-
-
-_FIELDS: Final = {
-    **{"action": ("name", "status", "is_required"), "function": ("name", "status")},
-    "component": ("name", "status", "package", "executable", "is_active", "always_improve"),
-    **dict.fromkeys(("design", "configuration"), ("name", "status", "priority")),
-}
-"""What of a view is a field of the same name in the original's type."""
+_OF_COMPONENT: Final = ("package", "executable", "is_active", "always_improve")
 
 
 class RosaServices:
@@ -178,22 +173,24 @@ class RosaServices:
 
     def _all(self, field: str, names: Iterable[str]) -> Message:
         """Return a field of an answer: these things, each as the type that its field is of."""
-        kind = {"fds": "design", "c_configs": "configuration"}.get(field, field.removesuffix("s"))
-        return {field: self._things(kind, names)}
+        return {field: self._things(_KINDS.get(field, field.removesuffix("s")), names)}
 
     def _things(self, kind: str, names: Iterable[str]) -> list[Message]:
         return [self._thing(kind, name) for name in names]
 
     def _thing(self, kind: str, name: str) -> Message:
         view = getattr(self._kb, f"{kind}s")[name]
-        fields: Message = {field: getattr(view, field) for field in _FIELDS[kind]} | {"status": str(view.status)}
-        if kind == "component":
+        fields: Message = {"name": name, "status": str(view.status)}
+        if kind == "action":
+            fields["is_required"] = view.is_required
+        elif kind == "component":
             fields |= {"node_type": str(view.kind), "parameters": parameter_messages(view.parameters_in_force)}
-        elif kind == "design":
-            fields |= {"priority": float(view.priority or 0.0), "function": self._thing("function", view.function)}
+            fields |= {field: getattr(view, field) for field in _OF_COMPONENT}
+        elif kind != "function":
+            whole = "function" if kind == "design" else "component"
+            fields |= {"priority": float(view.priority or 0.0), whole: self._thing(whole, getattr(view, whole))}
+        if kind == "design":
             fields["required_components"] = self._things("component", view.components)
-        elif kind == "configuration":
-            fields |= {"priority": float(view.priority or 0.0), "component": self._thing("component", view.component)}
         return fields
 
     def _plan(self, plan: ReconfigurationPlan | None) -> Message:

@@ -19,7 +19,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError
 from missions.engine.registry import needs
-from missions.views.facts import plain
+from missions.views.output import plain
 from missions.wires.node import LOOPBACK, NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
 
 PORT: Final = 9090
@@ -341,8 +341,6 @@ class RosbridgeServer(Wire):
     def _op_call_service(self, client: _Client, message: Message) -> None:
         """Have the client that serves it answer a call."""
         service = _text_of(message, "service")
-        if isinstance(message.get("args"), list):  # by place, which rosbridge allows and nobody can check
-            raise ValueError('"args" of call_service is an object')
         request = _dict_of(message, "args")
         with self._lock:
             server = next((one for one in self._clients if service in one.services), None)

@@ -16,8 +16,7 @@ from missions.engine.recording import sensed
 from missions.engine.registry import find_mission
 from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.views.recorder import Recorder, RunRecorder
-from missions.views.report import differences, read_page, report, write_report
-from missions.views.rows import Rows
+from missions.views.report import Rows, differences, read_page, report, write_report
 from rosa_bt import TreeRunner
 
 

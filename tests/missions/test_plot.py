@@ -215,30 +215,6 @@ def test_long_names_and_reasons_stay_within_the_picture(count):
         assert box.x1 <= figure.bbox.x1, text
 
 
-@pytest.mark.parametrize("task", ["bt", "pddl"])
-def test_list_begins_with_the_first_plan_and_why_it_was_made(task):
-    run = short_run("agv", task)
-    first = run.last("taskplan")[1]
-    told = words(next(axes for axes in pictured("agv", task).axes if any("first plan" in word for word in words(axes))))
-    assert told[1:3] == [f"{first['asked']:.1f} s", "plan"]
-    text = " ".join(" ".join(told[3:]).split())
-    assert text.startswith(f"first plan: {first['reason']} → {first['steps'][0]}")
-    assert "[solved optimally, " in text
-    assert text.index("first plan") < text.index("kinect has failed")
-    numbers = [word for word in told if word.isdigit()]
-    assert numbers == [str(number) for number in range(1, len(tracked(run, "adaptation")) + 1)]
-
-
-def test_first_plan_is_in_the_list_of_a_run_without_adaptation_and_leaves_the_others_room():
-    shown = [words(axes) for axes in picture(recorded("agv", incidents="", duration_s=10)).axes]
-    assert next(told for told in shown if any(word.startswith("first plan") for word in told))[0] == "no adaptation"
-    run = short_run("uav", "pddl")
-    steps = run.last("taskplan")[1]["steps"]
-    assert len(steps) > 4
-    told = [" ".join(words(axes)) for axes in pictured("uav", "pddl").axes]
-    assert any(f"then {len(steps) - 3} more" in " ".join(text.split()) for text in told)
-
-
 def test_lanes_show_which_design_and_which_configuration_was_chosen():
     lanes = [axes for axes in pictured("agv").axes if {"designs", "configurations"} & set(words(axes))]
     shown = [[label.get_text() for label in axes.get_yticklabels()] for axes in lanes]
