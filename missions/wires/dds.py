@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from missions.engine.mission import MissionError
 from missions.engine.registry import needs
-from missions.wires.node import LOOPBACK, QUEUED, Client, Ear, Field, Message, Outbox, RosError, TypedNode, made
+from missions.wires.node import LOOPBACK, QUEUED, Client, Field, Message, Outbox, Reader, RosError, TypedNode, made
 from missions.wires.ros import NOTHING, Types, types
 
 _LOOK_S: Final = 0.05
@@ -108,24 +108,24 @@ class DdsNode(TypedNode):
         super().close()
         self._participant.__del__()  # with all that it has, now; its own way to be closed
 
-    def _listen(self, ear: Ear) -> None:
+    def _open_reader(self, reader: Reader) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
         from cyclonedds.sub import DataReader
         from cyclonedds.topic import Topic
 
-        if ear.reader is not None:
-            topic, condition, _ = ear.reader
+        if reader.opened is not None:
+            topic, condition, _ = reader.opened
             self._waiting.detach(condition)
         else:
-            topic = Topic(self._participant, ear.topic, ear.kind)
-        reader = DataReader(self._participant, topic, qos=_quality(is_reliable=ear.is_reliable))
-        condition = ReadCondition(reader, ViewState.Any | InstanceState.Any | SampleState.NotRead)
+            topic = Topic(self._participant, reader.topic, reader.kind)
+        opened = DataReader(self._participant, topic, qos=_quality(is_reliable=reader.is_reliable))
+        condition = ReadCondition(opened, ViewState.Any | InstanceState.Any | SampleState.NotRead)
         self._waiting.attach(condition)
-        ear.reader = topic, condition, reader
+        reader.opened = topic, condition, opened
 
-    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
-        reader = ear.reader[-1]
-        return bool(reader.matched_pub), bool(reader.get_requested_incompatible_qos_status().total_count)
+    def _publishers(self, reader: Reader) -> tuple[bool, bool]:
+        opened = reader.opened[-1]
+        return bool(opened.matched_pub), bool(opened.get_requested_incompatible_qos_status().total_count)
 
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # made by `find`
         writer = self._data_writer(topic, kind)
@@ -145,8 +145,8 @@ class DdsNode(TypedNode):
                 self._finish(answer.rmw_seq, answer)
 
         def is_served() -> bool:
-            servers = ear.reader[-1].matched_pub
-            if writer.matched_sub and any(self._is_fast_dds(ear, one) for one in servers):
+            servers = reader.opened[-1].matched_pub
+            if writer.matched_sub and any(self._is_fast_dds(reader, one) for one in servers):
                 raise RosError(f"{service} is served by Fast DDS, whose services are not reached by DDS; use rosbridge")
             return bool(writer.matched_sub and servers)
 
@@ -155,26 +155,26 @@ class DdsNode(TypedNode):
 
         asked = f"{kind}_Request"
         writer = self._data_writer(f"rq{service}Request", self._structs.find(asked, has_header=True))
-        ear = self._hear(f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True), take)
+        reader = self._hear(f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True), take)
         return Client(is_served, send)
 
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
         writer = self._data_writer(f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True))
 
         def take(request: Any) -> None:  # noqa: ANN401  # a class made here
-            if self._is_fast_dds(ear, request.sample_info.publication_handle):
+            if self._is_fast_dds(reader, request.sample_info.publication_handle):
                 raise ValueError(f"{service} is called by Fast DDS, whose calls are not read by DDS; use rosbridge")
             answer = respond(request)
             thing = self._structs.with_header(f"{kind}_Response", request.rmw_guid, request.rmw_seq, answer)
-            self._outbox.put((writer, thing, ear))
+            self._outbox.put((writer, thing, reader))
 
-        ear = self._hear(f"rq{service}Request", self._structs.find(f"{kind}_Request", has_header=True), take)
+        reader = self._hear(f"rq{service}Request", self._structs.find(f"{kind}_Request", has_header=True), take)
 
-    def _send(self, what: tuple[Any, Any, Ear | None]) -> None:
+    def _send(self, what: tuple[Any, Any, Reader | None]) -> None:
         """Write, where a message is an answer when its reader is there; it may not be known yet that it is."""
         writer, thing, asking = what
         end = monotonic() + _WRITE_S
-        while asking is not None and len(writer.matched_sub) < len(asking.reader[-1].matched_pub) and monotonic() < end:
+        while asking is not None and len(writer.matched_sub) < len(asking.opened[-1].matched_pub) and monotonic() < end:
             self._closing.wait(0.005)
         while not self._closing.is_set():
             try:
@@ -192,26 +192,26 @@ class DdsNode(TypedNode):
         looked_s = 0.0
         while not self._closing.is_set():
             self._waiting.wait(duration(milliseconds=1000 * _LOOK_S))
-            for ear in list(self._ears):
-                self._drain(ear)
+            for reader in list(self._readers):
+                self._drain(reader)
             if monotonic() > looked_s + _LOOK_S:
                 self._look()
                 looked_s = monotonic()
 
-    def _drain(self, ear: Ear) -> None:
+    def _drain(self, reader: Reader) -> None:
         for _ in range(_AT_ONCE):
             try:
-                found = ear.reader[-1].take(1)
+                found = reader.opened[-1].take(1)
             except Exception as error:  # of what was sent
                 self.refused.add(error)
                 continue
             if not found:
                 return
             if found[0].sample_info.valid_data:
-                self._take(ear, found[0])
+                self._take(reader, found[0])
 
-    def _is_fast_dds(self, ear: Ear, handle: int) -> bool:
-        found = ear.reader[-1].get_matched_publication_data(handle)
+    def _is_fast_dds(self, reader: Reader, handle: int) -> bool:
+        found = reader.opened[-1].get_matched_publication_data(handle)
         return found is not None and found.participant_key.bytes.startswith(_FAST_DDS)
 
     def _announce(self) -> None:

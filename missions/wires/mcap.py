@@ -40,6 +40,7 @@ _LARGEST_RECORD: Final = 2**30
 """Of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
+"""What is told in words on `/rosa/log`, beside failures of components."""
 _NAMES: Final = {Status.INVALID: "IDLE"}
 _log = logging.getLogger(__name__)
 
@@ -222,9 +223,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
             write(f"/attributes/{event.subject}", ros.FLOAT, event.time, lambda: {"data": float(event.arguments[1])})
-        elif (
-            event.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN) or event.verb == "component_failed"
-        ):
+        elif event.kind in _LOGGED or event.verb == "component_failed":
             write(LOG, ros.LOG, event.time, ros.log_of, event)
 
     def _row(self, row: Row) -> None:

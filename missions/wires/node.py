@@ -238,13 +238,13 @@ def _value_of(library: Library, kind: str, length: int | None, value: Any) -> ob
 
 
 @dataclass(eq=False)
-class Ear:
-    """A reader, made anew if somebody publishes who does not repeat what is lost; and who is given what it hears."""
+class Reader:
+    """A reader of a topic, opened anew if a publisher does not repeat what is lost; `take` is given what it hears."""
 
     topic: str
     kind: Any
     take: Callable[[Any], object]
-    reader: Any = None
+    opened: Any = None
     is_reliable: bool = True
 
 
@@ -276,7 +276,7 @@ class TypedNode(Node):
     def __init__(self, name: str, library: Library) -> None:
         super().__init__()
         self._name, self._types, self._lock, self._numbers = name, library, RLock(), count(1)
-        self._ears: list[Ear] = []
+        self._readers: list[Reader] = []
         self._writers: dict[str, Callable[[Any], object]] = {}
         self._clients: dict[str, Client] = {}
         self._open: dict[int, _Call] = {}
@@ -310,15 +310,15 @@ class TypedNode(Node):
         """End what is open; a subclass lets go of its library first."""
         for call in self._open.values():
             call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
-        self._ears, self._writers, self._clients, self._open = [], {}, {}, {}
+        self._readers, self._writers, self._clients, self._open = [], {}, {}, {}
 
     @abstractmethod
-    def _listen(self, ear: Ear) -> None:
-        """Give an ear a reader, in place of the one that it has."""
+    def _open_reader(self, reader: Reader) -> None:
+        """Open a reader, in place of what is open."""
 
     @abstractmethod
-    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
-        """Tell whether anybody publishes what an ear hears, and one of them not so that a reliable reader hears it."""
+    def _publishers(self, reader: Reader) -> tuple[bool, bool]:
+        """Tell whether a topic has publishers, and whether one of them is not heard by a reliable reader."""
 
     @abstractmethod
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of the library
@@ -332,30 +332,31 @@ class TypedNode(Node):
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
         """Have each request of a service responded to."""
 
-    def _hear(self, topic: str, kind: Any, take: Callable[[Any], object]) -> Ear:  # noqa: ANN401  # of the library
-        ear = Ear(topic, kind, take)
+    def _hear(self, topic: str, kind: Any, take: Callable[[Any], object]) -> Reader:  # noqa: ANN401  # of the library
+        reader = Reader(topic, kind, take)
         with self._lock:
-            self._listen(ear)
-            self._ears.append(ear)
-        return ear
+            self._open_reader(reader)
+            self._readers.append(reader)
+        return reader
 
-    def _take(self, ear: Ear, thing: Any) -> None:  # noqa: ANN401  # of the library
+    def _take(self, reader: Reader, thing: Any) -> None:  # noqa: ANN401  # of the library
         try:
-            ear.take(thing)
+            reader.take(thing)
         except Exception as error:  # of what was sent, or of who hears it; the next may be better
             self.refused.add(error)
 
     def _look(self) -> None:
         """See who is there; send calls that waited for that, and end those that nobody answers."""
         with self._lock:
-            found = [(ear, *self._heeds(ear)) for ear in self._ears]
-            for ear, _, is_missed in found:
-                if ear.is_reliable and is_missed:
-                    ear.is_reliable = False
-                    self._listen(ear)
+            is_there = False
+            for reader in self._readers:
+                is_published, is_missed = self._publishers(reader)
+                is_there |= is_published
+                if reader.is_reliable and is_missed:
+                    reader.is_reliable = False
+                    self._open_reader(reader)
             for number in list(self._open):
                 self._send_call(number)
-        is_there = any(is_published for _, is_published, _ in found)
         if is_there != self.is_connected:
             self._tell(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
 

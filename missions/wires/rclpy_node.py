@@ -8,7 +8,7 @@ from threading import Thread
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.wires.node import Client, Ear, Field, Message, RosError, TypedNode
+from missions.wires.node import Client, Field, Message, Reader, RosError, TypedNode
 
 _LOOK_S: Final = 0.2
 """How often it is looked who is there [s]."""
@@ -99,16 +99,16 @@ class RclpyNode(TypedNode):
         with suppress(ExternalShutdownException, ShutdownException):
             self._executor.spin()
 
-    def _listen(self, ear: Ear) -> None:
-        if ear.reader is not None:
-            self._node.destroy_subscription(ear.reader)
-        quality, take = _quality(is_reliable=ear.is_reliable), partial(self._take, ear)
-        ear.reader = self._node.create_subscription(ear.kind, ear.topic, take, quality)
+    def _open_reader(self, reader: Reader) -> None:
+        if reader.opened is not None:
+            self._node.destroy_subscription(reader.opened)
+        quality, take = _quality(is_reliable=reader.is_reliable), partial(self._take, reader)
+        reader.opened = self._node.create_subscription(reader.kind, reader.topic, take, quality)
 
-    def _heeds(self, ear: Ear) -> tuple[bool, bool]:
+    def _publishers(self, reader: Reader) -> tuple[bool, bool]:
         from rclpy.qos import ReliabilityPolicy
 
-        found = self._node.get_publishers_info_by_topic(ear.topic)
+        found = self._node.get_publishers_info_by_topic(reader.topic)
         return bool(found), any(one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found)
 
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of a message package

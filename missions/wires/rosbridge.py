@@ -209,13 +209,20 @@ class Rosbridge(Wire):
 
 
 class _Client:
-    """Who takes part: what it subscribes to, which types its topics have, what it serves; `send` hands it a message."""
+    """Who takes part: what it publishes, subscribes to and serves, with types, by op; `send` hands it a message."""
 
     def __init__(self, send: Callable[[Message], object]) -> None:
         self.send = send
-        self.topics: set[str] = set()
-        self.types: dict[str, str] = {}
-        self.services: dict[str, str] = {}
+        self.said: dict[str, dict[str, str]] = {"advertise": {}, "subscribe": {}, "advertise_service": {}}
+
+    def say(self, op: str, message: Message) -> None:
+        """Note that it does so from now on, or no more if the op begins with "un"."""
+        what = op.removeprefix("un")
+        said, name = self.said[what], _text_of(message, "service" if what == "advertise_service" else "topic")
+        if op == what:
+            said[name] = said.get(name) or str(message.get("type") or "")
+        else:
+            said.pop(name, None)
 
 
 class _Call(NamedTuple):
@@ -306,44 +313,28 @@ class RosbridgeServer(Wire):
         return True
 
     def _do(self, client: _Client, message: Message) -> None:
-        getattr(self, f"_op_{message['op']}", self._op_unknown)(client, message)
+        op = message["op"]
+        if op.removeprefix("un") in client.said:
+            client.say(op, message)
+        else:
+            getattr(self, f"_op_{op}", self._op_unknown)(client, message)
 
     def _op_unknown(self, client: _Client, message: Message) -> None:
         raise ValueError(f"op {message['op']!r:.40} is not served")
 
-    def _op_advertise(self, client: _Client, message: Message) -> None:
-        client.types.setdefault(_text_of(message, "topic"), str(message.get("type", "")))
-
-    def _op_unadvertise(self, client: _Client, message: Message) -> None:
-        client.types.pop(_text_of(message, "topic"), None)
-
-    def _op_subscribe(self, client: _Client, message: Message) -> None:
-        client.topics.add(_text_of(message, "topic"))
-        if message.get("type"):
-            client.types.setdefault(message["topic"], str(message["type"]))
-
-    def _op_unsubscribe(self, client: _Client, message: Message) -> None:
-        client.topics.discard(_text_of(message, "topic"))
-
     def _op_publish(self, client: _Client, message: Message) -> None:
         topic, content = _text_of(message, "topic"), _dict_of(message, "msg")
         with self._lock:
-            hearers = [one for one in self._clients if topic in one.topics]
+            hearers = [one for one in self._clients if topic in one.said["subscribe"]]
         for one in hearers:
             one.send({"op": "publish", "topic": topic, "msg": content})
-
-    def _op_advertise_service(self, client: _Client, message: Message) -> None:
-        client.services[_text_of(message, "service")] = str(message.get("type", ""))
-
-    def _op_unadvertise_service(self, client: _Client, message: Message) -> None:
-        client.services.pop(_text_of(message, "service"), None)
 
     def _op_call_service(self, client: _Client, message: Message) -> None:
         """Have the client that serves it answer a call."""
         service = _text_of(message, "service")
         request = _dict_of(message, "args")
         with self._lock:
-            server = next((one for one in self._clients if service in one.services), None)
+            server = next((one for one in self._clients if service in one.said["advertise_service"]), None)
             own = f"call_service:{next(self._numbers)}"
             self._forwarded[own] = _Call(server, service, client, message.get("id"))
         if server is None:
@@ -372,22 +363,23 @@ class RosbridgeServer(Wire):
         call.caller.send(made)
 
     def _introspect(self) -> None:
+        topics, services = ("advertise", "subscribe"), ("advertise_service",)
         answers: dict[str, Answer] = {
-            "Topics": lambda _: {"topics": list(known := self._known("types")), "types": list(known.values())},
-            "TopicType": lambda one: {"type": self._known("types").get(str(one.get("topic")), "")},
+            "Topics": lambda _: {"topics": list(known := self._known(*topics)), "types": list(known.values())},
+            "TopicType": lambda one: {"type": self._known(*topics).get(str(one.get("topic")), "")},
             "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
-            "Services": lambda _: {"services": list(self._known("services"))},
-            "ServiceType": lambda one: {"type": self._known("services").get(str(one.get("service")), "")},
+            "Services": lambda _: {"services": list(self._known(*services))},
+            "ServiceType": lambda one: {"type": self._known(*services).get(str(one.get("service")), "")},
         }
         for kind, answer in answers.items():
             name = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind).lstrip("_")
             self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
 
-    def _known(self, what: str) -> dict[str, str]:
-        """Return the topics ("types") or services of all who take part, with their types; who came first counts."""
+    def _known(self, *ops: str) -> dict[str, str]:
+        """Return the topics or services of all who take part, with their types; who names one first counts."""
         with self._lock:
-            found = [one for client in self._clients for one in list(getattr(client, what).items())]
-        return {**dict(found), **dict(reversed(found))}
+            found = [one for client in self._clients for op in ops for one in list(client.said[op].items())]
+        return {**dict(found), **dict(one for one in reversed(found) if one[1])}
 
 
 def _read(text: str | bytes) -> Message:
