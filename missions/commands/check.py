@@ -24,13 +24,10 @@ from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
 
 ACTION_SUFFIX: Final = "_action"
-
-
-Uses = list[tuple[str, str]]
-"""Names of actions, each with the place where it stands; an empty name is one that a tree only gets as it runs."""
-
 COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
+Uses = list[tuple[str, str]]
+"""Names of actions, each with the place where it stands; an empty name is one that a tree only gets as it runs."""
 
 
 def check(

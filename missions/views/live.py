@@ -113,7 +113,7 @@ class Steering(Listener):
 
     def _inject(self, asked: Mapping[str, Any]) -> None:
         if self._model is None:
-            raise MissionError("no run is disturbed here yet")
+            raise MissionError("there is no run to disturb yet")
         attributes, components = self._model.attributes, self._model.components
         values = {attributes[one].name: finite_number(value) for one, value in dict(asked.get("measure", {})).items()}
         released = [attributes[one].name for one in asked.get("release", ())]

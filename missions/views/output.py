@@ -117,7 +117,7 @@ def as_json(data: Mapping[str, Any]) -> str:
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Return a value as JSON holds it, numbers to so many decimals; what is no number is null, a thing its words."""
+    """Return a value as JSON can hold it: numbers to so many decimals, NaN and infinity as null, objects as text."""
     if isinstance(value, Mapping):
         return {str(key): plain(one, digits) for key, one in value.items()}
     if isinstance(value, float):
