@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from os.path import exists, isdir
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -113,7 +114,7 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
         """Have a message written: what `make(*arguments)` returns, as a type of ROS 2, at a time [s]."""
-        self._writing.submit(self._write, topic, kind, time_s, make, arguments)
+        self._writing.submit(self._write, topic, kind, time_s, partial(make, *arguments))
 
     def close(self) -> None:
         """Write what there is, and put the file in its final form.
@@ -135,12 +136,10 @@ class McapFile(AbstractContextManager["McapFile"]):
         except Exception as error:  # also one of what makes a message
             raise self._unwritten(error) from error
 
-    def _write(
-        self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], arguments: tuple[Any, ...]
-    ) -> None:
+    def _write(self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]) -> None:
         try:
             if self._error is None:
-                data = ros.types().encode(kind, make(*arguments))
+                data = ros.types().encode(kind, make())
                 self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
                 self._file.flush()
         except Exception as error:  # reported when it is closed; the mission goes on
