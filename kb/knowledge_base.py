@@ -26,8 +26,7 @@ from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
 from kb.notebook import table
-from kb.owl.worker import Answer
-from kb.owl.world import World
+from kb.owl.world import Answer, answers
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
@@ -151,7 +150,6 @@ class KnowledgeBase:
         known.heard = self._publisher.deliver
         self._held = _holding(known, self._lock)
         self.forecast = Forecaster(self, known)
-        self._world: World | None = None
         self._keep, self._is_closed = keep, False
         self.log: Log = known.log
         self.log.settle = partial(_settle, model, self._held)
@@ -274,10 +272,7 @@ class KnowledgeBase:
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
-        with self._lock:
-            if self._world is None:
-                self._world = World(self._knowledge, self._store, self._keep)
-        return self._world.ask(sparql, timeout, self._held)
+        return answers(sparql, timeout, self._knowledge, self._store, self._keep, self._held)
 
     # ---------------------------------------------------------------- told: what is so
 
@@ -650,8 +645,6 @@ class KnowledgeBase:
         """Save what is left and give the store back: what memory holds can be asked, nothing more told; see `flush`."""
         with self._lock:
             self._is_closed = self._store is not None
-        if self._world is not None:
-            self._world.let_go()
         if self._store is not None:
             self._store.close()
 

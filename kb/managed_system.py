@@ -2,13 +2,11 @@
 
 from contextlib import suppress
 from inspect import isasyncgenfunction, iscoroutine, iscoroutinefunction, isgeneratorfunction, signature
-from itertools import takewhile
 from typing import Protocol
 
 from kb.elements import ComponentKind, Parameters
 from kb.exceptions import ProtocolError, UnknownName
 from kb.knowledge_base import KnowledgeBase
-from kb.records import Attempt
 
 
 class Operation(Protocol):
@@ -109,46 +107,37 @@ class ActivityMonitor:
     """A monitor that asks after each component that is believed to be active, while no plan is being carried out.
 
     One that was started by the last command to it, and is not running, has failed. Any other belief that is wrong is
-    only put right: a component may have been stopped while the program was not there to see it. What could not be
-    started is asked after too: that may have come true when nobody waited for it any longer.
+    only put right: a component may have been stopped while the program was not there to see it. What has failed is
+    asked after too: a start that nobody waited for any longer may have come true.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
         self._managed = managed
         self._unmanaged: set[str] = set()
-        self._believed: list[str] = []
+        self._believed: list[tuple[str, bool]] = []
         self._believed_at = -1
-        self._switched: dict[str, Attempt] = {}
-        self._late: set[str] = set()
 
     def observe(self, kb: KnowledgeBase) -> None:
         if kb.pending_plan is not None:
             return
         is_first = self._believed_at < 0
         if kb.revision != self._believed_at:
-            self._look_up(kb)
             with kb.reading() as state:
-                active = [node.element for node in state.network.components.values() if state.active[node.index]]
-            commanded = [one.name for one in active if one.kind is not ComponentKind.PLAIN]
-            self._believed, self._believed_at = commanded, kb.revision
-        for name in [name for name in self._believed if self._is(name, False)]:
-            reason, last = f"{name} is not running, though nobody has stopped it", self._switched.get(name)
-            was_started = last is not None and (last.operation, last.result) == ("activate", "completed")
+                nodes = [
+                    one for one in state.network.components.values() if one.element.kind is not ComponentKind.PLAIN
+                ]
+                active = [(one.name, True) for one in nodes if state.active[one.index]]
+                failed = [one for one in nodes if state.failed[one.index] and not state.active[one.index]]
+            self._believed = [*active, *((one.name, False) for one in failed)]
+            self._believed_at = kb.revision
+        for name in [name for name, active in self._believed if active and self._is(name, False)]:
+            reason = f"{name} is not running, though nobody has stopped it"
+            was_started = _was_started(kb, name)
             kb.component_active(name, False, reason)
             if was_started and not is_first:
                 kb.component_failed(name, reason)
-        for name in sorted(self._late.difference(self._believed)):
-            if name in kb.components and self._is(name, True):
-                kb.component_active(name, True)
-
-    def _look_up(self, kb: KnowledgeBase) -> None:
-        """Take note of the commands since the last time: the last to each component, and which were given up."""
-        last = max((one.serial for one in self._switched.values()), default=0)
-        switches = takewhile(lambda one: one.serial > last, reversed(kb.history.attempts))
-        for one in reversed([one for one in switches if one.operation != "configure"]):
-            self._switched[one.component] = one
-            if one.operation == "activate" and one.result != "completed":
-                self._late.add(one.component)
+        for name in [name for name, active in self._believed if not active and self._is(name, True)]:
+            kb.component_active(name, True)
 
     def _is(self, name: str, active: bool) -> bool:
         try:
@@ -160,3 +149,10 @@ class ActivityMonitor:
         except Exception:
             return False  # nobody can tell at this moment
         return False
+
+
+def _was_started(kb: KnowledgeBase, component: str) -> bool:
+    """Tell whether the last command that switched a component has started it."""
+    switches = (one for one in reversed(kb.history.attempts) if one.component == component)
+    last = next((one for one in switches if one.operation != "configure"), None)
+    return last is not None and (last.operation, last.result) == ("activate", "completed")

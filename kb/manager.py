@@ -4,16 +4,19 @@ Analysing is inference, which the knowledge base does by itself. The other stage
 your own monitor, planner or executor and the rest stays as it is.
 """
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from typing import Protocol
 
 from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
 from kb.execution import StagedExecutor
-from kb.execution.safeguards import Veto, VetoGate
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, wrong_answer
+from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, words_of, wrong_answer
 from kb.planners import Choice, choice_by_priority
 from kb.records import ReconfigurationPlan
+
+_log = logging.getLogger(__name__)
 
 
 class Monitor(Protocol):
@@ -54,6 +57,57 @@ class PriorityPlanner:
         """Select what is preferred by priority; None if there is nothing to choose."""
         choice = self.choose(kb)
         return None if choice is None else kb.select(*choice)
+
+
+Veto = Callable[[ReconfigurationPlan], bool | str | None]
+"""Is shown a plan, with its reason; answers None or True to let it pass, False or the reason to forbid it."""
+
+
+class VetoGate:
+    """Asks about every plan before it is executed, and takes back what a forbidden one had selected."""
+
+    def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
+        if not callable(veto):
+            raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
+        self._kb = kb
+        self._veto = veto
+        self._passed: list[ReconfigurationPlan] = []
+
+    def check(self) -> bool:
+        """Ask about the plans that were not asked about yet, and tell whether one was forbidden: it is abandoned."""
+        kb, is_vetoed = self._kb, False
+        self._passed = [plan for plan in self._passed if plan.end is None]
+        while (plan := kb.pending_plan) is not None and plan not in self._passed:
+            objection = self._objection(plan)
+            kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
+            if not objection:
+                self._passed.append(plan)
+                break
+            _log.info("vetoed: %s, because %s", plan, objection)
+            self._take_back(plan, f"vetoed: {objection}")
+            kb.finish_plan(plan, "abandoned")
+            is_vetoed = True
+        return is_vetoed
+
+    def _objection(self, plan: ReconfigurationPlan) -> str:
+        try:
+            answer: object = self._veto(plan)
+        except Exception as error:
+            return words_of(error)
+        if answer is None or answer is True:
+            return ""
+        if answer is False or answer == "":
+            return "no reason was given"
+        if isinstance(answer, str):
+            return answer
+        return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
+
+    def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
+        """Undo what the plan's event has selected, and nothing else: what is not executed is not in force."""
+        made = (event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
+        for kind, name, is_selected in next(made, ()):
+            with suppress(UnknownName):  # it has left the model
+                self._kb.assert_selected((kind, name), not is_selected, reason if is_selected else "")
 
 
 class ConfigurationManager:

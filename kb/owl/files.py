@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, TypeVar
 from xml.parsers import expat
 
-from pyoxigraph import BlankNode, Literal, NamedNode, RdfFormat, Triple, parse, serialize
+from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse, serialize
 
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
@@ -25,23 +25,14 @@ from kb.owl.individuals import (
     MODEL,
     PARAMETER,
     PREFERENCE,
-    ROSA,
     Declarer,
     Individual,
     Ref,
     Value,
     individuals,
-    metamodel,
 )
-from kb.owl.worker import Answer
+from kb.owl.queries import METAMODEL, PREFIXES, ROSA, answer_of, value_of
 
-XSD: Final = "http://www.w3.org/2001/XMLSchema#"
-PREFIXES: Final = {
-    "": ROSA,
-    "owl": "http://www.w3.org/2002/07/owl#",
-    "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
-    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
-}
 _TYPE, _LABEL = NamedNode(f"{PREFIXES['rdf']}type"), NamedNode(f"{PREFIXES['rdfs']}label")
 _ONTOLOGY: Final = re.compile(r"  <owl:Ontology.*?</owl:Ontology>\n", re.DOTALL)
 _UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})")
@@ -61,7 +52,7 @@ def owl_text(model: Contents) -> str:
     for one in (own, *others):
         subject = NamedNode(f"{base}#{one.id}")
         triples.append(Triple(subject, _TYPE, NamedNode(f"{PREFIXES['owl']}NamedIndividual")))
-        triples += [Triple(subject, *terms) for terms in described(one, base, _fit)]
+        triples += [Triple(subject, *terms) for terms in terms_of(one, base, _fit)]
         triples += [Triple(subject, _LABEL, Literal(_fit(str(name)))) for name in one.values.get("name", ())]
     written = (serialize(triples, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
     label = escape(_fit(model.name), quote=False)
@@ -70,12 +61,12 @@ def owl_text(model: Contents) -> str:
         "    <rdfs:comment>The model of a robot, with the words of ROSA that it is written in.</rdfs:comment>\n"
         "  </owl:Ontology>\n"
     )
-    words = _ONTOLOGY.sub(lambda _: head, metamodel(), count=1)
+    words = _ONTOLOGY.sub(lambda _: head, METAMODEL.read_text(encoding="utf-8"), count=1)
     individuals_of_it = written[written.index("\t<owl:NamedIndividual") :].rstrip()
     return words.replace("</rdf:RDF>", f"  <!-- the model -->\n\n{individuals_of_it}")
 
 
-def described(one: Individual, base: str, text: Callable[[str], str]) -> Iterator[tuple[NamedNode, Term]]:
+def terms_of(one: Individual, base: str, text: Callable[[str], str]) -> Iterator[tuple[NamedNode, Term]]:
     """Yield the properties of an individual and their values; a text as a function writes it."""
     for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
         yield _TYPE, NamedNode(f"{ROSA}{kind}")
@@ -164,24 +155,6 @@ def _ordered(values: Sequence[Value], places: Sequence[str]) -> tuple[Value, ...
 
 def _local(value: Value) -> str:
     return value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
-
-
-def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> Answer:
-    if isinstance(term, NamedNode):
-        return term.value
-    return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)
-
-
-def value_of(literal: Literal) -> str | bool | int | float:
-    sort, text = literal.datatype.value.removeprefix(XSD), literal.value
-    try:
-        if sort in ("double", "float", "decimal"):
-            return float(text)
-        if sort == "boolean":
-            return text in ("true", "1")
-        return int(text) if sort in ("integer", "int", "long") else text
-    except ValueError:
-        return text
 
 
 def inconsistency(text: str) -> str | None:

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields
 from functools import cache
 from itertools import chain
-from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 from urllib.parse import quote
 
@@ -39,7 +38,6 @@ class Individual(NamedTuple):
     values: Mapping[str, tuple[Value, ...]]
 
 
-ROSA: Final = "http://rosa-taca/rosa#"  # what the names of classes and properties begin with
 BASE: Final = "http://rosa-taca/model/"  # what the names of individuals begin with; the id of the model and `#` follow
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
@@ -105,10 +103,6 @@ class Serials(dict[elements.Changeable, int]):
 
 def unnamed(model: facts.Contents) -> tuple[elements.Constraint | elements.Estimation, ...]:
     return (*model.constraints, *model.estimations)
-
-
-def metamodel() -> str:
-    return Path(__file__).with_name("rosa.owl").read_text(encoding="utf-8")
 
 
 def element_id(element: elements.Changeable, serials: Serials) -> str:

@@ -1,23 +1,32 @@
-"""Queries in SPARQL 1.1 over a world of individuals; through pyoxigraph, in a worker's process."""
+"""The program that answers one query in SPARQL 1.1, by pyoxigraph; and its terms as plain values.
 
+A query cannot be interrupted, so this runs as a process of its own, which is ended with the query's time. It imports
+nothing of ours. Its input is a line of JSON, `[query, timeout]`, and then the world that is asked, as N-Triples; its
+output is a line of JSON for each row, and in the end null, or `{"error": class, "given": arguments}`.
+"""
+
+import json
 import re
 import resource
 import signal
-import time
-from collections.abc import Iterable, Iterator
-from contextlib import suppress
-from multiprocessing.connection import Connection
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Final
 
-from pyoxigraph import NamedNode, Quad, QueryBoolean, RdfFormat, Store, parse
+from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, RdfFormat, Store, Triple
 
-from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
-from kb.owl.files import PREFIXES, XSD, answer_of, described
-from kb.owl.individuals import ROSA, Individual
-from kb.owl.worker import ENDED, MEMORY, Answer, parts, stopped
-
+ROSA: Final = "http://rosa-taca/rosa#"  # what the names of classes and properties begin with
+METAMODEL: Final = Path(__file__).with_name("rosa.owl")
+XSD: Final = "http://www.w3.org/2001/XMLSchema#"
+PREFIXES: Final = {
+    "": ROSA,
+    "owl": "http://www.w3.org/2002/07/owl#",
+    "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
+    "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
+}
+_MEMORY: Final = 4 << 30  # that may be used at most [bytes]
 _MOST_ROWS: Final = 1_000_000
-_PREFIXES: Final = {**PREFIXES, "rosa": ROSA, "xsd": XSD}
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
@@ -27,109 +36,89 @@ _PLACE: Final = re.compile(r"error at (\d+):(\d+): ")
 _SENTENCE: Final = re.compile(r"(The [A-Z]+ .*?|Prefix not found)(?:,|$)")
 
 
-def serve(descriptor: int) -> None:
-    """Be the process of a worker: do what comes in on its line, until nothing can come any more."""
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    line, book = Connection(descriptor), Book("")
-    line.send("ready")
-    with suppress(EOFError, OSError):
-        while True:
-            method, arguments = line.recv()
-            if method == "open":
-                book = Book(*arguments)
-            elif method != "ask":
-                getattr(book, method)(*arguments)
-            else:
-                _answer(line, book, *arguments)
+class _Refused(Exception):
+    """Says which class of error the query deserves, and with what it is made."""
 
 
-def _answer(line: Connection, book: "Book", query: str, timeout: float, left: float) -> None:
-    signal.setitimer(signal.ITIMER_REAL, 2.0 * left + 5.0)  # should nobody be there to kill it
+def main() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    query, timeout = json.loads(sys.stdin.buffer.readline())
+    signal.setitimer(signal.ITIMER_REAL, 2.0 * timeout + 5.0)  # should nobody be there to kill it
+    world, end = Store(), None
+    world.load(path=METAMODEL, format=RdfFormat.RDF_XML)
+    world.load(sys.stdin.buffer, format=RdfFormat.N_TRIPLES)
     try:
-        for some in parts(book.ask(query, timeout, time.monotonic() + left)):
-            line.send(("", some))
-        line.send(("", None))
-    except (KnowledgeBaseError, MemoryError) as error:
-        line.send((type(error).__name__, str(error) or ENDED))
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+        for row in _rows(world, query):
+            print(json.dumps(row))
+    except _Refused as refused:
+        end = {"error": refused.args[0], "given": refused.args[1:]}
+    print(json.dumps(end))
 
 
-class Book:
-    """A world of individuals: the words of ROSA, a model, what was told, and what is inferred."""
-
-    def __init__(self, base: str) -> None:
-        self._base = base
-        self._store = Store()
-        self._words: list[str] = []
-
-    def describe(self, words: str) -> None:
-        quads = [*parse(words.encode(), format=RdfFormat.RDF_XML)]
-        self._store.extend(quads)
-        named = (one.subject.value for one in quads if isinstance(one.subject, NamedNode))
-        self._words = sorted({one.removeprefix(ROSA) for one in named if one.startswith(ROSA)})
-
-    def clear(self, context: str) -> None:
-        self._store.clear_graph(self._iri(context))
-
-    def write(self, context: str, given: Iterable[Individual]) -> None:
-        """Add individuals to the "model", to what was "told", or to what is "inferred".
-
-        One that has no kind is there already and has more values now.
-        """
-        self._store.extend([one for each in given for one in self._quads(each, self._iri(context))])
-
-    def ask(self, query: str, timeout: float, deadline: float) -> Iterator[tuple[Answer, ...]]:
-        """Answer a query, for which a time [s] was allowed, before a deadline of the monotonic clock [s].
-
-        The answer to ASK is one row, those to CONSTRUCT and DESCRIBE are triples.
-        """
-        self._check(query)
-        try:
-            found = self._store.query(query, prefixes=_PREFIXES, use_default_graph_as_union=True)
-            if isinstance(found, QueryBoolean):
-                yield (bool(found),)
-                return
-            for count, row in enumerate(found):
-                yield tuple(map(answer_of, row))
-                if count >= _MOST_ROWS:
-                    raise KnowledgeBaseError(f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT")
-                if time.monotonic() > deadline:
-                    raise stopped(timeout)
-        except (SyntaxError, OSError, ValueError) as error:
-            raise _complaint(query, str(error)) from None
-
-    def _check(self, query: str) -> None:
-        """Refuse what only asks elsewhere or changes something, and words that ROSA does not have."""
-        begin = _BEGIN.match(query)
-        if begin is None or begin[1].upper() not in _VERBS:
-            word = f"not with {begin[1]}" if begin and begin[1] else "after its prefixes; there is none"
-            raise InvalidValue(f"a query begins with SELECT, or {', '.join(_VERBS[1:])}, {word}; it changes nothing")
-        for found in _WORD.finditer(query):
-            if found["other"]:
-                raise InvalidValue("SERVICE is not supported; leave it out, nothing is asked of other places")
-            if found["rosa"] and found["rosa"] not in self._words and not _OWN_PREFIX.search(query):
-                raise UnknownName("word of ROSA", found["rosa"], self._words)
-
-    def _quads(self, one: Individual, graph: NamedNode) -> Iterator[Quad]:
-        for terms in described(one, self._base, _whole):
-            yield Quad(self._iri(one.id), *terms, graph)
-
-    def _iri(self, own: str) -> NamedNode:
-        return NamedNode(f"{self._base}#{own}")
+def _rows(world: Store, query: str) -> Iterator[list[str | bool | int | float | None]]:
+    """Yield the answers: to ASK one row, to CONSTRUCT and DESCRIBE triples."""
+    _check(world, query)
+    try:
+        found = world.query(query, prefixes={**PREFIXES, "rosa": ROSA, "xsd": XSD})
+        if isinstance(found, QueryBoolean):
+            yield [bool(found)]
+            return
+        for count, row in enumerate(found):
+            if count >= _MOST_ROWS:
+                much = f"the answer has more than {_MOST_ROWS} rows; ask for less, or add LIMIT"
+                raise _Refused("KnowledgeBaseError", much)
+            yield list(map(answer_of, row))
+    except (SyntaxError, OSError, ValueError) as error:
+        raise _Refused("InvalidValue", _complaint(query, str(error))) from None
 
 
-def _whole(text: str) -> str:
-    """Write a text without halves of characters."""
-    return text.encode("utf-8", "backslashreplace").decode()
+def _check(world: Store, query: str) -> None:
+    """Refuse what only asks elsewhere or changes something, and words that ROSA does not have."""
+    begin = _BEGIN.match(query)
+    if begin is None or begin[1].upper() not in _VERBS:
+        word = f"not with {begin[1]}" if begin and begin[1] else "after its prefixes; there is none"
+        what = f"a query begins with SELECT, or {', '.join(_VERBS[1:])}, {word}; it changes nothing"
+        raise _Refused("InvalidValue", what)
+    for found in _WORD.finditer(query):
+        if found["other"]:
+            raise _Refused("InvalidValue", "SERVICE is not supported; leave it out, nothing is asked of other places")
+        rosa = NamedNode(f"{ROSA}{found['rosa']}")
+        if found["rosa"] and not _OWN_PREFIX.search(query) and not any(world.quads_for_pattern(rosa, None, None)):
+            named = (one.subject.value for one in world if isinstance(one.subject, NamedNode))
+            known = sorted({name.removeprefix(ROSA) for name in named if name.startswith(ROSA)})
+            raise _Refused("UnknownName", "word of ROSA", found["rosa"], known)
 
 
-def _complaint(query: str, message: str) -> InvalidValue:
-    """Return what is wrong with a query, and where, without all that could have stood there."""
+def _complaint(query: str, message: str) -> str:
+    """Say what is wrong with a query, and where, without all that could have stood there."""
     place, said = _PLACE.match(message), _SENTENCE.search(" ".join(message.split()))
     if place is None:
-        return InvalidValue(f"the query cannot be answered: {message}")
+        return f"the query cannot be answered: {message}"
     line, column = int(place[1]), int(place[2])
     at = len(query) - len("\n".join(query.split("\n")[line - 1 :])) + column - 1
     read, rest = query[:at].strip()[-20:], query[at : at + 20]
     what = f"from {rest!r} on this is not understood" if rest else "the query ends too early, or this cannot stand here"
-    return InvalidValue(f"line {line}, column {column} of the query, after {read!r}: {said[1] if said else what}")
+    return f"line {line}, column {column} of the query, after {read!r}: {said[1] if said else what}"
+
+
+def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> str | bool | int | float | None:
+    """Return a term as a plain value; an individual is its IRI."""
+    if isinstance(term, NamedNode):
+        return term.value
+    return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)
+
+
+def value_of(literal: Literal) -> str | bool | int | float:
+    sort, text = literal.datatype.value.removeprefix(XSD), literal.value
+    try:
+        if sort in ("double", "float", "decimal"):
+            return float(text)
+        if sort == "boolean":
+            return text in ("true", "1")
+        return int(text) if sort in ("integer", "int", "long") else text
+    except ValueError:
+        return text
+
+
+if __name__ == "__main__":
+    main()

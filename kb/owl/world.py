@@ -1,24 +1,29 @@
 """A world made from the state and the log of a knowledge base, so that all of it can be asked in SPARQL.
 
-It is built from copies, beside the base: nobody who tells waits for who asks. What is so for a time is one individual
-from its start on, and gets its end once it is over.
+It is made for each query, from copies: nobody who tells waits for who asks. What is so for a time is one individual,
+which has an end once it is over.
 """
 
 import json
+import os
+import subprocess
+import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
+from copy import copy
+from dataclasses import fields
+from functools import partial
+from io import BytesIO
 from itertools import chain, count
-from threading import Lock
+from pathlib import Path
 from typing import Any, Final
-from weakref import finalize
 
 from kb.elements import KINDS, Attribute, Changeable
 from kb.events import Event
-from kb.exceptions import InvalidValue, UnknownName
+from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.facts import ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
-from kb.network import Node
 from kb.owl.individuals import (
     BASE,
     CLASSES,
@@ -29,12 +34,13 @@ from kb.owl.individuals import (
     described,
     element_id,
     individuals,
-    metamodel,
     named_id,
 )
-from kb.owl.worker import Answer, Worker, give_back, stopped, take
+from kb.records import Records
 from kb.state import State
 from kb.store import Store
+
+Answer = str | bool | int | float | None
 
 _CLASSES: Final[Mapping[str, type]] = {kind: cls for cls, kind in KINDS.items()}
 _PRESENT: Final[Mapping[str, str]] = {
@@ -58,143 +64,145 @@ _STATED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
 """What is so, or no longer, by the verb that says it of its first argument, and what its others are."""
 Period = tuple[str, str, Mapping[str, Any]]
 """What is so for a time: its kind, what it is about, and what else is known of it."""
-_ENDS: Final = ("end", "result", "reason")
-_RECORDS: Final[Mapping[str, tuple[str, ...]]] = {
-    "RequiredAction": ("start", "action", "preference"),
-    "ReconfigurationPlan": ("start", "activate", "deactivate", "parameters", "reason"),
-    "ComponentProcess": ("start", "component", "pid"),
-    "Attempt": ("start", "component", "operation", "number", "configuration", "parameters"),
-    "VetoAnswer": ("is_vetoed", "time", "reason"),
+_RECORDS: Final[Mapping[str, str]] = {
+    "plans": "ReconfigurationPlan",
+    "requests": "RequiredAction",
+    "processes": "ComponentProcess",
+    "attempts": "Attempt",
+    "answers": "VetoAnswer",
 }
-"""The fields of each kind of record that are told when it begins, beside its plan."""
+"""What is made of each table of the records: plans first, for others belong to them."""
+_UNSAID: Final = frozenset({"plan", "plain", "cause", "serial"})
+"""The fields of records that are no values."""
 _LONGEST: Final = 1_000_000  # query [characters]
 _SLICE: Final = 1000  # events of the store that are read at a time
-_MOST_GROWN: Final = 20_000  # events, besides measurements that are kept, that are added before a world is made anew
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
+_ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName, KnowledgeBaseError)}
+_ENDED: Final = "the process that answers the query has ended; if it needed more than 4 GB of memory, ask for less"
 
 
-class World:
-    """All that a knowledge base knows, as individuals, brought up to date when it is asked."""
+def answers(
+    sparql: str,
+    timeout: float,
+    known: Knowledge,
+    store: Store | None,
+    keep: int,
+    reading: AbstractContextManager[State],
+) -> list[tuple[Answer, ...]]:
+    """Answer a query over all that is known and the newest measurements to keep; see `KnowledgeBase.query`."""
+    if not isinstance(sparql, str) or len(sparql) > _LONGEST:
+        what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
+        raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
+    left, world = partial(_left, time.monotonic() + timeout), BytesIO()
+    world.write(json.dumps([sparql, timeout]).encode() + b"\n")
+    try:
+        for line in _triples(_individuals(known, store, keep, reading, left)):
+            left()
+            world.write(line)
+        *rows, end = _answered(world, left())
+    except (TimeoutError, subprocess.TimeoutExpired):
+        much = "ask for less, or allow it a longer timeout"
+        raise KnowledgeBaseError(f"the query was stopped after {timeout:g} s; {much}") from None
+    if end is not None:
+        raise _ERRORS[end["error"]](*end["given"])
+    return [tuple(row) for row in rows]
 
-    def __init__(self, known: Knowledge, store: Store | None, keep: int) -> None:
-        self._known, self._store, self._keep = known, store, keep
-        self._asking = Lock()
-        self._workers: list[Worker] = []
-        self._is_built = False
-        self._steps: Iterator[None] = iter(())
-        self._chronicle = _Chronicle(known)
-        self._last, self._revision = -1, -1
-        self._grown = 0
-        finalize(self, give_back, self._workers)
 
-    def ask(self, sparql: str, timeout: float, reading: AbstractContextManager[State]) -> list[tuple[Answer, ...]]:
-        if not isinstance(sparql, str) or len(sparql) > _LONGEST:
-            what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
-            raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
-        deadline = time.monotonic() + timeout
-        if not self._asking.acquire(timeout=timeout):
-            raise stopped(timeout)
-        try:
-            worker = self._worker()
-            if not worker.is_ready(deadline):
-                raise stopped(timeout)
-            for _ in self._renewal(reading):
-                if time.monotonic() > deadline:
-                    raise stopped(timeout)
-            now = time.monotonic()
-            return worker.ask(sparql, timeout, max(deadline, now + timeout / 4))
-        finally:
-            self._asking.release()
+def _left(deadline: float) -> float:
+    if (seconds := deadline - time.monotonic()) <= 0.0:
+        raise TimeoutError
+    return seconds
 
-    def let_go(self) -> None:
-        """Have others use the process, unless it is being asked; who asks again gets another one."""
-        if self._asking.acquire(blocking=False):
-            give_back(self._workers)
-            self._asking.release()
 
-    def _worker(self) -> Worker:
-        if not self._workers or not self._workers[0].is_alive:
-            for worker in self._workers:
-                worker.end()
-            self._workers[:] = [take()]
-            self._is_built, self._steps = False, iter(())
-        return self._workers[0]
+def _answered(world: BytesIO, timeout: float) -> list[Any]:
+    """Have the query at the head of a world answered by a process; the last one is None, or what is wrong with it."""
+    done = subprocess.run(
+        [sys.executable, "-P", Path(__file__).with_name("queries.py")],
+        input=world.getbuffer(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        timeout=timeout,
+        start_new_session=True,
+    )
+    if done.returncode:
+        raise KnowledgeBaseError(_ENDED)
+    return [json.loads(line) for line in BytesIO(done.stdout)]
 
-    def _renewal(self, reading: AbstractContextManager[State]) -> Iterator[None]:
-        """Have the worker hold all that is known now, in steps; what was stopped on the way is gone on with."""
-        yield from self._steps
-        self._steps = self._more(reading)
-        yield from self._steps
 
-    def _more(self, reading: AbstractContextManager[State]) -> Iterator[None]:
-        """Hand over what is new, or all if it has grown too much, or more happened than memory holds."""
-        worker, known = self._workers[0], self._known
-        is_anew = not self._is_built or self._grown > 2 * self._keep + _MOST_GROWN
-        past: list[Event] = []
-        store = self._store if is_anew else None
-        while store is not None and (some := store.events(past[-1].number if past else 0, _SLICE, measurements=False)):
-            past += some
-            yield
-        chronicle = self._chronicle = _Chronicle(known) if is_anew else self._chronicle
-        with reading as state:
-            last = (past[-1].number if past else 0) if is_anew else self._last
-            past += known.log.since(last, measurements=not is_anew)
-            is_amended = is_anew or state.network.revision != self._revision or any(one.verb == "amend" for one in past)
-            if known.log.last == last and not is_amended:
-                return
-            is_lost = not is_anew and len(past) < known.log.last - last
-            nodes = state.network.attributes.values() if is_anew else ()
-            histories = [(node.name, state.histories[node.index]) for node in nodes if node.index in state.histories]
-            measured = [(name, *sample) for name, history in histories for sample in history.samples(self._keep)]
-            model = individuals(known.model, known.serials) if is_amended else None
-            if not is_lost:
-                records, inferred = chronicle.of_records(), self._inferred(state)
-                present = chronicle.of_state(state) if is_anew else []
-                self._last, self._revision = known.log.last, state.network.revision
-        self._is_built = False  # until all of it is there
-        if is_lost:
-            yield from self._more(reading)
-            return
-        begins: list[Individual] = []
-        if is_anew and model is not None:
-            own = next(model)
-            worker.tell("open", f"{BASE}{own.id}")
-            worker.tell("describe", metamodel())
-            model = chain([own], model)
-            begins = [Individual("", own.id, {"historyBegins": (float(past[0].time),)})] if past else []
-        if model is not None:
-            yield from self._replace(worker, "model", model)
-        older = (chronicle.measurement(name, value, time) for name, time, value in measured)
-        news = chain.from_iterable(map(chronicle.of_event, past))
-        yield from worker.write("told", chain(older, begins, news, records, chronicle.older(present)))
-        yield from self._replace(worker, "inferred", inferred)
-        self._is_built, self._grown = True, 0 if is_anew else self._grown + len(past)
+def _triples(given: Iterable[Individual]) -> Iterator[bytes]:
+    """Yield individuals as N-Triples, one at a time; the first is the model."""
+    from kb.owl.files import terms_of  # it takes a while to import
 
-    def _replace(self, worker: Worker, context: str, given: Iterable[Individual]) -> Iterator[None]:
-        """Replace the model, or what is inferred; what a model states to be so is told, and is no part of it."""
-        worker.tell("clear", context)
-        yield from worker.write(context, (one for one in given if not one.id.startswith(f"{STATED}.")))
+    base = ""
+    for one in given:
+        base = base or f"{BASE}{one.id}"
+        said = (f"<{base}#{one.id}> {word} {value} .\n" for word, value in terms_of(one, base, _whole))
+        yield "".join(said).encode()
 
-    def _inferred(self, state: State) -> Iterator[Individual]:
-        now = list[tuple[Node, Values]]()
-        for node in (node for node in state.network.present() if node.kind != "attribute"):
-            required: Values = {"isRequired": (state.required[node.index],)} if node.kind in _REQUIRABLE else {}
-            now.append((node, {"status": (str(state.status[node.index]),), **required}))
-        return (Individual("", element_id(node.element, self._known.serials), said) for node, said in now)
+
+def _whole(text: str) -> str:
+    """Write a text without halves of characters."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+def _individuals(
+    known: Knowledge,
+    store: Store | None,
+    keep: int,
+    reading: AbstractContextManager[State],
+    left: Callable[[], float],
+) -> Iterator[Individual]:
+    """Yield all that is known: the model, what is inferred, and what was told; its past comes from the store first."""
+    past: list[Event] = []
+    while store is not None and (some := store.events(past[-1].number if past else 0, _SLICE, measurements=False)):
+        left()
+        past += some
+    chronicle = _Chronicle(known)
+    with reading as state:
+        past += known.log.since(past[-1].number if past else 0, measurements=False)
+        histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
+        measured = [(name, history.samples(keep)) for name, history in histories if history is not None]
+        own, *model = individuals(known.model, known.serials)
+        inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
+    yield own
+    yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # what it states to be so is told
+    yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
+    if past:
+        yield Individual("", own.id, {"historyBegins": (float(past[0].time),)})
+    for name, samples in measured:
+        yield from (chronicle.measurement(name, *sample) for sample in samples)
+    yield from chain.from_iterable(map(chronicle.of_event, past))
+    yield from chronicle.of_records(records)
+    yield from chronicle.older(present)
+
+
+def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]:
+    found = list[tuple[Changeable, Values]]()
+    for node in (node for node in state.network.present() if node.kind != "attribute"):
+        required: Values = {"isRequired": (state.required[node.index],)} if node.kind in _REQUIRABLE else {}
+        found.append((node.element, {"status": (str(state.status[node.index]),), **required}))
+    return found
+
+
+def _recorded(records: Records) -> dict[str, list[tuple[int, Any]]]:
+    """Return what is on record, by table; what has not ended yet as it is now."""
+    return {
+        name: [(number, one if getattr(one, "end", 0.0) is not None else copy(one)) for number, one in table.items()]
+        for name, table in ((name, getattr(records, name)) for name in _RECORDS)
+    }
 
 
 class _Chronicle:
-    """Makes individuals of events and records, each once; what has ended later is given its end."""
+    """Makes individuals of events and records; what has ended later is given its end."""
 
     def __init__(self, known: Knowledge) -> None:
         self._known = known
         self._count = count(1)
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
-        self._ids: dict[tuple[str, int], str] = {}
-        self._is_over: dict[tuple[str, int], bool] = {}
 
-    def measurement(self, attribute: str, value: float, time: float) -> Individual:
+    def measurement(self, attribute: str, time: float, value: float) -> Individual:
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
         return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
 
@@ -221,8 +229,6 @@ class _Chronicle:
     def of_event(self, event: Event) -> Iterator[Individual]:
         time = event.time
         match event.verb, event.arguments:
-            case "measure", (name, value):
-                yield self.measurement(name, value, time)
             case "component_recovered", (name,):
                 about = self._about(name)
                 yield from self._ended("Failure", about, time)
@@ -293,24 +299,19 @@ class _Chronicle:
     def _id(self, element: Changeable) -> str:
         return element_id(element, self._known.serials)
 
-    # ---------------------------------------------------------------- records
-
-    def of_records(self) -> list[Individual]:
-        """Return the records that are new, or have ended since they were told; these say again what they said."""
-        records, found = self._known.records, list[Individual]()
-        tables: Any = records.requests, records.plans, records.processes, records.attempts, records.answers
-        plans = {id(plan): number for number, plan in records.plans.items()}
-        for word, table in zip(_RECORDS, tables, strict=True):
-            for number, record in table.items():
-                is_over = getattr(record, "end", 0.0) is not None
-                if self._is_over.get((word, number)) is not is_over:
-                    self._is_over[word, number] = is_over
-                    own = self._ids[word, number] = self._ids.get((word, number)) or self._next()
-                    said = {name: getattr(record, name, None) for name in (*_RECORDS[word], *_ENDS)}
-                    if (plan := plans.get(id(getattr(record, "plan", None)))) is not None:
-                        said["of_plan"] = Ref(self._ids["ReconfigurationPlan", plan])
-                    found += described(word, own, said, self._known.serials, type(record))
-        return found
+    def of_records(self, tables: Mapping[str, Iterable[tuple[int, Any]]]) -> Iterator[Individual]:
+        plans: dict[int, str] = {}
+        for name, word in _RECORDS.items():
+            for number, record in tables[name]:
+                own = self._next()
+                said = {one.name: getattr(record, one.name) for one in fields(record) if one.name not in _UNSAID}
+                if name != "attempts":
+                    said.pop("number", None)  # of an event, which means nothing here
+                if name == "plans":
+                    plans[number] = own
+                elif name in ("attempts", "answers") and record.plan.number in plans:
+                    said["of_plan"] = Ref(plans[record.plan.number])
+                yield from described(word, own, said, self._known.serials, type(record))
 
     def _next(self) -> str:
         return f"{STATED}.{next(self._count)}"

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 from kb.elements import finite_number
@@ -10,9 +9,6 @@ from kb.exceptions import InvalidValue
 from kb.knowledge_base import KnowledgeBase
 from kb.planners import Choice, Criterion, Optimum, choice_by_priority, summed_weights
 from kb.records import ReconfigurationPlan
-
-if TYPE_CHECKING:
-    from kb.planners.solver import Problem
 
 _log = logging.getLogger(__name__)
 
@@ -94,24 +90,11 @@ class OptimalPlanner:
         That is so where nothing is estimated or limited, and where no choice at all was found with the effort allowed.
         """
         criterion = self.criterion(kb)
-        problem = self._posed(kb, criterion)
-        found = None if problem is None else problem.solve(self._effort)
+        with kb.reading() as state:
+            problem = self._solver.Problem(state, criterion)
+        found = problem.solve(self._effort) if problem.is_weighed else None
         is_lost = found is not None and found.choice is None and not (found.is_proven or criterion.budgets)
         return None if is_lost else found
-
-    def _posed(self, kb: KnowledgeBase, criterion: Criterion) -> "Problem | None":
-        """Pose the question of what is known now, if it is one; that takes a while, and nobody waits for it."""
-        while True:
-            with kb.reading() as state:
-                network, revision = state.network, state.network.revision
-                problem = self._solver.Problem(state, criterion)
-            try:
-                is_weighed = problem.pose()
-                if network.revision == revision:  # else the model was changed meanwhile
-                    return problem if is_weighed else None
-            except LookupError:
-                if network.revision == revision:
-                    raise
 
     def _is_due(self, kb: KnowledgeBase) -> bool:
         if kb.adaptable_functions() or kb.adaptable_components():

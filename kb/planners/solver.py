@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from kb.elements import ComponentKind, EstimationKind
 from kb.exceptions import KnowledgeBaseError
-from kb.network import Node
+from kb.network import Network, Node
 from kb.planners import Choice, Criterion, Optimum, number, ranked
 from kb.state import State
 
@@ -73,7 +73,10 @@ class Slot(NamedTuple):
 class Problem:
     """What is to be chosen in a state for all that is required, from what runs and is selected now; solved once.
 
-    It notes what it needs of the state when it is made; all else may be done while that changes, but not the network.
+    It notes what it needs of the state when it is made, which is quick; it is solved while that changes.
+
+    Attributes:
+        is_weighed: something is estimated of what takes part, or limited; else the choice is by priority.
 
     Raises:
         UnknownName: the criterion names an attribute or a component that the model does not have.
@@ -81,8 +84,7 @@ class Problem:
 
     def __init__(self, state: State, criterion: Criterion) -> None:
         criterion.check(state.network)
-        self._network, self._criterion = state.network, criterion
-        self._model: Any = None
+        self._criterion = criterion
         required = (node for node in state.network.functions.values() if state.required[node.index])
         self._designs = {node: ranked(state, node) for node in required}
         stuck = [node for node, designs in self._designs.items() if not designs]
@@ -98,25 +100,16 @@ class Problem:
             node for node in parts if any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
         }
 
-    # ---------------------------------------------------------------- the model
-
-    def pose(self, *, always: bool = False) -> bool:
-        """Weigh what is estimated, and make a model of it; returns False where the choice is by priority.
-
-        That is so if nothing is estimated of what takes part, and nothing limited; then no model is made, which takes
-        longer than all else.
-        """
         with localcontext(Context(prec=60)):
-            self._estimate()
+            self._estimate(state.network)
         possible = [design for designs in self._designs.values() for design in designs]
         concerned = {*self._parts, *(one for node in self._parts for one in node.parts), *self._kept, *possible}
-        is_weighed = bool(self._criterion.budgets) or not concerned.isdisjoint(self._estimated)
-        if is_weighed or always:
-            self._encode()
-        return is_weighed
+        self.is_weighed = bool(criterion.budgets) or not concerned.isdisjoint(self._estimated)
+
+    # ---------------------------------------------------------------- the model
 
     def _encode(self) -> None:
-        self._model = cp_model.CpModel()
+        self._model: Any = cp_model.CpModel()
         self._gains, self._switching = list[Untyped](), list[Untyped]()
         self._loads: list[list[Untyped]] = [[] for _ in self._criterion.budgets]
         self._levels: dict[str, list[tuple[Untyped, int]]] = {}
@@ -127,9 +120,9 @@ class Problem:
         self._gain = cp_model.LinearExpr.sum([*self._gains, *map(self._worst, self._levels.values())])
         self._cost = cp_model.LinearExpr.sum(self._switching)
 
-    def _estimate(self) -> None:
+    def _estimate(self, network: Network) -> None:
         """Find the units in which all amounts are whole, and what is estimated of each causer."""
-        criterion, network = self._criterion, self._network
+        criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
         estimations = [one for one in network.model.estimations if one.attribute in weights or one.attribute in limits]
@@ -232,8 +225,7 @@ class Problem:
         That is the one with the first design by priority and name for the function declared first, and so on, and then
         the same for the configurations of its components.
         """
-        if self._model is None:
-            self.pose(always=True)
+        self._encode()
         model, limits = self._model, self._criterion.limits
         self._effort = self._left = effort
         self._solver: Any = cp_model.CpSolver()

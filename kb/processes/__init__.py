@@ -13,24 +13,30 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from io import FileIO
 from pathlib import Path
+from select import POLLIN, poll
 from tempfile import mkdtemp
-from threading import RLock
+from threading import Lock, RLock, Thread
 from types import MappingProxyType
-from typing import Any, Final
+from typing import IO, Any, Final
 from urllib.parse import quote
 
 from kb.elements import Parameters, is_number
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
-from kb.processes.output import Output
 
 _log = logging.getLogger(__name__)
 
 PARAMETERS: Final = "KB_PARAMETERS"
 """The variable of the environment in which a process finds all its parameters, as a JSON object."""
+
+MOST: Final = 1 << 20
+"""How much is kept of what each component writes [bytes], in two files: what it writes now, and what was before."""
+_CHUNK, _TAIL, _LINES, _WIDTH = 1 << 16, 2000, 3, 160
 
 _Report = tuple[str, tuple[Any, ...]]  # a method of the knowledge base, and its arguments: the component first
 _PLACE = re.compile(r"\{\{(\w+)\}\}|\{([^\W\d]\w*)\}")
@@ -298,6 +304,78 @@ class ProcessComponents:
                 getattr(kb, verb)(*arguments)
 
 
+class Output:
+    """Keeps what is written, in FILE, and what was written before that in FILE.1; nobody else may read them.
+
+    Args:
+        path: FILE; it is made, never followed elsewhere nor written on.
+        most: how much is kept [bytes].
+    """
+
+    def __init__(self, path: Path, most: int = MOST) -> None:
+        self.path, self._half = path, max(1, most // 2)
+        self._source: IO[bytes] | None = None
+        self._reading = Lock()
+        self._size, self._tail = 0, b""
+
+    def follow(self, source: IO[bytes]) -> None:
+        """Read from a pipe until all who can write to it are gone, in a thread of its own; it is closed then."""
+        os.set_blocking(source.fileno(), False)
+        self._source, self._tail = source, b""
+        Thread(target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True).start()
+
+    def catch_up(self) -> None:
+        """Take in all that an ended process has written, which the pipe holds; others may write to it for ever."""
+        if self._source is not None:
+            self._read(self._source)
+
+    def last_lines(self) -> str:
+        """Return the last lines in one, all that an ended process has written; empty if nothing was."""
+        self.catch_up()
+        text = self._tail.decode("utf-8", "replace")
+        lines = ["".join(one for one in line if one.isprintable()).strip()[:_WIDTH] for line in text.splitlines()]
+        return " | ".join([line for line in lines if line][-_LINES:])
+
+    def _follow(self, source: IO[bytes]) -> None:
+        written = poll()
+        written.register(source, POLLIN)
+        while self._read(source):
+            written.poll()
+        with self._reading:
+            source.close()  # by nobody else, for it is this thread that waits for it
+
+    def _read(self, source: IO[bytes]) -> bool:
+        """Take in what is there, at most as much as a pipe holds; returns whether more may come."""
+        with self._reading:
+            left = _CHUNK
+            while left > 0 and not source.closed:
+                data = source.read(min(left, self._half))
+                if not data:
+                    return data is None
+                left -= len(data)
+                self._keep(data)
+            return not source.closed
+
+    def _keep(self, data: bytes) -> None:
+        self._tail = (self._tail + data)[-_TAIL:]
+        try:
+            self._write(data)
+        except OSError as error:  # a full disk stops nobody
+            _log.warning("what goes to %s is lost: %s", self.path, error.strerror)
+
+    def _write(self, data: bytes) -> None:
+        if not 0 < self._size <= self._half - len(data):
+            with suppress(FileNotFoundError):
+                self.path.replace(f"{self.path}.1")
+            self._size = 0
+        with FileIO(self.path, "a" if self._size else "x", opener=_opened) as file:
+            self._size += file.write(data)
+
+
+def _opened(path: str, how: int) -> int:
+    return os.open(path, how | os.O_NOFOLLOW, 0o600)
+
+
 @dataclass(slots=True, eq=False)
 class _Handle:
     """A component on its way to running, or to an end; each call does what can be done without waiting."""
@@ -428,12 +506,8 @@ def _has_ended(pid: int) -> bool:
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:
-    try:
+    with suppress(ProcessLookupError, PermissionError):  # it is gone, or has become somebody else's
         os.killpg(leader, number)
-    except ProcessLookupError:  # it is gone
-        return
-    except PermissionError as error:
-        _log.warning("process group %d could not be sent %s: %s", leader, number.name, error)
 
 
 @dataclass(slots=True)

@@ -27,8 +27,6 @@ Stated = tuple[int, facts.Fact, Place]
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
 _STATED: Final = frozenset({"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
 """The attributes of elements that say what is so from the start, its name, and those that ROSA does not have."""
-_SLIPS: Final = {"=<": "<=", "=>": ">=", "≤": "<=", "≥": ">="}
-"""What is written for a comparison by mistake, and what is meant."""
 _FLAGS: Final[Mapping[str, Callable[[Any], facts.Fact]]] = {
     "required": facts.RequiredFact,
     "selected": facts.SelectedFact,
@@ -140,10 +138,7 @@ class _Reading:
         attributes = _names(thing, "attribute") or [self._stand_in(thing)]
         value = _number(thing, "value", 0.0 if _only_states(thing) else None)
         constrained = [self.elements[one] for one in thing.players("constrained")]
-        place = (thing.own("operator") or thing).place
-        if sign in _SLIPS:
-            raise place.error(f"{sign!r} is no comparison; did you mean {_SLIPS[sign]!r}?")
-        with place.blamed():
+        with (thing.own("operator") or thing).place.blamed():
             expression = Expression(attributes[0], sign, value, self.model).steady(
                 hysteresis=_number(thing, "hysteresis", 0.0), dwell=_number(thing, "dwell", 0.0)
             )

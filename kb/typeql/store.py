@@ -231,9 +231,6 @@ class Query:
         name, wanted, what = self._name(one), self._type(one), "no thing known so far is like this"
         if wanted is not None and name is not None and name not in self.store.named[wanted.kind]:
             what = str(UnknownName(wanted.kind, name, self.store.named[wanted.kind]))
-        elif wanted is not None:
-            number = sum(wanted in thing.type.lineage() for thing in self.store.things[wanted.kind])
-            what = f"no {wanted.label} of the {number} known so far is like this"
         return place.error(f"`match` finds nothing: {what}")
 
 

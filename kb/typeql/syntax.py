@@ -22,9 +22,6 @@ Literal = bool | int | float | str | datetime
 MAX_DEPTH: Final = 100
 """How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
 
-_QUOTED: Final = re.compile(r"""#[^\r\n]*|"(?:[^"\\]|\\[\s\S])*"|'(?:[^'\\]|\\[\s\S])*'""")
-"""A comment or a text."""
-
 _ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
 _ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 
@@ -207,25 +204,12 @@ def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) 
             return ModelFileError(f"the file is empty; expected {wanted}", file, 1, 1)
         place = Place(file, text.count("\n") + 1, len(text) - text.rfind("\n"))
         return place.error(f"the file ends here; expected {wanted}")
-    if slip := _slip(text, file, error):
-        return slip
     if isinstance(error, UnexpectedToken):
         given = f"`{error.token if len(error.token) <= 40 else f'{error.token[:37]}...'}`"
     else:
         character = text[error.pos_in_stream or 0]
         given = "a text without a closing quote" if character in "'\"" else f"{character!r}"
     return ModelFileError(f"{given} stands here; expected {wanted}", file, error.line, error.column)
-
-
-def _slip(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) -> ModelFileError | None:
-    """Return what is likely meant: the mistake is found only after it."""
-    at = error.pos_in_stream or 0
-    for quoted in _QUOTED.finditer(text, 0, at):
-        if "\n" in quoted[0] and quoted[0][0] in "'\"" and not text[quoted.end() : at].strip():
-            start = quoted.start()
-            place = Place(file, text.count("\n", 0, start) + 1, start - text.rfind("\n", 0, start))
-            return place.error(f"a text begins here and ends only in line {error.line}; is a quote missing?")
-    return None
 
 
 def _wanted(error: UnexpectedToken | UnexpectedCharacters) -> str:

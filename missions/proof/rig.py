@@ -10,7 +10,7 @@ from py_trees.visitors import VisitorBase
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.elements import ComponentKind, Parameters
-from kb.execution.safeguards import Budgets
+from kb.execution import Budgets
 from kb.manager import Planner, PriorityPlanner
 from missions.proof.leaves import Choices, Leaf, take_over
 from missions.proof.planned import nodes

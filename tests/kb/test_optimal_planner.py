@@ -381,23 +381,22 @@ def test_that_nothing_fits_is_noted_once_for_each_robot_that_one_planner_plans_f
     assert [[event.verb for event in kb.log].count("note_no_choice") for kb in robots] == [1, 1]
 
 
-def test_nobody_waits_while_the_question_is_posed_and_it_is_of_one_model(model, monkeypatch):
-    kb, planner, posed = KnowledgeBase(model, clock=Clock()), OptimalPlanner(), []
+def test_nobody_waits_while_the_answer_is_looked_for_and_the_model_may_change(model, monkeypatch):
+    kb, planner, solved = KnowledgeBase(model, clock=Clock()), OptimalPlanner(), []
     kb.request_action("explore", "accuracy")
 
     class Slow(Problem):
-        def pose(self):
-            telling = Thread(target=kb.measure, args=("power", float(len(posed))))
+        def solve(self, effort):
+            telling = Thread(target=kb.measure, args=("power", float(len(solved))))
             telling.start()
             telling.join(60.0)
-            posed.append(telling.is_alive())
-            if len(posed) == 1:
-                model.remove("coarse")
-            return super().pose()
+            solved.append(telling.is_alive())
+            model.remove("coarse")
+            return super().solve(effort)
 
     monkeypatch.setattr(planner._solver, "Problem", Slow)
     assert carried_out(kb, planner) is not None
-    assert posed == [False, False]
+    assert solved == [False]
     assert "coarse" not in selected(kb)
 
 

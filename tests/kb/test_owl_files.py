@@ -20,12 +20,11 @@ from kb.owl.individuals import (
     MODEL,
     PARAMETER,
     PREFERENCE,
-    ROSA,
     Ref,
     individuals,
-    metamodel,
     property_of,
 )
+from kb.owl.queries import METAMODEL, ROSA
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave_extended.model import suave_extended_model
 
@@ -144,7 +143,7 @@ def nothing_lacks(graph):
 
 
 def test_ontology_has_a_label_and_a_comment_for_everything_in_it():
-    graph = parsed(metamodel())
+    graph = parsed(METAMODEL.read_text(encoding="utf-8"))
     things = {
         one
         for kind in (OWL.Class, OWL.ObjectProperty, OWL.DatatypeProperty)
@@ -158,7 +157,7 @@ def test_ontology_has_a_label_and_a_comment_for_everything_in_it():
 
 
 def test_ontology_has_a_class_for_everything_in_a_model():
-    graph = parsed(metamodel())
+    graph = parsed(METAMODEL.read_text(encoding="utf-8"))
     for kind in (*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE):
         assert (WORDS[kind], rdflib.RDF.type, OWL.Class) in graph
     for special, general in GENERAL.items():
@@ -240,7 +239,7 @@ NAMED = f'{HEAD}<Action rdf:about="http://x#a"><name>go</name>{{}}</Action></rdf
         (HALF, "this is no RDF/XML: no element found", HALF.count("\n") + 1),
         (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "this is no RDF/XML: mismatched tag", 3),
         ("<html><body/></html>", "this is no RDF/XML: XML namespaces are required", None),
-        (metamodel(), "nothing in it is described in the words", None),
+        (METAMODEL.read_text(encoding="utf-8"), "nothing in it is described in the words", None),
         (
             NAMED.format('<priorty rdf:datatype="x">1</priorty>'),
             "http://x#a: unknown property of Action 'priorty'",
@@ -293,4 +292,4 @@ class TestReasoner:
 
         wrong = f'<owl:NamedIndividual rdf:about="http://x#a"><rdf:type rdf:resource="{ROSA}Action"/>'
         wrong += f'<rdf:type rdf:resource="{ROSA}Component"/></owl:NamedIndividual></rdf:RDF>'
-        assert "inconsistent" in inconsistency(metamodel().replace("</rdf:RDF>", wrong))
+        assert "inconsistent" in inconsistency(METAMODEL.read_text(encoding="utf-8").replace("</rdf:RDF>", wrong))

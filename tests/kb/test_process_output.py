@@ -11,8 +11,7 @@ from test_processes import python, wait_for
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.exceptions import InvalidValue
-from kb.processes import ProcessComponents
-from kb.processes.output import MOST, Output
+from kb.processes import MOST, Output, ProcessComponents
 
 FLOOD = "import os\nwhile True: os.write(1, b'nothing is new\\n' * 4000)"
 LAST_WORDS = """
