@@ -170,7 +170,6 @@ class StagedExecutor:
         self._stages: Iterator[list[_Command]] = iter(())
         self._stage: list[_Command] = []
         self._failed: set[str] = set()
-        self._commanded: set[str] = set()
         self._paused: list[str] = []
         self._is_under_way = False
 
@@ -212,7 +211,7 @@ class StagedExecutor:
             if not open_plans:
                 return
             self._stages, self._stage = self._staged(kb, open_plans), []
-            self._failed, self._commanded, self._paused = set(), set(), []
+            self._failed, self._paused = set(), []
             self._plan = open_plans[-1]
         self._drop_removed(kb)
         now = kb.now
@@ -280,7 +279,6 @@ class StagedExecutor:
         if started:
             with kb.reading() as state:
                 starting = self._commands(kb, state, plan, "activate", started)
-            self._commanded = {command.component for command in starting if command.managed is not None}
             yield starting
         if self._failed:
             yield self._rolled_back(kb, plan, started)
@@ -288,14 +286,15 @@ class StagedExecutor:
     def _configured_within_budgets(
         self, kb: KnowledgeBase, plan: ReconfigurationPlan, parameters: Sequence[str], started: Sequence[str]
     ) -> Iterator[list["_Command"]]:
-        """Configure what runs, one after the other; those that use less of a budget than before come first in a plan.
+        """Configure what runs, one after the other: first what uses no more of a budget than before.
 
         What might exceed a budget, because something has failed, is neither configured nor started.
         """
         with kb.reading() as state:
             running = _running(state, parameters)
-        for name in running:
-            if self._budgets.allow(kb, started, self._failed) or self._budgets.are_eased(kb, name, self._failed):
+        eased = [name for name in running if self._budgets.are_eased(kb, name, self._failed)]
+        for name in (*eased, *(one for one in running if one not in eased)):
+            if name in eased or self._budgets.allow(kb, started, self._failed):
                 with kb.reading() as state:
                     configuring = self._commands(kb, state, plan, "configure", [name])
                 yield configuring
@@ -325,11 +324,9 @@ class StagedExecutor:
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
         """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
-        unsure = [
-            name
-            for name in started
-            if name in self._failed & self._commanded and look(self._managed, name)[0] is not False
-        ]
+        given = [one for one in kb.history.attempts if one.plan is plan and one.operation == "activate"]
+        commanded = self._failed.intersection(one.component for one in given)
+        unsure = [name for name in started if name in commanded and look(self._managed, name)[0] is not False]
         with kb.reading() as state:
             users = {design for component in _known(state, started).values() for design in component.wholes}
             selected = [design for design in users if state.selected[design.index]]

@@ -122,7 +122,7 @@ class _Choosing:
         if self.said:
             return self.said
         if len(self.possible) == 1:
-            return f"it is the only {what}" if len(self.node.parts) == 1 else f"no other {what} is feasible"
+            return f"no other {what} is feasible"
         if any(other.element.priority == priority for other in self.possible if other is not chosen):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
@@ -143,14 +143,10 @@ class _Choosing:
         return f"it has {_in_words(mine)}, which comes after {best}"
 
     def _why_not_yet(self, part: Node) -> str:
-        node, status, due = self.node, self.state.status[self.node.index], choice_by_priority(self.state)
+        node, due = self.node, choice_by_priority(self.state)
         if due is not None and part.name in (due.designs.get(node.name), due.configurations.get(node.name)):
             return "it is to be selected next"
-        if not self.state.required[node.index]:
-            return f"nothing is selected anew while nothing requires the {node.kind}"
-        if status is Status.SOLVED:
-            return f"the {node.kind} works, and is not to be improved while it does"
-        return f"nothing is selected anew for the {node.kind}, whose status is {status}"
+        return f"nothing is selected anew for the {node.kind}, whose status is {self.state.status[node.index]}"
 
 
 def _in_words(priority: float | None) -> str:

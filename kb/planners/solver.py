@@ -8,7 +8,7 @@ component, of which one configuration is chosen if a chosen design needs it; wha
 up. All numbers are whole, so that of two choices one is better or they are exactly as good.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Context, Decimal, localcontext
 from typing import Any, Final, NamedTuple
@@ -53,20 +53,11 @@ class Estimated(NamedTuple):
     loads: tuple[int, ...]  # to what each budget limits
 
 
-class Option(NamedTuple):
-    """One possibility: a design or configuration, or None for a component that has nothing to be chosen."""
-
-    node: Node | None
-    literal: Untyped
-    loads: tuple[int, ...]  # those of a configuration include that its component runs
-    is_now: bool  # it is selected now
-
-
 class Slot(NamedTuple):
-    """A function, or a component of some design; of its options the first by priority comes first."""
+    """A function, or a component of some design, with the literal of each option; the first by priority comes first."""
 
     node: Node
-    options: Sequence[Option]
+    options: Mapping[Node | None, Untyped]  # None for a component that has nothing to be chosen
     idle: Node | None = None  # the configuration to select even if nothing needs the component, if any
 
 
@@ -150,31 +141,30 @@ class Problem:
         """Return what it costs to start or stop a component; a plain one is only booked."""
         return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
 
-    def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> tuple[int, ...]:
-        """Have what is estimated of nodes count where a literal is true, less a cost to switch; return its loads."""
+    def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> None:
+        """Have what is estimated of nodes count where a literal is true, less a cost to switch."""
         estimated = [one for node in nodes for one in self._estimated.get(node, ())]
         for one in estimated:
             if one.is_level:
                 self._levels.setdefault(one.attribute, []).append((literal, one.gain))
         gain = sum(one.gain for one in estimated if not one.is_level) - cost
-        loads = tuple(sum(one.loads[place] for one in estimated) for place in range(len(self._loads)))
+        loads = (sum(one.loads[place] for one in estimated) for place in range(len(self._loads)))
         for terms, amount in zip((self._gains, self._switching, *self._loads), (gain, cost, *loads), strict=True):
             if amount:
                 terms.append(literal * amount)
-        return loads
 
-    def _option(self, node: Node | None, *running: Node, is_now: bool, cost: int = 0) -> Option:
+    def _literal(self, *nodes: Node, is_now: bool, cost: int = 0) -> Untyped:
         literal = self._model.new_bool_var("")
         self._model.add_hint(literal, is_now)
-        loads = self._add(literal, *running, *([node] if node else []), cost=cost)
-        return Option(node, literal, loads, is_now)
+        self._add(literal, *nodes, cost=cost)
+        return literal
 
-    def _function(self, node: Node, designs: Iterable[Node]) -> Slot:
+    def _function(self, node: Node, designs: Sequence[Node]) -> Slot:
         """Encode that one design is chosen, and note who needs which component."""
-        options = [self._option(one, is_now=one in self._selected) for one in designs]
-        self._model.add_exactly_one(one.literal for one in options)
-        for part in dict.fromkeys(part for one in options if one.node for part in one.node.parts):
-            self._users[part].append([one.literal for one in options if one.node and part in one.node.parts])
+        options: dict[Node | None, Untyped] = {one: self._literal(one, is_now=one in self._selected) for one in designs}
+        self._model.add_exactly_one(options.values())
+        for part in dict.fromkeys(part for one in designs for part in one.parts):
+            self._users[part].append([options[one] for one in designs if part in one.parts])
         return Slot(node, options)
 
     def _component(self, node: Node, nodes: Sequence[Node]) -> Slot:
@@ -185,10 +175,10 @@ class Problem:
         # even if nothing needs it: a plan stops what it replaces, and what is obsolete
         stays = active and node not in self._given_up
         to_start = 0 if active else to_switch
-        options = [
-            self._option(one, node, is_now=one in selected, cost=to_start + (0 if one in selected else cost))
+        options: dict[Node | None, Untyped] = {
+            one: self._literal(node, one, is_now=one in selected, cost=to_start + (0 if one in selected else cost))
             for one in nodes
-        ] or [self._option(None, node, *selected, is_now=False, cost=to_start)]
+        } or {None: self._literal(node, *selected, is_now=False, cost=to_start)}
 
         model, needed = self._model, self._model.new_bool_var("")
         for users in self._users[node]:  # of one function at most one option is chosen
@@ -197,7 +187,7 @@ class Problem:
             model.add(needed == 1)
         else:
             model.add_bool_or([*(literal for users in self._users[node] for literal in users), ~needed])
-        model.add(cp_model.LinearExpr.sum([one.literal for one in options]) == needed)
+        model.add(cp_model.LinearExpr.sum([*options.values()]) == needed)
 
         if stays:
             self._add(1 - needed, node, *selected)
@@ -262,27 +252,20 @@ class Problem:
         self._model.clear_objective()
         self._model.clear_hints()
         for slot in self._slots:
-            literals = [one.literal for one in slot.options]
-            self._model.add_decision_strategy(literals, cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE)
+            self._model.add_decision_strategy(
+                [*slot.options.values()], cp_model.CHOOSE_FIRST, cp_model.SELECT_MAX_VALUE
+            )
         self._solver.parameters.search_branching = cp_model.FIXED_SEARCH
         self._solver.parameters.cp_model_presolve = False
         return self._run(self._model)
 
     def _choice(self) -> Choice:
-        """Return the choice that was found; configurations that use more of a budget than now come after the others."""
-        designs, configurations, using_more = dict[str, str](), dict[str, str](), dict[str, str]()
+        designs, configurations = dict[str, str](), dict[str, str]()
         for slot in self._slots:
-            option = next((one for one in slot.options if self._solver.value(one.literal)), None)
-            node = option.node if option else slot.idle
-            chosen = designs if slot.node.kind == "function" else configurations
-            if option and chosen is configurations:
-                nothing = (0,) * len(option.loads)
-                now = next((one.loads for one in slot.options if one.is_now), nothing)
-                if any(new > old for new, old in zip(option.loads, now, strict=True)):
-                    chosen = using_more
-            if node:
-                chosen[slot.node.name] = node.name
-        return Choice(designs, configurations | using_more)
+            found = (node for node, literal in slot.options.items() if self._solver.value(literal))
+            if (node := next(found, slot.idle)) is not None:
+                (designs if slot.node.kind == "function" else configurations)[slot.node.name] = node.name
+        return Choice(designs, configurations)
 
     def _reason(self, found: Optimum) -> str:
         """Say what makes it the best, what it is worth, and how sure that is."""

@@ -43,12 +43,7 @@ _RESULTS: Final[Mapping[str, str]] = {
 def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
     """Read a model from files, each of which may add to those before it; see `Model.load`."""
     parsed = [(str(file), query) for file in files for query in parse(read_text(file), str(file))]
-    vocabulary = Vocabulary()
-    for file, query in parsed:
-        if isinstance(query, Define):
-            vocabulary.define(query, file)
-    vocabulary.link()
-    store = Store(vocabulary)
+    store = Store(Vocabulary((file, query) for file, query in parsed if isinstance(query, Define)))
     for file, query in parsed:
         if not isinstance(query, Define):
             asked = Query(store, file)

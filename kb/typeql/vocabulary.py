@@ -4,8 +4,7 @@ The kind of a thing is the ROSA type that it is a sort of, as `vocabulary.toml` 
 """
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from importlib.resources import files
@@ -86,8 +85,7 @@ CLASSES: Final[Mapping[type, str]] = {
 """The kind of each class of elements and facts, each after those that it refers to."""
 
 
-@dataclass(slots=True, eq=False)
-class Type:
+class Type(NamedTuple):
     """A type of thing; its kind is empty if ROSA does not know it."""
 
     label: str
@@ -96,22 +94,22 @@ class Type:
 
     def lineage(self) -> Iterator["Type"]:
         """Go from this type up through those it is a sort of."""
-        seen: list[Type] = []
-        one: Type | None = self
-        while one is not None and one not in seen:
-            seen.append(one)
-            yield one
-            one = one.parent
+        yield self
+        if self.parent is not None:
+            yield from self.parent.lineage()
 
 
 class Vocabulary:
-    """The types that files may use: first all files `define`, then `link` is called, then the rest is asked.
+    """The types that files may use: ROSA's, and those that the files define, which add nothing to ROSA's own.
+
+    Args:
+        defined: what each file defines.
 
     Attributes:
         attributes: the labels of those that the files define.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, defined: Iterable[tuple[str, Define]] = ()) -> None:
         self._types: dict[str, Type] = {_plain(kind): Type(kind, kind) for kind in ROLES}
         for label, above in _WORDS["entities"].items():
             parent = self._types.get(_plain(above)) if above[0].isupper() else None
@@ -120,13 +118,9 @@ class Vocabulary:
             self._types[_plain(alias)] = self._types[_plain(label)]
         self._parents: dict[str, tuple[str, Place]] = {}
         self.attributes: set[str] = set()
-
-    def define(self, query: Define, file: str) -> None:
-        for label, parents in query.definitions:
-            self._parents.update((str(label), (str(one), place_of(file, one))) for one in parents)
-
-    def link(self) -> None:
-        """Work out what the declared types are sorts of."""
+        for file, query in defined:
+            for label, parents in query.definitions:
+                self._parents.update((str(label), (str(one), place_of(file, one))) for one in parents)
         for label in self._parents:
             self._link(label, [])
 
@@ -166,8 +160,9 @@ class Vocabulary:
 
     def _link(self, label: str, below: list[str]) -> Type | None:
         """Return a type, once it is known of what it is a sort; None for an attribute, which has no type."""
-        if label not in self._parents or label in self.attributes:
-            return self._types.get(_plain(label))
+        known = self._types.get(_plain(label))
+        if known is not None or label not in self._parents or label in self.attributes:
+            return known
         parent, place = self._parents[label]
         if label in below:
             raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
@@ -178,8 +173,7 @@ class Vocabulary:
             return None
         if above is None and parent not in _ROOTS:
             self.type(parent, place)
-        own = self._types.setdefault(_plain(label), Type(label, above.kind if above else ""))
-        own.parent = own.parent if above is own else above
+        own = self._types[_plain(label)] = Type(label, above.kind if above else "", above)
         return own
 
 

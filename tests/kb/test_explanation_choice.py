@@ -166,7 +166,7 @@ def test_what_works_is_kept_unless_it_is_to_be_improved(kb, camera, model):
     explained = choice_of(kb, camera)
     assert (explained.chosen, explained.is_selected) == ("dusk", True)
     assert explained.reason == "it was preferred before"
-    assert reasons(explained)["day"] == "the component works, and is not to be improved while it does"
+    assert reasons(explained)["day"] == "nothing is selected anew for the component, whose status is solved"
     model.change(model.components["camera"], always_improve=True)
     assert reasons(choice_of(kb, camera))["day"] == "it is to be selected next"
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from managed_stand_ins import Scripted
 from models import RANDOMS, Clock, Twins, events, is_so, mostly_some, state_of, stories, subsets
 
-from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, UnknownName
+from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, StagedExecutor, UnknownName
 from kb.planners import Criterion, summed_weights
 from kb.planners.optimal import OptimalPlanner
 from kb.planners.solver import Problem
@@ -287,18 +287,23 @@ def test_budgets_that_only_together_nothing_fits_are_named(model):
     assert planner.latest.reason == "no choice keeps within power 20 and accuracy 4"
 
 
-def test_what_gives_some_of_a_budget_comes_before_what_uses_it():
-    model = Model("rover")
+def test_what_gives_some_of_a_budget_is_configured_before_what_uses_it():
+    model, clock = Model("rover"), Clock(0.0)
     power = model.quality_attribute("power")
     light, panel = (model.component(name, kind="process") for name in ("light", "panel"))
-    light.configuration("bright").estimate(power, 3.0)
-    panel.configuration("open").estimate(power, 2.0, "negative")
+    for component, levels in ((light, (1.0, 3.0)), (panel, (0.0, -2.0))):
+        for level in levels:
+            component.configuration(f"{component.name} {level:g}", {"level": level}).estimate(power, level)
     model.function("see").design("by light", [light, panel])
     model.action("look", requires=["see"])
-    kb = KnowledgeBase(model, clock=lambda: 0.0)
+    kb, managed = KnowledgeBase(model, clock=clock), Scripted(clock)
+    executor = StagedExecutor(managed, budgets={"power": 1.0})
     kb.request_action("look")
-    found = Problem(state_of(kb), Criterion({}, budgets={"power": 1.0})).solve()
-    assert list(found.choice.configurations) == ["panel", "light"]
+    for chosen in ({"light": "light 1", "panel": "panel 0"}, {"light": "light 3", "panel": "panel -2"}):
+        plan = kb.select({"see": "by light"}, chosen)
+        executor.execute(kb)
+        assert plan.result == "completed"
+    assert managed.log[-2:] == ["configure panel {'level': -2.0}", "configure light {'level': 3.0}"]
 
 
 def test_gain_smaller_than_what_switching_costs_does_not_switch(model):
