@@ -71,17 +71,14 @@ class VetoGate:
             raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
         self._kb = kb
         self._veto = veto
-        self._passed: list[ReconfigurationPlan] = []
 
     def check(self) -> bool:
         """Ask about the plans that were not asked about yet, and tell whether one was forbidden: it is abandoned."""
         kb, is_vetoed = self._kb, False
-        self._passed = [plan for plan in self._passed if plan.end is None]
-        while (plan := kb.pending_plan) is not None and plan not in self._passed:
+        while (plan := kb.pending_plan) is not None and all(one.plan is not plan for one in kb.history.answers):
             objection = self._objection(plan)
             kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
             if not objection:
-                self._passed.append(plan)
                 break
             _log.info("vetoed: %s, because %s", plan, objection)
             self._take_back(plan, f"vetoed: {objection}")

@@ -73,18 +73,14 @@ class Program:
 
     def __post_init__(self) -> None:
         if isinstance(self.arguments, str) or not isinstance(self.arguments, Sequence) or not self.arguments:
-            raise InvalidValue(
-                f'arguments are a list that begins with the executable, e.g. ["node", "--quiet"], not '
-                f"{self.arguments!r}; no shell takes them apart"
-            )
-        if not isinstance(self.environment, Mapping):
-            raise InvalidValue(f"an environment is a mapping of text to text, not {self.environment!r}")
+            example = 'arguments are a list that begins with the executable, e.g. ["node", "--quiet"]'
+            raise InvalidValue(f"{example}, not {self.arguments!r}; no shell takes them apart")
+        if not isinstance(self.environment, Mapping) or any(not one or "=" in str(one) for one in self.environment):
+            names = "whose names are not empty and have no '='"
+            raise InvalidValue(f"an environment is a mapping of text to text, {names}, not {self.environment!r}")
         for text in (*self.arguments, *self.environment, *self.environment.values()):
             if not isinstance(text, str) or "\0" in text:
                 raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
-        for name in self.environment:
-            if not name or "=" in name:
-                raise InvalidValue(f"{name!r} cannot be the name of a variable: it is not empty and has no '='")
         if type(self.restarts) is not int or self.restarts < 0:
             raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
         for what in ("grace", "back_off"):

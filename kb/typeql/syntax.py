@@ -51,15 +51,8 @@ class Player(NamedTuple):
     variable: Word
 
 
-class Players(NamedTuple):
-    """`(role: $variable, ...)`; the word is the bracket that opens it."""
-
-    word: Word
-    players: tuple[Player, ...]
-
-
 class Statement(NamedTuple):
-    """What is said of one variable, with its `$`, or of a relation without one; the word is where it begins."""
+    """What is said of one variable, with its `$`, or of a relation without one; the word is its first variable."""
 
     word: Word
     variable: str | None
@@ -126,14 +119,14 @@ class _Refusal(PostLex):
             yield word
 
 
-def _statement(first: Word | Players, *clauses: Word | Has | Players) -> Statement:
+def _statement(first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Player, ...]) -> Statement:
     every = (first, *clauses)
     isa, *more = (*(one for one in every if isinstance(one, Word) and one.type == "LABEL"), None)
     if more and more[0] is not None:
         raise _Refused(more[0], f"a second type, `{more[0]}`; a thing has one")
     has = tuple(one for one in every if isinstance(one, Has))
-    players = tuple(player for one in every if isinstance(one, Players) for player in one.players)
-    word, variable = (first.word, None) if isinstance(first, Players) else (first, str(first))
+    players = tuple(one for each in every if not isinstance(each, Word | Has) for one in each)
+    word, variable = (first, str(first)) if isinstance(first, Word) else (first[0].variable, None)
     return Statement(word, variable, isa, has, players)
 
 
@@ -184,7 +177,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "statement": _statement,
     "isa": lambda label: label,
     "has": lambda label, value: Has(label, _value(value)),
-    "players": lambda word, *players: Players(word, players),
+    "players": lambda _, *players: players,
     "player": _player,
 }
 """What becomes of each rule of the grammar."""

@@ -529,7 +529,7 @@ def test_a_program_is_found_from_the_directory_in_which_it_is_run(tmp_path, monk
         ({"arguments": [sys.executable, "a\0b"]}, "null characters"),
         ({"arguments": [sys.executable], "environment": {"RATE": 3}}, "variables are text"),
         ({"arguments": [sys.executable], "environment": {3: "x"}}, "variables are text"),
-        ({"arguments": [sys.executable], "environment": {"A=B": "x"}}, "has no '='"),
+        ({"arguments": [sys.executable], "environment": {"A=B": "x"}}, "have no '='"),
         ({"arguments": [sys.executable], "environment": ["x"]}, "mapping of text to text"),
         ({"arguments": [sys.executable], "restarts": -1}, "whole number from 0"),
         ({"arguments": [sys.executable], "grace": float("nan")}, "finite number of seconds"),
