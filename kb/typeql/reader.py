@@ -16,7 +16,7 @@ from kb.exceptions import UnknownName
 from kb.facts import Contents
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.store import Own, Query, Store, Thing, shown
+from kb.typeql.store import Own, Store, Thing, shown
 from kb.typeql.syntax import Define, Literal, parse
 from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Vocabulary, seconds
 
@@ -46,9 +46,7 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
     store = Store(Vocabulary((file, query) for file, query in parsed if isinstance(query, Define)))
     for file, query in parsed:
         if not isinstance(query, Define):
-            asked = Query(store, file)
-            for bindings in asked.answers(query.patterns):
-                asked.insert(query.statements, bindings)
+            store.read(query, file)
     _complete(store)
     said = (one.name for one in store.things["robot-model"])
     model = cls(name if name is not None else next(said, files[0].stem))

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, TypeVar
 
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, ModelFileError, Place
-from kb.typeql.syntax import Has, Literal, Player, Statement, Word, place_of
+from kb.typeql.syntax import Has, Insert, Literal, Player, Statement, Word, place_of
 from kb.typeql.vocabulary import ATTRIBUTES, VALUES, Field, Role, Type, Vocabulary, field_of
 
 _REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
@@ -80,24 +80,21 @@ Bindings = Mapping[str, Thing]
 
 
 class Store:
-    """All that was said so far: things by kind, in order and by name; and notes of what was passed over."""
+    """All that was said so far: things by kind, in order and by name; and notes of what was passed over.
+
+    Attributes:
+        file: of the query that is being read.
+    """
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self.vocabulary = vocabulary
         self.things: dict[str, list[Thing]] = defaultdict(list)
         self.named: dict[str, dict[str, Thing]] = defaultdict(dict)
         self.notes: list[str] = []
-        self.order = 0
+        self.order, self.file = 0, ""
 
     def note(self, place: Place, text: str) -> None:
         self.notes.append(f"{place}: {text}")
-
-    def add(self, label: Word, place: Place) -> Thing:
-        thing = Thing(self.vocabulary.type(label, place), place)
-        if not thing.kind:
-            self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
-        self.things[thing.kind].append(thing)
-        return thing
 
     def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
         found = field_of(thing.kind, label)
@@ -122,23 +119,22 @@ class Store:
                 message = f"{thing.kind} {own.value!r} is declared already at {first.place}; a name is unique"
                 raise DuplicateInFile(message, *place)
 
+    def read(self, query: Insert, file: str) -> None:
+        """Add what a query of a file says, for each answer to what it asks of all that was said before it."""
+        self.file = file
+        for bindings in self._answers(query.patterns):
+            self._insert(query.statements, bindings)
 
-class Query:
-    """One query of a file: what it asks of all that was said before it, and what it adds for each answer."""
-
-    def __init__(self, store: Store, file: str) -> None:
-        self.store, self.file = store, file
-
-    def insert(self, statements: Sequence[Statement], bindings: Bindings) -> None:
+    def _insert(self, statements: Sequence[Statement], bindings: Bindings) -> None:
         """Find what each variable is, then take in what is said of it, for it may be said before."""
         things = dict(bindings)
         subjects = [self._declared(things, statement) for statement in statements]
         for statement, declared in zip(statements, subjects, strict=True):
-            self.store.order += 1
+            self.order += 1
             thing = declared or self._thing(things, statement.word)
-            thing.order = thing.order or self.store.order
+            thing.order = thing.order or self.order
             for has in statement.has:
-                self.store.give(thing, str(has.label), has.value, self._place(has.label))
+                self.give(thing, str(has.label), has.value, self._place(has.label))
             for role, variable in statement.players:
                 self._play(thing, role, self._thing(things, variable), self._place(role or variable))
 
@@ -150,13 +146,17 @@ class Query:
         if name in things:
             why = f"{name} is given a type already at {things[name].place}, {things[name].type.label}; a thing has one"
             raise self._place(statement.word).error(why)
-        thing = self.store.add(statement.isa, self._place(statement.isa))
+        place = self._place(statement.isa)
+        thing = Thing(self.vocabulary.type(statement.isa, place), place)
+        if not thing.kind:
+            self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
+        self.things[thing.kind].append(thing)
         if name:
             things[name] = thing
         return thing
 
     def _play(self, thing: Thing, word: Word | None, player: Thing, place: Place) -> None:
-        role = self.store.vocabulary.role(thing.type, word, player.type, place) if thing.kind else None
+        role = self.vocabulary.role(thing.type, word, player.type, place) if thing.kind else None
         if role is not None and role.most and len(thing.players(role.name)) >= role.most:
             raise place.error(f"a second {role.name}; a {thing.type.label} has one")
         thing.parts.append(Part(role, player))
@@ -170,7 +170,7 @@ class Query:
     def _place(self, word: Word) -> Place:
         return place_of(self.file, word)
 
-    def answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
+    def _answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
         """Return what the variables can stand for; at least one answer.
 
         The most telling statements come first: those with a name, then relations.
@@ -196,17 +196,17 @@ class Query:
         if one.variable is not None and one.variable in known:
             return [known[one.variable]]
         if (wanted := self._type(one)) is None:
-            return [thing for things in self.store.things.values() for thing in things]
+            return [thing for things in self.things.values() for thing in things]
         if (name := self._name(one)) is None:
-            return self.store.things[wanted.kind]
-        return [thing for thing in [self.store.named[wanted.kind].get(name)] if thing]
+            return self.things[wanted.kind]
+        return [thing for thing in [self.named[wanted.kind].get(name)] if thing]
 
     def _relating(self, known: Bindings, thing: Thing, players: Sequence[Player]) -> list[Bindings]:
         """Let each player that is asked for stand for another part of the relation."""
         states: list[tuple[Bindings, frozenset[int]]] = [(known, frozenset())]
         for role, variable in players:
             name, place = str(variable), self._place(role or variable)
-            wanted = self.store.vocabulary.roles(thing.type, role, place) if role and thing.kind else None
+            wanted = self.vocabulary.roles(thing.type, role, place) if role and thing.kind else None
             every = (
                 ({**bindings, name: part.thing}, used | {number})
                 for bindings, used in states
@@ -219,7 +219,7 @@ class Query:
         return [bindings for bindings, _ in states]
 
     def _type(self, one: Statement) -> Type | None:
-        return None if one.isa is None else self.store.vocabulary.type(one.isa, self._place(one.isa))
+        return None if one.isa is None else self.vocabulary.type(one.isa, self._place(one.isa))
 
     def _name(self, one: Statement) -> str | None:
         """Return the name that is written in a statement that says the type."""
@@ -229,8 +229,8 @@ class Query:
 
     def _nothing(self, one: Statement, place: Place) -> ModelFileError:
         name, wanted, what = self._name(one), self._type(one), "no thing known so far is like this"
-        if wanted is not None and name is not None and name not in self.store.named[wanted.kind]:
-            what = str(UnknownName(wanted.kind, name, self.store.named[wanted.kind]))
+        if wanted is not None and name is not None and name not in self.named[wanted.kind]:
+            what = str(UnknownName(wanted.kind, name, self.named[wanted.kind]))
         return place.error(f"`match` finds nothing: {what}")
 
 
