@@ -70,16 +70,16 @@ def terms_of(one: Individual, base: str, text: Callable[[str], str]) -> Iterator
     """Yield the properties of an individual and their values; a text as a function writes it."""
     for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
         yield _TYPE, NamedNode(f"{ROSA}{kind}")
-    several = {name: values for name, values in one.values.items() if len(values) > 1}
     order = "; ".join(
-        " ".join((name, *(one.id for one in each if isinstance(one, Ref)))) for name, each in several.items()
+        " ".join((name, *(value.id for value in values if isinstance(value, Ref))))
+        for name, values in one.values.items()
+        if len(values) > 1
     )
-    for name, values in {**one.values, **({"order": (order,)} if order else {})}.items():
+    for name, values in {**one.values, "order": (order,) if order else ()}.items():
+        word = NamedNode(f"{ROSA}{name}")
         for value in dict.fromkeys(values):
-            if isinstance(value, Ref):
-                yield NamedNode(f"{ROSA}{name}"), NamedNode(f"{base}#{value.id}")
-            else:
-                yield NamedNode(f"{ROSA}{name}"), Literal(text(value) if isinstance(value, str) else value)
+            said = text(value) if isinstance(value, str) else value
+            yield word, NamedNode(f"{base}#{said.id}") if isinstance(said, Ref) else Literal(said)
 
 
 def _fit(text: str) -> str:

@@ -230,13 +230,9 @@ class ProcessComponents:
                 return
             self._is_open = False
             atexit.unregister(self.close)
-            started = time.monotonic()
-            left = list(self._handles.values())
-            while left and time.monotonic() < started + self._grace + _TO_DIE_S:
-                is_over = time.monotonic() >= started + self._grace
-                left = [handle for handle in left if not handle.stop(kill=is_over)]
-                if left:
-                    time.sleep(0.01)
+            left, deadline = list(self._handles.values()), time.monotonic() + self._grace + _TO_DIE_S
+            while (left := [handle for handle in left if not handle.stop()]) and time.monotonic() < deadline:
+                time.sleep(0.01)
             for one in (self._guardian, *self._tidiers.values()):
                 if one is not None:
                     _dismiss(one, self._grace)
@@ -413,18 +409,14 @@ class _Handle:
             self._spawn(mark)
         return None if self.process is None or self._kill_at is not None else self.process.pid
 
-    def stop(self, *, kill: bool = False) -> bool:
+    def stop(self) -> bool:
         """Go on towards an end; returns whether nothing is left."""
         self.look()
         if self.process is None:
             self._crashes, self._not_before = 0, 0.0
-            return True
-        if self._kill_at is None:
+        elif self._kill_at is None:
             self._kill_at = time.monotonic() + self.program.grace
             _signal_group(self.process.pid, signal.SIGTERM)
-        if kill:
-            _signal_group(self.process.pid, signal.SIGKILL)
-        self.look()
         return self.process is None
 
     def look(self) -> None:
