@@ -89,7 +89,7 @@ def answers(
     keep: int,
     reading: AbstractContextManager[State],
 ) -> list[tuple[Answer, ...]]:
-    """Answer a query over all that is known and the newest measurements to keep; see `KnowledgeBase.query`."""
+    """Answer a query over all that is known, of measurements the newest to keep; see `KnowledgeBase.query`."""
     if not isinstance(sparql, str) or len(sparql) > _LONGEST:
         what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
         raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
@@ -163,9 +163,9 @@ def _individuals(
         past += known.log.since(past[-1].number if past else 0, measurements=False)
         histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
         measured = [(name, history.samples(keep)) for name, history in histories if history is not None]
-        own, *model = individuals(known.model, known.serials)
+        model = individuals(known.model, known.serials)
         inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
-    yield own
+    yield (own := next(model))
     yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # what it states to be so is told
     yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
     if past:
