@@ -264,22 +264,16 @@ class StagedExecutor:
         plan = open_plans[-1]
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
-            running = _running(state, parameters).items()
-            stops = [name for name, one in running if one.element.stops_to_configure]
-            self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
-            stopping = self._commands(kb, state, plan, "deactivate", [*deactivated, *self._paused])
-        yield stopping
+        stops = [name for name, one in _running(kb, parameters).items() if one.element.stops_to_configure]
+        self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
+        yield self._commands(kb, plan, "deactivate", [*deactivated, *self._paused])
         started = [*activated, *self._paused]
         if self._budgets.most:
             yield from self._configured_within_budgets(kb, plan, parameters, started)
             parameters = []
-        with kb.reading() as state:
-            configuring = self._commands(kb, state, plan, "configure", [*_running(state, parameters), *started])
-        yield configuring
+        yield self._commands(kb, plan, "configure", [*_running(kb, parameters), *started])
         if started:
-            with kb.reading() as state:
-                starting = self._commands(kb, state, plan, "activate", started)
-            yield starting
+            yield self._commands(kb, plan, "activate", started)
         if self._failed:
             yield self._rolled_back(kb, plan, started)
 
@@ -290,14 +284,11 @@ class StagedExecutor:
 
         What might exceed a budget, because something has failed, is neither configured nor started.
         """
-        with kb.reading() as state:
-            running = _running(state, parameters)
+        running = _running(kb, parameters)
         eased = [name for name in running if self._budgets.are_eased(kb, name, self._failed)]
         for name in (*eased, *(one for one in running if one not in eased)):
             if name in eased or self._budgets.allow(kb, started, self._failed):
-                with kb.reading() as state:
-                    configuring = self._commands(kb, state, plan, "configure", [name])
-                yield configuring
+                yield self._commands(kb, plan, "configure", [name])
                 continue
             self._failed.add(name)
             chosen = kb.components[name].selected_configuration
@@ -307,19 +298,22 @@ class StagedExecutor:
             self._failed.update(started)
 
     def _commands(
-        self, kb: KnowledgeBase, state: State, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
     ) -> list["_Command"]:
         """Return the commands to components; what has failed is only stopped."""
+        with kb.reading() as state:
+            known = _known(state, names)
+            chosen = [part for one in known.values() for part in one.parts if state.selected[part.index]]
+        selected = {part.wholes[0].name: part.element for part in chosen} if operation == "configure" else {}
         commands = []
-        for name, component in _known(state, names).items():
-            selected = (one.element for one in component.parts if state.selected[one.index])
-            configuration = next(selected, None) if operation == "configure" else None
-            if (operation != "deactivate" and name in self._failed) or (operation == "configure" and not configuration):
+        for name, component in known.items():
+            if operation != "deactivate" and (
+                name in self._failed or (operation == "configure" and name not in selected)
+            ):
                 continue
-            is_plain = component.element.kind is ComponentKind.PLAIN
-            policy = self._of_component.get(name, self._policy)
-            managed = None if configuration is None and is_plain else self._managed
-            commands.append(_Command(kb, plan, policy, managed, name, operation, configuration))
+            is_booked = operation != "configure" and component.element.kind is ComponentKind.PLAIN
+            policy, managed = self._of_component.get(name, self._policy), None if is_booked else self._managed
+            commands.append(_Command(kb, plan, policy, managed, name, operation, selected.get(name)))
         return commands
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
@@ -336,7 +330,7 @@ class StagedExecutor:
         with kb.reading() as state:
             known = _known(state, started).items()
             idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
-            return self._commands(kb, state, plan, "deactivate", [*unsure, *idle])
+        return self._commands(kb, plan, "deactivate", [*unsure, *idle])
 
 
 @dataclass(slots=True, eq=False)
@@ -486,8 +480,9 @@ def _known(state: State, names: Iterable[str]) -> dict[str, Node]:
     return {name: components[name] for name in names if name in components}
 
 
-def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
+def _running(kb: KnowledgeBase, configurations: Iterable[str]) -> dict[str, Node]:
     """Return the components of configurations that are in the model and active."""
-    known = state.network.configurations
-    components = (known[name].wholes[0] for name in configurations if name in known)
-    return {one.name: one for one in components if state.active[one.index]}
+    with kb.reading() as state:
+        known = state.network.configurations
+        components = [known[name].wholes[0] for name in configurations if name in known]
+        return {one.name: one for one in components if state.active[one.index]}
