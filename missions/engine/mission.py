@@ -299,7 +299,7 @@ def blamed(what: str) -> Iterator[None]:
     except (MissionError, KnowledgeBaseError):
         raise
     except Exception as error:
-        raise MissionError(f"{what}: {in_words(error, "suave_env")}") from error
+        raise MissionError(f"{what}: {in_words(error, 'suave_env')}") from error
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
