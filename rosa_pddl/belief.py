@@ -44,18 +44,10 @@ class _Believed:
 
 @dataclass(frozen=True)
 class _Sensed:
-    """What was sensed: atoms, feasibility left out, with whether they hold, those that do, and numbers."""
+    """What was sensed: atoms, feasibility left out, with whether they hold, and numbers."""
 
     facts: Mapping[str, bool] = field(default_factory=dict)
-    true: State = frozenset()
     numbers: Mapping[str, float] = field(default_factory=dict)
-
-    def updated(self, facts: Mapping[str, bool], numbers: Mapping[str, float]) -> "_Sensed":
-        """Return the same after more was sensed; where no fact changed, the facts are the same object."""
-        if not facts:
-            return replace(self, numbers={**self.numbers, **numbers})
-        true = self.true.difference(facts) | {atom for atom, holds in facts.items() if holds}
-        return _Sensed({**self.facts, **facts}, true, {**self.numbers, **numbers})
 
 
 class Belief:
@@ -77,7 +69,7 @@ class Belief:
         self._numeric = domain.numeric
         self._answer: Mapping[str, bool | float] = {}
         self.sensed = _Sensed()
-        self._taken_in: tuple[State, Mapping[str, bool], Mapping[str, float] | None] | None = None
+        self._taken_in: tuple[State, _Sensed] | None = None
         self.passed_over: dict[str, None] = {}
 
     @property
@@ -109,15 +101,15 @@ class Belief:
         """Take in what is sensed; return what is true then, with what is feasible."""
         sensed, facts = self._read(), self._now.facts
         # large worlds are looked at several times a tick, and mostly nothing has changed
-        last, numbers = self._taken_in, sensed.numbers if self.domain.computed else None
-        if last is None or last[0] is not facts or last[1] is not sensed.facts or last[2] is not numbers:
-            facts = facts.difference(sensed.facts) | sensed.true
-            computed = {text: value for text, value in (numbers or {}).items() if head_of(text) in self.domain.computed}
-            if computed:
-                old = {number_fact(text, value) for text, value in numbers_in(facts).items() if text in computed}
-                facts = (facts - old) | {number_fact(text, exact(value)) for text, value in computed.items()}
+        if self._taken_in is None or self._taken_in[0] is not facts or self._taken_in[1] is not sensed:
+            computed = {text: one for text, one in sensed.numbers.items() if head_of(text) in self.domain.computed}
+            known = numbers_in(facts if computed else ()).items()
+            old = [number_fact(text, value) for text, value in known if text in computed]
+            true = {atom for atom, holds in sensed.facts.items() if holds}
+            true.update(number_fact(text, exact(value)) for text, value in computed.items())
+            facts = facts.difference(sensed.facts, old) | true
             self._now = replace(self._now, facts=facts)
-            self._taken_in = (facts, sensed.facts, numbers)
+            self._taken_in = facts, sensed
         return facts | feasible_atoms(self.domain, self._kb)
 
     def start(self, key: object, step: Step, state: State) -> None:
@@ -151,12 +143,12 @@ class Belief:
         known = self._now.numbers
         try:
             usage, numbers = usage_of(self.domain), usage_of(self.domain).numbers(known)
-            used = [usage.value(amount, numbers) for amount in usage.uses_of(step)]
+            for name, amount in zip(self.domain.limited, usage.uses_of(step), strict=True):
+                used = usage.value(amount, numbers)
+                if used and f"({name})" not in self.sensed.numbers:
+                    known = {**known, f"({name})": float(usage.value(("n", f"({name})"), numbers) + used)}
         except UnsupportedPddlError:
-            return known  # nothing can be planned within limits of which nothing is known
-        for key, amount in zip(map("({})".format, self.domain.limited), used, strict=True):
-            if amount and key not in self.sensed.numbers:
-                known = {**known, key: float(numbers.get(key, 0) + amount)}
+            return self._now.numbers  # nothing can be planned within limits of which nothing is known
         return known
 
     def _read(self) -> _Sensed:
@@ -165,10 +157,7 @@ class Belief:
             if not isinstance(answer, Mapping):
                 raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
             if answer != self._answer:
-                grows = self._answer.keys() <= answer.keys()
-                old, before = (self._answer, self.sensed) if grows else ({}, _Sensed())
-                new = {text: value for text, value in answer.items() if text not in old or old[text] != value}
-                self.sensed = before.updated(*self._sorted(new))
+                self.sensed = self._sorted(answer)
                 self._now = replace(self._now, numbers={**self._now.numbers, **self.sensed.numbers})
                 self._answer = dict(answer)
         except Exception as error:
@@ -176,7 +165,7 @@ class Belief:
             raise
         return self.sensed
 
-    def _sorted(self, answer: Mapping[str, bool | float]) -> tuple[Mapping[str, bool], Mapping[str, float]]:
+    def _sorted(self, answer: Mapping[str, bool | float]) -> _Sensed:
         facts: dict[str, bool] = {}
         numbers: dict[str, float] = {}
         for text, value in answer.items():
@@ -201,7 +190,7 @@ class Belief:
                 numbers[atom] = float(known)
             elif not self.domain.is_feasibility(atom):
                 facts[atom] = bool(known)
-        return facts, numbers
+        return _Sensed(facts, numbers)
 
 
 def _names_in(fact: str) -> list[str]:

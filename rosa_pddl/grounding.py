@@ -224,7 +224,7 @@ class Grounded:
     def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
         fitted = self._fitted(problem)
-        mentioned = tuple([numbers.get(text) for text in self._mentioned])
+        mentioned = tuple([self._usage.known(text, numbers) if text in numbers else None for text in self._mentioned])
         graph, task, scales = self._graph(replace(fitted, state=()), mentioned, frozenset(problem.weights.items()))
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
@@ -475,7 +475,7 @@ class Grounded:
         made = [Rule(one.layer, one.operation.needs, one.operation.effects[0][1], one.operation.tests) for one in own]
         return (*self._rules.rules, *made, *fitted.rules)
 
-    def _values_of(self, made_of: Sequence[Number], what: str, numbers: Mapping[str, Exact]) -> list[Exact]:
+    def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) for one in made_of]
         least = min(amounts, default=0)
         if least < 0:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Derived, Domain, Schema, UpThing, conjuncts, lineage_of
+from rosa_pddl.engines.unified_planning import late_environment
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
@@ -88,9 +89,7 @@ class _Reader:
     def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str]) -> None:
         from unified_planning.model import Problem as UpProblem
 
-        from rosa_pddl.engines.environment import LateEnvironment
-
-        environment = LateEnvironment()
+        environment = late_environment()
         self._types = environment.type_manager
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)

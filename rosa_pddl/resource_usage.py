@@ -1,15 +1,20 @@
 """What the numbers of a domain are for, and what steps cost and use up, exactly, by the values that they have."""
 
+from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from math import ceil, floor, lcm
+from typing import TypeAlias
 
 from rosa_pddl.domain import Domain, Exact, Schema, State, Step, UpThing, exact, fluents_in, head_of, numbers_in
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
 from rosa_pddl.search import Number, value_of
 from rosa_pddl.validate import ended, started, text_of
+
+Numbers: TypeAlias = Mapping[str, float | Exact]
+"""The values of numeric facts such as `(travel_cost a b)` by their text."""
 
 
 class NumberUses:
@@ -80,31 +85,6 @@ def _is_rise(change: UpThing) -> bool:
     return change.is_increase() and change.condition.is_true() and not change.forall and not is_fall
 
 
-class Numbers(Mapping[str, Exact]):
-    """The values of numeric facts such as `(travel_cost a b)` by their text, decimals taken as they are written.
-
-    Those that are given count, or else those of the problem file; UnsupportedPddlError is raised where one is infinite.
-    """
-
-    def __init__(self, given: Mapping[str, float | Exact], domain: Domain, in_file: Mapping[str, Exact]) -> None:
-        self._given, self._domain, self._in_file = given, domain, in_file
-
-    def __getitem__(self, text: str) -> Exact:
-        if text not in self._given:
-            return self._in_file[text]
-        try:
-            return exact(self._given[text])
-        except (ValueError, OverflowError) as error:
-            message = f"{text} is {self._given[text]}, expected a finite number"
-            raise UnsupportedPddlError(message, self._domain.problem_file) from error
-
-    def __iter__(self) -> Iterator[str]:
-        return iter({**self._in_file, **self._given})
-
-    def __len__(self) -> int:
-        return len({**self._in_file, **self._given})
-
-
 @dataclass(frozen=True)
 class Remaining:
     """What may still be used up of a resource: so much, or less than that where it is strict."""
@@ -121,15 +101,15 @@ class Remaining:
 class ResourceUsage:
     """What the steps of a domain cost, and what they use up of its limited resources, in the order of `domain.limited`.
 
-    A step costs what the metric says, or 1 if there is none. UnsupportedPddlError is raised where a number has no
-    value, or none that is finite.
+    A step costs what the metric says, or 1 if there is none. Decimals count as they are written.
+    UnsupportedPddlError is raised where a number has no value, or none that is finite.
     """
 
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
         values = domain.up_problem.explicit_initial_values.items()
         numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
-        self._in_file = {text_of(domain, one, {}): exact(value) for one, value in numeric}
+        self._in_file: dict[str, float | Exact] = {text_of(domain, one, {}): exact(value) for one, value in numeric}
         self._costs: dict[str, Number] = dict.fromkeys(domain.schema_of, 0 if domain.metric == "cost" else 1)
         self._durations: dict[str, Number] = dict.fromkeys(domain.schema_of, 0)
         self._uses: list[dict[str, Number]] = [{} for _ in domain.limited]
@@ -157,32 +137,38 @@ class ResourceUsage:
     def duration_of(self, step: Step) -> Number:
         return bound_number(self._durations[step.schema], step.arguments)
 
-    def takes_s(self, step: Step, numbers: Mapping[str, Exact]) -> Exact:
+    def takes_s(self, step: Step, numbers: Numbers) -> Exact:
         """Return how long a step takes at least [s]; 0 where that is not known."""
-        with suppress(KeyError):
-            return value_of(self.duration_of(step), numbers) or 0
+        with suppress(UnsupportedPddlError):
+            return self.value(self.duration_of(step), numbers)
         return 0
 
-    def numbers(self, given: Mapping[str, float], state: State = frozenset()) -> Numbers:
-        """Return the values of numeric facts: what is given or part of a state, or else those of the problem file."""
-        known = {**given, **numbers_in(state)} if self._domain.computed else given
-        return Numbers(known, self._domain, self._in_file)
+    def numbers(self, given: Numbers, state: State = frozenset()) -> Numbers:
+        """Return the values of numeric facts: what is part of a state or given, or else those of the problem file."""
+        in_state: dict[str, float | Exact] = {**numbers_in(state)} if self._domain.computed else {}
+        return ChainMap(in_state, dict(given), self._in_file)
 
-    def value(self, amount: Number, numbers: Mapping[str, Exact]) -> Exact:
+    def known(self, key: str, numbers: Numbers) -> Exact:
+        """Return the value of a numeric fact, by its text."""
         try:
-            value: Exact | None = value_of(amount, numbers)
+            return exact(numbers[key])
+        except (ValueError, OverflowError) as error:
+            message = f"{key} is {numbers[key]}, expected a finite number"
+            raise UnsupportedPddlError(message, self._domain.problem_file) from error
         except KeyError as error:
-            key = str(error.args[0])
             message = f"{key} is needed but has no value; state '(= {key} NUMBER)' in :init, or hand it in with the"
             known = nearest(key, list(numbers)[:1000])
             raise UnsupportedPddlError(f"{message} problem ({known})", self._domain.problem_file) from error
+
+    def value(self, amount: Number, numbers: Numbers) -> Exact:
+        value: Exact | None = value_of(amount, {key: self.known(key, numbers) for key in numeric_facts(amount)})
         if value is None:
             message = f"a cost is divided by nothing: {', '.join(numeric_facts(amount))}; state another number"
             raise UnsupportedPddlError(message, self._domain.problem_file)
         return value
 
     def in_turn(
-        self, given: Mapping[str, float], state: State, steps: Iterable[Step], begun: int = 0
+        self, given: Numbers, state: State, steps: Iterable[Step], begun: int = 0
     ) -> Iterator[tuple[Step, Numbers]]:
         """Yield steps, of which so many have begun, with the numbers as they are when it is their turn."""
         domain = self._domain
@@ -194,12 +180,12 @@ class ResourceUsage:
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         found = []
         for text, limits in self._limits.items():
-            used = self.value(("n", text), numbers)
+            used = self.known(text, numbers)
             left = [Remaining(self.value(amount, numbers) - used, is_strict) for amount, is_strict in limits]
             found.append(min(left, key=lambda one: (one.amount, not one.is_strict)))
         return tuple(found)
 
-    def overspent(self, given: Mapping[str, float], steps: Iterable[Step], state: State = frozenset()) -> str | None:
+    def overspent(self, given: Numbers, steps: Iterable[Step], state: State = frozenset()) -> str | None:
         """Return which limit steps break with some numbers, in words; None if they keep them all."""
         if not self._limits:
             return None
@@ -212,7 +198,7 @@ class ResourceUsage:
                 return f"it uses {float(amount):.12g} of {name}, {float(left.amount):.12g} are left"
         return None
 
-    def leave_no_more(self, now: Mapping[str, float], then: Mapping[str, float]) -> bool:
+    def leave_no_more(self, now: Numbers, then: Numbers) -> bool:
         """Whether what is impossible with some numbers is so with others: no limit leaves more, steps use the same."""
         if now is then or not self._limits:
             return True

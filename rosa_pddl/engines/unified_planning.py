@@ -5,6 +5,7 @@ import os
 import pickle
 import sys
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from shutil import which
 
@@ -37,6 +38,43 @@ _NEVER_UNSOLVABLE = (
     "it may be that there is no plan, which engines of overlapping steps hardly ever find out: Planner(), whose steps "
     "follow one another, may say what is out of reach"
 )
+
+
+def late_environment() -> UpThing:
+    """Return an environment for unified-planning's problems that makes its factory of engines when asked for it.
+
+    unified-planning 1.3 imports every engine with the environment, and with them what they tune parameters by, which
+    takes longer than the rest of a mission's start. This one is silent, too.
+    """
+    from unified_planning import model
+    from unified_planning.environment import Environment
+    from unified_planning.model import walkers
+    from unified_planning.model.type_manager import TypeManager
+
+    class LateEnvironment(Environment):  # type: ignore[misc]  # unified-planning ships no types
+        def __init__(self) -> None:
+            self._type_manager = TypeManager()
+            self._tc = walkers.TypeChecker(self)
+            self._expression_manager = model.ExpressionManager(self)
+            self._free_vars_oracle = model.FreeVarsOracle()
+            self._simplifier = walkers.Simplifier(self)
+            self._substituter = walkers.Substituter(self)
+            self._free_vars_extractor = walkers.FreeVarsExtractor()
+            self._names_extractor = walkers.NamesExtractor()
+            self._credits_stream = None
+            self._error_used_name = True
+
+        @cached_property
+        def _factory(self) -> UpThing:
+            from unified_planning.engines import Factory
+
+            return Factory(self)
+
+        def __reduce__(self) -> tuple[UpThing, ...]:
+            """Become an ordinary one in the process of an engine, which knows nothing of this package."""
+            return object.__new__, (Environment,), {**self.__dict__, "_factory": self._factory}
+
+    return LateEnvironment()
 
 
 def register_engine(environment: UpThing = None) -> None:

@@ -82,7 +82,6 @@ LATE_MODULES = {
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",
-    "rosa_pddl/engines/environment.py",
     "rosa_pddl/engines/label_setting.py",
     "suave_env/gym.py",
 }
