@@ -1,7 +1,6 @@
 """What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
 
 from rosa_pddl.belief import LastingFeasibility
-from rosa_pddl.certificate import Certificate, certificate
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
 from rosa_pddl.engines.unified_planning import register_engine
 from rosa_pddl.exceptions import (
@@ -16,14 +15,14 @@ from rosa_pddl.exceptions import (
     UnsupportedPddlError,
 )
 from rosa_pddl.executor import PlanExecutor
-from rosa_pddl.formulas import Goal
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.goals import Goals
 from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult
-from rosa_pddl.planner import Planner, awaited
+from rosa_pddl.planner import Certificate, Planner, awaited, certificate
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain
 from rosa_pddl.replanning import PlanRecord, ReplanningPolicy
+from rosa_pddl.syntax import Goal
 from rosa_pddl.validate import flaw, schedule_flaw
 
 __all__ = [

@@ -9,7 +9,6 @@ from py_trees.common import Status
 from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, LastingFeasibility, Sense, UnmetEffect
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
-from rosa_pddl.formulas import conditions
 from rosa_pddl.goals import Goals
 from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
 from rosa_pddl.planner import Planner
@@ -25,6 +24,7 @@ from rosa_pddl.replanning import (
     decide,
     news_of,
 )
+from rosa_pddl.syntax import conditions
 from rosa_pddl.validate import StepEvent, because, goal_holds, missing_at_end, missing_meanwhile
 
 Factory = Callable[[Step], Behaviour]

@@ -4,17 +4,16 @@ What is made follows ROSA's convention: a type `action` with one object for each
 `(NAME_action ?a)` that tells which object is which, and `(action_feasible ?a)`, which the knowledge base answers.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from decimal import Decimal
-from itertools import chain
+from itertools import chain, starmap
 from typing import Final
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
-from rosa_pddl.formulas import CHANGES, COMPARISONS
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import ANY, Node, Source, formula, listed, nodes_of, typed
+from rosa_pddl.syntax import ANY, CHANGES, COMPARISONS, Node, Source, formula, listed, nodes_of, typed
 
 _CONNECTIVES: Final = ("and", "or", "not", "imply", "when")
 _COMPUTING: Final = (*COMPARISONS, *CHANGES, "=", "+", "-", "*", "/")
@@ -193,7 +192,7 @@ class Declarations:
             *[listed(":metric", "minimize", listed("total-cost"))] * self._has_costs,
         )
 
-    def _signatures(self) -> tuple[list[Node], list[Node]]:
+    def _signatures(self) -> list[list[Node]]:
         """Return the predicates and the numbers, of the types that they are used with, or of any where those differ."""
         objects = {name.lower(): kind for name, kind in self._objects}
         own = (FEASIBLE, *(f"{action}_action" for action in self.rosa_actions))
@@ -201,21 +200,11 @@ class Declarations:
         numbers: dict[str, list[list[str]]] = {}
         for scope, formulas in ((_scope(one), _formulas(one)) for one in self.schemas):
             for atom, kinds, is_number in chain.from_iterable(_atoms(one, {**objects, **scope}) for one in formulas):
-                uses = (numbers if is_number else predicates).setdefault(atom.head, [[] for _ in kinds])
-                for each, kind in zip(uses, kinds, strict=False):  # the reader says what is wrong with other uses
-                    each.append(kind)
+                (numbers if is_number else predicates).setdefault(atom.head, []).append(kinds)
         for amount in self.problem.limits.values():
-            numbers |= {_parsed(amount, self._place).head: []} if isinstance(amount, str) else {}
+            numbers |= {_parsed(amount, self._place).head: [[]]} if isinstance(amount, str) else {}
         numbers.pop("total-cost", None)
-        return self._declared(predicates), self._declared(numbers)
-
-    def _declared(self, used: Mapping[str, list[list[str]]]) -> list[Node]:
-        found = []
-        for name, places in used.items():
-            kinds = (used[0] if len({*used}) == 1 else "object" for used in places)
-            typed_as = ((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1))
-            found.append(listed(name, *chain.from_iterable(typed_as)))
-        return found
+        return [list(starmap(_declared, used.items())) for used in (predicates, numbers)]
 
     def _types(self) -> Iterator[str]:
         above = self.problem.types
@@ -229,6 +218,12 @@ class Declarations:
         self.load()  # what is not correct PDDL is not written
         sections = [str(node).replace(" :", "\n    :") for node in lists.children[2:] if node.children[1:]]
         return "\n ".join([f"; Generated from the {self._place}.\n(define {lists.children[1]}", *sections]) + ")\n"
+
+
+def _declared(name: str, uses: Sequence[Sequence[str]]) -> Node:
+    """Declare a predicate or number that is used with arguments of some types."""
+    kinds = (kinds[0] if len({*kinds}) == 1 else "object" for kinds in zip(*uses, strict=False))
+    return listed(name, *chain.from_iterable((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1)))
 
 
 def _formulas(schema: ActionSchema) -> Iterator[Node]:

@@ -11,9 +11,9 @@ from numbers import Real
 
 from rosa_pddl.domain import FEASIBLE, Domain, Schema, UpThing, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
-from rosa_pddl.formulas import Goal, conditions
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import lock_of
+from rosa_pddl.syntax import Goal, conditions
 
 
 class Goals:

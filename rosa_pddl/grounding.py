@@ -2,11 +2,13 @@
 
 import math
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import cached_property, lru_cache, partial
-from operator import mul
+from functools import lru_cache, partial
+from itertools import chain, groupby
+from operator import itemgetter, mul
 from threading import Lock
 from typing import Any, TypeAlias
 
@@ -17,13 +19,11 @@ from rosa_pddl.instances import (
     ActionPattern,
     Node,
     Row,
-    Swap,
     axioms_of,
     bound,
     bound_number,
     compiled,
     conjuncts_of,
-    groups,
     joined,
     numeric_facts,
     patterns_of,
@@ -34,18 +34,18 @@ from rosa_pddl.instances import (
 from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
-from rosa_pddl.search import Change, Fact, Number, Operation, Rule, Task, TaskGraph, Test
+from rosa_pddl.search import Change, Condition, Number, Operation, Rule, Task, TaskGraph
+from rosa_pddl.search import State as SearchState
 
 # Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
 _MOST_COST = 2_000_000
-# Looking at every state is quicker than estimating while they are this few; beyond, estimates pay.
-_FEW_STATES = 1e6
-# In this process estimates pay earlier.
-_FEWEST_STATES = 500
+# Looking at every state is quicker than estimating while so many bits tell them apart; beyond, estimates pay.
+_FEW_BITS = 20
 _MOST_INSTANCES = 1_000_000
 _RULES_FOR_A_MOVE = 20
-_MOST_DOMAINS, _MOST_STATES = 8, 8
+_MOST_DOMAINS = 8
 _TRUTHS = ("add", "delete")
+_ALWAYS, _NO_STATE = Condition(), SearchState(frozenset())
 _FOR_EVER: Any = math.inf  # no exact number, but it is compared with them
 _LOOKS_S = 0.05
 
@@ -62,119 +62,59 @@ class UnreachableGoalError(RosaPddlError):
 class _Ready:
     """An operator, or a rule of a layer: what it needs of facts that nothing changes is asked before the search."""
 
-    number: int
     step: Step
     needed: frozenset[str]
     lasting: frozenset[str]
-    missing: frozenset[str]
     operation: Operation
     layer: int
     cost: Number = 0
     uses: tuple[Number, ...] = ()
 
-    @cached_property
-    def text(self) -> str:
-        """As Fast Downward reads it, but for its cost."""
-        kept = [f"{variable} {value}" for variable, value in self.operation.needs]
-        effects = self.operation.effects
-        lines = ["begin_operator", str(self.number), str(len(kept)), *kept, str(len(effects))]
-        for given, variable, after in effects:
-            conditions = [f"{one} {value}" for one, value in given]
-            lines.append(" ".join([str(len(given)), *conditions, f"{variable} -1 {after}"]))
-        return "\n".join([*lines, ""])
-
-
-@dataclass(frozen=True)
-class _Fitted:
-    """A state and a goal put in: values, what shall hold, what of it is derived, and the facts that nothing changes."""
-
-    state: tuple[int, ...]
-    goal: tuple[Fact, ...]
-    tests: tuple[Test, ...]
-    rules: tuple[Rule, ...]
-    frozen: State
-
-
-class _Variables:
-    """Which variable, and which of its values, says that an atom holds; the last value says that none does.
-
-    The variables of derived atoms have layers.
-    """
-
-    def __init__(self) -> None:
-        self.sizes: list[int] = []
-        self.places: dict[str, Fact] = {}
-        self.layers: dict[int, int] = {}
-
-    def add(self, atoms: Sequence[str]) -> None:
-        self.places.update({atom: (len(self.sizes), value) for value, atom in enumerate(atoms)})
-        self.sizes.append(len(atoms) + 1)
-
-    def fact(self, atom: str, truth: bool) -> Fact | None:
-        """Return the fact that an atom holds, or does not; None if several values say so."""
-        variable, value = self.places[atom]
-        return (variable, value) if truth else (variable, 1) if self.sizes[variable] == 2 else None
-
 
 class _Rules:
-    """Makes facts of conditions: what is no conjunction is derived by rules, numbers are compared."""
+    """Makes conditions for the search: what is no conjunction is derived by rules, numbers are compared."""
 
-    def __init__(self, variables: _Variables, first: int, number: Callable[[object], Number]) -> None:
-        self._variables, self._next, self._number = variables, first, number
-        self._known: dict[Node, tuple[int, int]] = {}
+    def __init__(self, layers: Mapping[str, int], name: str, number: Callable[[object], Number]) -> None:
+        self._layers, self._name, self._number = layers, name, number
+        self._known: dict[Node, str] = {}
         self.rules: list[Rule] = []
 
-    @property
-    def derived(self) -> int:
-        return len(self._known)
+    def taken(self, node: Node) -> Condition:
+        """Return a condition, which is not plainly false."""
+        parts = conjuncts_of(node)
+        needs = [part[2] for part in parts if part[0] == "atom" and part[1]]
+        needs += [self._derived(part) for part in parts if part[0] == "or"]
+        denies = [part[2] for part in parts if part[0] == "atom" and not part[1]]
+        tests = [(kind, *map(self._number, numbers)) for kind, *numbers in parts if kind not in ("atom", "or")]
+        return Condition(frozenset(needs), frozenset(denies), tuple(tests))
 
-    def taken(self, node: Node) -> tuple[list[Fact], list[Test]]:
-        """Return the facts and the comparisons that a condition, which is not plainly false, asks for."""
-        facts, tests = list[Fact](), list[Test]()
-        for part in conjuncts_of(node):
-            if part[0] == "atom":
-                fact = self._variables.fact(part[2], part[1])
-                facts.append(fact or (self._derived(part)[0], 0))
-            elif part[0] == "or":
-                facts.append((self._derived(part)[0], 0))
-            else:
-                kind, one, other = part
-                tests.append((str(kind), self._number(one), self._number(other)))
-        return facts, tests
-
-    def _derived(self, node: tuple[Any, ...]) -> tuple[int, int]:
-        """Return the variable that is 0 if a disjunction holds, or an atom that several values deny; and its layer."""
+    def _derived(self, node: tuple[Any, ...]) -> str:
+        """Return the atom that holds if a disjunction does."""
         if node not in self._known:
-            ways: list[tuple[list[Fact], list[Test]]]
-            if node[0] == "atom":
-                variable, value = self._variables.places[str(node[2])]
-                others = (other for other in range(self._variables.sizes[variable]) if other != value)
-                ways = [([(variable, other)], []) for other in others]
-            else:
-                ways = [self.taken(part) for part in node[1:]]
-            layers = {**self._variables.layers, **dict(self._known.values())}
+            ways = [self.taken(part) for part in node[1:]]
+            layers = {**self._layers, **{rule.atom: rule.layer for rule in self.rules}}
             # what holds because something is not derived comes after that
-            layer = max((layers[one] + value for facts, _ in ways for one, value in facts if one in layers), default=0)
-            self._known[node] = self._next, layer
-            self.rules += [Rule(layer, tuple(facts), self._next, tuple(tests)) for facts, tests in ways]
-            self._next += 1
+            after = [layers.get(atom, 0) for way in ways for atom in way.needs]
+            after += [layers[atom] + 1 for way in ways for atom in way.denies if atom in layers]
+            atom = self._known[node] = f"({self._name} {len(self._known)})"
+            self.rules += [Rule(max(after, default=0), way, atom) for way in ways]
         return self._known[node]
 
 
 class Grounded:
     """A grounded task. Facts that no operator changes are frozen: they are looked at before the search.
 
-    It fits all states whose atoms are within reach of the base, and that break none of the exclusions that were found;
-    `covers` says so. A fact of the goal that cannot become true raises UnreachableGoalError, an amount that has no
-    value, or one that is not counted with, UnsupportedPddlError.
+    It fits all states whose atoms are within reach of the base; `covers` says so. UnreachableGoalError is raised where
+    a fact of the goal cannot become true, UnsupportedPddlError where an amount has no value, or is not counted with.
 
     Args:
-        base: atoms that may hold at first; those of all states that it has to fit, of which some are given.
+        base: atoms that may hold at first, those of all states that it has to fit.
+        state: one of them, whose numbers that nothing changes count.
         go_on: called every now and then; what it raises ends the making.
     """
 
-    def __init__(self, domain: Domain, base: State, states: Sequence[State], go_on: Callable[[int], None]) -> None:
-        self.domain, self.base, self.states = domain, base, tuple(states)
+    def __init__(self, domain: Domain, base: State, state: State, go_on: Callable[[int], None]) -> None:
+        self.domain, self.base = domain, base
         self._usage, patterns = usage_of(domain), _instantaneous(domain)
         rows, found = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
         self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
@@ -183,22 +123,30 @@ class Grounded:
             one for pattern, each in zip(patterns, found, strict=True) for one in self._instances(pattern, each)
         ]
         self._numbers = {
-            text: -1 - k
+            text: k
             for k, text in enumerate(
                 dict.fromkeys(one[2] for instance in instances for one in instance.effects if one[1] not in _TRUTHS)
             )
         }
-        self._variables = self._encoded(instances)
-        self._known, self._constants = numbers_in(self.states[-1]), dict[str, Exact | None]()
-        self._rules = _Rules(self._variables, len(self._variables.sizes), self._number)
+        in_order = _changing(instances)
+        self._changing = frozenset(in_order)
+        self._layers = {one.effects[0][2]: one.layer for one in instances if one.layer}
+        self._known, self._constants = numbers_in(state), dict[str, Exact | None]()
+        self._rules = _Rules(self._layers, "or", self._number)
         ready = [self._operator(number, one) for number, one in enumerate(instances)]  # rules come last
         self._operators, self._axioms = ([one for one in ready if bool(one.layer) is axiom] for axiom in (False, True))
-        self._all_sizes = (*self._variables.sizes, *[2] * self._rules.derived)
-        self._frozen_atoms = self._possible - self._variables.places.keys()
-        self._is_conditional = any(given for one in self._operators for given, *_ in one.operation.effects)
+        self._frozen_atoms = self._possible - self._changing
+        self._growing = {head for one in instances for head, more in one.growth.items() if more > 0}
+        operations = [one.operation for one in self._operators]
+        self._is_conditional = any(one.effects for one in operations)
+        conditions = [one.condition for one in operations] + [rule.condition for rule in self._rules.rules]
+        conditions += [given for one in operations for given, *_ in one.effects]
+        self._is_numeric = any(one.tests for one in conditions) or any(one.changes for one in operations)
+        atoms = dict.fromkeys((*in_order, *(rule.atom for rule in self._rules.rules)))
+        self._index = {atom: number for number, atom in enumerate(atoms)}
+        self._text = lru_cache(maxsize=None)(self._text_of)
         amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
         self._mentioned = tuple(dict.fromkeys(text for amount in amounts for text in numeric_facts(amount)))
-        self._ready = lru_cache(maxsize=64)(self._ready_with)
         self._graph = lru_cache(maxsize=4)(self._graph_of)
         self._wanted = lru_cache(maxsize=64)(self._compiled_goal)
 
@@ -216,19 +164,20 @@ class Grounded:
 
     def covers(self, state: State) -> bool:
         strange = (atom for atom in state - self._possible if head_of(atom) in self._asked)
-        if next(strange, None) is not None or self._values(state) is None:
+        if next(strange, None) is not None:
             return False
         known = numbers_in(state) if self._constants else {}
         return all(known.get(text) == value for text, value in self._constants.items())
 
     def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
-        fitted = self._fitted(problem)
+        fitted, frozen = self._fitted(problem)
         mentioned = tuple([self._usage.known(text, numbers) if text in numbers else None for text in self._mentioned])
-        graph, task, scales = self._graph(replace(fitted, state=()), mentioned, frozenset(problem.weights.items()))
+        weights = frozenset(problem.weights.items())
+        graph, task, scales = self._graph(fitted._replace(start=_NO_STATE), frozen, mentioned, weights)
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        task = Task(task.sizes, fitted.state, task.goal, task.operations, limits, *task[5:])
+        task = task._replace(start=fitted.start, limits=limits)
         if problem.until:
             task = self._timed(task, problem, numbers)
             graph = TaskGraph(task)
@@ -239,7 +188,7 @@ class Grounded:
 
         Another is 1 until the first step: what is done of a step that runs counts for a plan that begins with it.
         """
-        steps, first = [self.step(one.number) for one in task.operations], -1 - task.numbers
+        steps, first = [self.step(one.number) for one in task.operations], len(task.start.numbers)
         if any(not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one))) for one in steps):
             raise NotRepresentableError("how long steps take changes, which is not planned with what is forecast")
         takes = [self._usage.takes_s(step, numbers) for step in steps]
@@ -247,57 +196,77 @@ class Grounded:
         saved = map(mul, takes, shares)
         times, _ = whole([*takes, *saved, *map(exact, problem.until.values())])
         pairs, left = zip(times, times[len(steps) :], strict=False), [1, *times[2 * len(steps) :]]
-        places = {atom: first - number for number, atom in enumerate(problem.until, 1)}
-        made_by = {self._variables.places.get(atom): place for atom, place in places.items()}
+        places = {atom: first + number for number, atom in enumerate(problem.until, 1)}
         operations = list[Operation]()
         for one, (whole_s, done_s) in zip(task.operations, pairs, strict=False):
             takes_s: Number = ("-", whole_s, ("*", done_s, ("n", first))) if done_s else whole_s
             tests = [
                 ("<=", takes_s, ("n", places[atom])) for atom in places if atom in self._operators[one.number].needed
             ]
-            changes = [Change((), (), place, True, ("-", 0, takes_s)) for place in places.values()]
-            made = [(given, made_by.get((variable, value))) for given, variable, value in one.effects]
-            changes += [Change(given, (), place, False, _FOR_EVER) for given, place in made if place is not None]
-            changes.append(Change((), (), first, False, 0))
-            operations.append(Operation(*one[:5], (*one.tests, *tests), (*one.changes, *changes), one.more))
-        behind = len(task.start) - task.numbers
-        start = (*task.start[:behind], *reversed(left), *task.start[behind:])
-        return Task(task.sizes, start, task.goal, tuple(operations), *task[4:6], task.numbers + len(left), task.tests)
+            made = [(_ALWAYS, atom) for atom in one.adds] + [
+                (given, atom) for given, atom, truth in one.effects if truth
+            ]
+            changes = [Change(_ALWAYS, place, True, ("-", 0, takes_s)) for place in places.values()]
+            changes += [Change(given, places[atom], False, _FOR_EVER) for given, atom in made if atom in places]
+            changes.append(Change(_ALWAYS, first, False, 0))
+            needed = one.condition._replace(tests=(*one.condition.tests, *tests))
+            operations.append(one._replace(condition=needed, changes=(*one.changes, *changes)))
+        start = task.start._replace(numbers=(*task.start.numbers, *left))
+        return task._replace(start=start, operations=tuple(operations))
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
         Last comes by how much each step costs less there at most: costs may have to be rounded down.
         """
-        fitted = self._fitted(problem)
-        if fitted.tests or any(one.operation.tests or one.operation.changes for one in self._operators):
+        task, frozen = self._fitted(problem)
+        if self._is_numeric or any(one.tests for one in (task.goal, *(rule.condition for rule in task.rules))):
             raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
-        ready = self._weighed(fitted.frozen, frozenset(problem.weights.items()))
+        ready = self._weighed(frozen, problem.weights)
         exact = self._values_of([one.cost for one in ready], "costs", numbers)
         costs, _ = whole(exact)
         dearest, lost = max(costs, default=0), Fraction()
         if dearest > _MOST_COST:
             costs, lost = [cost * _MOST_COST // dearest for cost in costs], Fraction(max(exact)) / _MOST_COST
-        if not fitted.goal:
+        if not (task.goal.needs or task.goal.denies):
             return None
-        rules = self._rules_of(fitted)
-        layers = {rule.variable: rule.layer for rule in rules}
-        sizes = [*self._all_sizes, *[2] * (len(fitted.state) - len(self._all_sizes))]
+        rules = self._rules_of(task, frozen)
+        layers = {rule.atom: rule.layer for rule in rules}
+        index = {atom: number for number, atom in enumerate(dict.fromkeys((*self._index, *layers)))}
         # unit costs are written as costs of 1
-        text = ["begin_version\n3\nend_version\nbegin_metric\n1\nend_metric\n", f"{len(sizes)}\n"]
-        for number, size in enumerate(sizes):
-            values = [f"Atom v{number}({value})\n" for value in range(size)]
-            text += [f"begin_variable\nvar{number}\n{layers.get(number, -1)}\n{size}\n", *values, "end_variable\n"]
-        text += ["0\nbegin_state\n", *(f"{value}\n" for value in fitted.state), "end_state\nbegin_goal\n"]
-        text += [f"{len(fitted.goal)}\n", *(f"{variable} {value}\n" for variable, value in fitted.goal)]
-        text += ["end_goal\n", f"{len(ready)}\n"]
-        text += [f"{one.text}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)]
+        text = ["begin_version\n3\nend_version\nbegin_metric\n1\nend_metric\n", f"{len(index)}\n"]
+        for atom, number in index.items():
+            values = f"2\nAtom v{number}\nNegatedAtom v{number}\n"
+            text.append(f"begin_variable\nvar{number}\n{layers.get(atom, -1)}\n{values}end_variable\n")
+        text += ["0\nbegin_state\n", *("01"[atom not in task.start.atoms] + "\n" for atom in index), "end_state\n"]
+        text += [f"begin_goal\n{_facts(task.goal, index)}\nend_goal\n{len(ready)}\n"]
+        text += [
+            f"{self._text(one.operation.number)}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)
+        ]
         text.append(f"{len(rules)}\n")
-        for rule in rules:
-            needs = [f"{variable} {value}\n" for variable, value in rule.needs]
-            text += [f"begin_rule\n{len(needs)}\n", *needs, f"{rule.variable} 1 0\nend_rule\n"]
-        is_blind = math.prod(map(float, sizes)) <= _FEW_STATES or self._is_conditional or rules
+        text += [f"begin_rule\n{_facts(one.condition, index)}\n{index[one.atom]} 1 0\nend_rule\n" for one in rules]
+        is_blind = self._bits(problem.state) <= _FEW_BITS or self._is_conditional or rules
         return "".join(text), "blind" if is_blind else "lmcut", lost
+
+    def _text_of(self, number: int) -> str:
+        """Return an operator as Fast Downward reads it, but for its cost."""
+        one, index = self._operators[number].operation, self._index
+        sure = [(_ALWAYS, atom, atom in one.adds) for atom in sorted(one.deletes | one.adds)]
+        # what is made true comes last, so that it counts
+        effects = sorted((*sure, *one.effects), key=itemgetter(2))
+        lines = [f"begin_operator\n{number}\n{_facts(one.condition, index)}\n{len(effects)}\n"]
+        for given, atom, truth in effects:
+            lines.append(f"{_facts(given, index)} {index[atom]} -1 {0 if truth else 1}".replace("\n", " ") + "\n")
+        return "".join(lines)
+
+    def _bits(self, state: State) -> float:
+        """Return about how many bits tell all states apart: which atoms hold of a predicate of which as many remain."""
+        bits = 0.0
+        for name, atoms in groupby(sorted(self._changing, key=head_of), head_of):
+            listed = tuple(atoms)
+            chosen = len(state.intersection(listed)) * math.log2(len(listed))
+            bits += len(listed) if name in self._growing else min(len(listed), chosen)
+        return bits
 
     def _instances(self, pattern: ActionPattern, rows: Iterable[Row]) -> Iterator["_Instance"]:
         order = {name: number for number, name in enumerate(self.domain.types)}
@@ -339,7 +308,7 @@ class Grounded:
         if head == "atom":
             truth, name, words = parts
             text = text_of_row(name, bound(words, row))
-            is_kept = text in (self._possible if state is None else self._variables.places)
+            is_kept = text in (self._possible if state is None else self._changing)
             return ("atom", truth, text) if is_kept else (text in (state or ())) is truth
         if head == "same":
             one, other = bound(tuple(parts[1:]), row)
@@ -348,56 +317,25 @@ class Grounded:
             return joined(head == "and", [self._bound(part, row, state) for part in parts])
         return head, *(bound_number(part, row) for part in parts)
 
-    def _encoded(self, instances: Sequence["_Instance"]) -> _Variables:
-        variables = _Variables()
-        looked_at = dict[str, bool]()  # by atom, whether it is denied
-        for one in instances:
-            looked_at.update(dict.fromkeys(sorted(one.denies), True))
-            for node in (one.others, *(condition for condition, *_ in one.effects)):
-                for text, truth in _literals(node):
-                    looked_at[text] = looked_at.get(text, False) or not truth
-        changed = dict.fromkeys(text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS)
-        atoms = {text: (row_of(text)[0], *row_of(text)[1]) for text in changed}
-        texts = {atom: text for text, atom in atoms.items()}
-        states = [[atoms[text] for text in sorted(state & atoms.keys())] for state in self.states]
-        # what is denied has a variable of its own, so that one value says so
-        grouped = [atom for text, atom in atoms.items() if not looked_at.get(text)]
-        for group in groups([one.swap(atoms) for one in instances], states, grouped):
-            variables.add([texts[atom] for atom in group])
-        for text in (*changed, *looked_at):
-            if text not in variables.places:
-                variables.add([text])
-        variables.layers = {variables.places[one.effects[0][2]][0]: one.layer for one in instances if one.layer}
-        return variables
-
     def _operator(self, number: int, one: "_Instance") -> _Ready:
-        variables, rules, places = self._variables, self._rules, self._variables.places
-        facts, tests = rules.taken(one.others)
-        facts += [fact for text in one.needs if text in places and (fact := variables.fact(text, True))]
-        facts += [fact for text in one.denies if text in places and (fact := variables.fact(text, False))]
-        made = {places[text][0] for given, kind, text, _ in one.effects if kind == "add" and given is True}
-        effects = list[tuple[tuple[Fact, ...], int, int]]()
-        changes = list[Change]()
-        for condition, kind, text, amount in sorted(one.effects, key=lambda effect: effect[1] != "delete"):
-            given, compared = rules.taken(condition)
+        taken = self._rules.taken
+        condition = taken(one.others)
+        needs, denies = condition.needs | (one.needs & self._changing), condition.denies | one.denies
+        deletes, adds, effects, changes = set[str](), set[str](), list[tuple[Condition, str, bool]](), list[Change]()
+        for given, kind, text, amount in one.effects:
             if kind not in _TRUTHS:
                 value = self._number(amount)
                 value = ("-", 0, value) if kind == "decrease" else value
-                changes.append(Change(tuple(given), tuple(compared), self._numbers[text], kind != "assign", value))
-                continue
-            if compared:
-                given, _ = rules.taken(("or", condition))
-            variable, value = places[text]
-            if kind == "add":
-                effects.append((tuple(given), variable, value))
-            elif variable not in made:
-                is_so = variables.sizes[variable] == 2 or (condition is True and text in one.needs)
-                own = () if is_so else (places[text],)
-                effects.append(((*given, *own), variable, variables.sizes[variable] - 1))
-        operation = Operation(number, tuple(sorted(set(facts))), tuple(effects), 0, (), tuple(tests), tuple(changes))
-        lasting, missing = one.needs - places.keys(), one.denies - places.keys()
+                changes.append(Change(taken(given), self._numbers[text], kind != "assign", value))
+            elif given is True:
+                (adds if kind == "add" else deletes).add(text)
+            else:
+                effects.append((taken(given), text, kind == "add"))
+        condition = condition._replace(needs=needs, denies=denies)
+        done = frozenset(deletes), frozenset(adds), tuple(effects), tuple(changes)
         amounts = () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
-        return _Ready(number, one.step, one.needs, lasting, missing, operation, one.layer, *amounts)
+        operation, lasting = Operation(number, condition, *done), one.needs - self._changing
+        return _Ready(one.step, one.needs, lasting, operation, one.layer, *amounts)
 
     def _number(self, number: object, known: Mapping[str, Exact] | None = None) -> Number:
         """Return a number as the search reads it; one that nothing changes is what it is."""
@@ -412,45 +350,32 @@ class Grounded:
             return (self._known if known is None else known).get(parts[0])
         return head, *(self._number(part, known) for part in parts)
 
-    def _values(self, state: State) -> tuple[int, ...] | None:
-        """Return the values of the variables; None if more than one value of one says what holds."""
-        values = [size - 1 for size in self._all_sizes]
-        held = [self._variables.places[atom] for atom in state & self._variables.places.keys()]
-        for variable, value in held:
-            values[variable] = value
-        return tuple(values) if len({variable for variable, _ in held}) == len(held) else None
-
-    def _fitted(self, problem: Problem) -> _Fitted:
+    def _fitted(self, problem: Problem) -> tuple[Task, State]:
+        """Return a task with a state and a goal put in, without operations, and what holds of what nothing changes."""
         state, known = problem.state, numbers_in(problem.state)
-        values = self._values(state)
-        if values is None or not self.covers(state):
-            raise NotRepresentableError("the state is none that the task was made for")
         wanted = self._bound(self._wanted(problem.wanted), (), state)
         if wanted is False:
             raise UnreachableGoalError("nothing that can be done makes the goal so")
-        rules = _Rules(self._variables, len(self._all_sizes), partial(self._number, known=known))
-        taken, tests = rules.taken(wanted)
-        goal = dict(taken)
-        if len(goal) < len(set(taken)):
+        rules = _Rules(self._layers, "goal", partial(self._number, known=known))
+        goal = rules.taken(wanted)
+        if goal.needs & goal.denies:
             raise UnreachableGoalError("facts of the goal exclude one another")
-        tail = [known.get(text) for text in reversed(self._numbers)]
-        whole_state: Any = (*values, *[1] * rules.derived, *tail)
-        frozen = state & self._frozen_atoms
-        return _Fitted(whole_state, tuple(sorted(goal.items())), tuple(tests), tuple(rules.rules), frozen)
+        start = SearchState(state & self._changing, tuple([known.get(text) for text in self._numbers]))
+        return Task(start, goal, (), (), tuple(rules.rules)), state & self._frozen_atoms
 
     def _compiled_goal(self, goals: tuple[UpThing, ...]) -> Node:
         with lock_of(self.domain):
             return joined(True, [compiled(self.domain, goal, {}) for goal in goals])
 
     def _graph_of(
-        self, fitted: _Fitted, mentioned: Sequence[Exact | None], weights: frozenset[tuple[Step, int]]
+        self, task: Task, frozen: State, mentioned: Sequence[Exact | None], weights: frozenset[tuple[Step, int]]
     ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
         """Return a task without its start and limits, and what the amounts of each resource were scaled by.
 
         What its graph has worked out is kept.
         """
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
-        ready = self._weighed(fitted.frozen, weights)
+        ready = self._weighed(frozen, dict(weights))
         changed = self._numbers.keys()
         varying = [one.cost if changed and changed & set(numeric_facts(one.cost)) else 0 for one in ready]
         fixed = [0 if more else one.cost for one, more in zip(ready, varying, strict=True)]
@@ -460,20 +385,17 @@ class Grounded:
         columns, (scale, *scales) = zip(*map(whole, amounts), strict=True)
         more = [number and ("*", scale, self._number(number, numbers)) for number in varying]
         operations = [
-            Operation(*one.operation[:3], cost, tuple(uses), *one.operation[5:7], varied)
+            one.operation._replace(cost=cost, uses=tuple(uses), more=varied)
             for one, varied, (cost, *uses) in zip(ready, more, zip(*columns, strict=True), strict=True)
         ]
-        derived = len({rule.variable for rule in fitted.rules})
-        sizes, tail = (*self._all_sizes, *[2] * derived), len(self._numbers)
-        rules = tuple(sorted(self._rules_of(fitted), key=lambda rule: rule.layer))
-        task = Task(sizes, (), fitted.goal, tuple(operations), (0,) * len(scales), rules, tail, fitted.tests)
-        is_guided = math.prod(map(float, sizes)) > _FEWEST_STATES
-        return TaskGraph(task, is_guided=is_guided), task, tuple(scales)
+        rules, limits = self._rules_of(task, frozen), (0,) * len(scales)
+        task = task._replace(operations=tuple(operations), limits=limits, rules=rules)
+        return TaskGraph(task), task, tuple(scales)
 
-    def _rules_of(self, fitted: _Fitted) -> tuple[Rule, ...]:
-        own = [one for one in self._axioms if one.lasting <= fitted.frozen and one.missing.isdisjoint(fitted.frozen)]
-        made = [Rule(one.layer, one.operation.needs, one.operation.effects[0][1], one.operation.tests) for one in own]
-        return (*self._rules.rules, *made, *fitted.rules)
+    def _rules_of(self, task: Task, frozen: State) -> tuple[Rule, ...]:
+        own = [one for one in self._axioms if one.lasting <= frozen]
+        made = [Rule(one.layer, one.operation.condition, atom) for one in own for atom in one.operation.adds]
+        return tuple(sorted((*self._rules.rules, *made, *task.rules), key=lambda rule: rule.layer))
 
     def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) for one in made_of]
@@ -484,17 +406,11 @@ class Grounded:
             raise UnsupportedPddlError(message, self.domain.problem_file)
         return amounts
 
-    def _ready_with(self, frozen: State) -> tuple[_Ready, ...]:
-        return tuple([one for one in self._operators if one.lasting <= frozen and one.missing.isdisjoint(frozen)])
-
-    def _weighed(self, frozen: State, weights: frozenset[tuple[Step, int]]) -> tuple[_Ready, ...]:
-        possible, times = self._ready(frozen), dict(weights)
-        if not times:
-            return possible
-        left = [one for one in possible if times.get(one.step, 1)]
-        return tuple(
-            [replace(one, cost=("*", times[one.step], one.cost)) if one.step in times else one for one in left]
-        )
+    def _weighed(self, frozen: State, weights: Mapping[Step, int]) -> list[_Ready]:
+        """Return the operators that what nothing changes allows, less those that count for nothing."""
+        possible = [one for one in self._operators if one.lasting <= frozen]
+        left = [one for one in possible if weights.get(one.step, 1)] if weights else possible
+        return [replace(one, cost=("*", weights[one.step], one.cost)) if one.step in weights else one for one in left]
 
 
 _Effect: TypeAlias = tuple[Node, str, str, object]
@@ -511,25 +427,42 @@ class _Instance:
     effects: list[_Effect]
     layer: int
 
-    def swap(self, atoms: Mapping[str, tuple[str, ...]]) -> Swap:
-        """Return what it does to some atoms, which are given by their texts."""
-        deleted = [atoms[text] for given, kind, text, _ in self.effects if kind == "delete" and given is True]
-        added = tuple([atoms[text] for _, kind, text, _ in self.effects if kind == "add"])
-        return Swap(frozenset([atoms[text] for text in self.needs if text in atoms]), added, frozenset(deleted))
+    @property
+    def growth(self) -> Counter[str]:
+        """How many more atoms of each predicate it makes true than false, at most."""
+        made = Counter(head_of(text) for _, kind, text, _ in self.effects if kind == "add")
+        made.subtract(head_of(text) for given, kind, text, _ in self.effects if kind == "delete" and given is True)
+        return made
+
+
+def _changing(instances: Iterable[_Instance]) -> list[str]:
+    """Return the atoms that operators change or deny, and those that stand in conditions that are no conjunctions."""
+    found = [text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS]
+    for one in instances:
+        nodes = (one.others, *(condition for condition, *_ in one.effects))
+        found += [*sorted(one.denies), *chain.from_iterable(map(_atoms, nodes))]
+    return found
+
+
+def _facts(condition: Condition, index: Mapping[str, int]) -> str:
+    """Return a condition as Fast Downward reads it."""
+    facts = [f"{index[atom]} 0" for atom in condition.needs] + [f"{index[atom]} 1" for atom in condition.denies]
+    return "\n".join([str(len(facts)), *sorted(facts)])
 
 
 def _names(pattern: ActionPattern) -> Iterator[str]:
     nodes = (pattern.needs, *(effect.condition for effect in pattern.effects))
-    yield from (name for node in nodes for name, _ in _literals(node))
+    yield from chain.from_iterable(map(_atoms, nodes))
     yield from (effect.name for effect in pattern.effects if effect.kind in _TRUTHS)
 
 
-def _literals(node: Node) -> Iterator[tuple[str, bool]]:
+def _atoms(node: Node) -> Iterator[str]:
+    """Yield the atoms of a condition, or if it is not bound their predicates."""
     if isinstance(node, tuple) and node[0] == "atom":
-        yield str(node[2]), bool(node[1])
+        yield str(node[2])
     elif isinstance(node, tuple) and node[0] in ("and", "or"):
         for part in node[1:]:
-            yield from _literals(part)
+            yield from _atoms(part)
 
 
 @lru_cache(_MOST_DOMAINS)
@@ -543,9 +476,9 @@ def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Calla
     """Ground a domain for a state and what fitted before; what is named, and what may be feasible, may hold too."""
     domain = problem.domain
     feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
-    base, states = (before.base, before.states) if before else (frozenset[str](), ())
+    base = before.base if before else frozenset[str]()
     may_hold = base.union(feasible, named, (atom for atom in problem.state if not atom.startswith("(= ")))
-    return Grounded(domain, may_hold, (*states, problem.state)[-_MOST_STATES:], go_on)
+    return Grounded(domain, may_hold, problem.state, go_on)
 
 
 class Groundings:

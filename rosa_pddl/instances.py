@@ -1,16 +1,12 @@
-"""What can be done and can become true at all from some facts, numbers left aside, and what of it excludes one another.
+"""What can be done and can become true at all from some facts, numbers left aside.
 
 Actions are instantiated by joining what they need with what is within reach, as if nothing were deleted, each new fact
-once (semi-naive evaluation of a logic program). Of a group of atoms at most one holds, as operators show (Helmert,
-"Concise finite-domain representations for PDDL planning tasks", AIJ 173, 2009; here the groups are found on what is
-grounded).
+once (semi-naive evaluation of a logic program).
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from heapq import heapify, heappop, heappush
 from itertools import product
 from typing import Any, NamedTuple, TypeAlias
 
@@ -279,27 +275,21 @@ class _Join:
         self._rows: _Rows = {}
         self._index: dict[str, dict[tuple[int, ...], dict[Row, list[Row]]]] = {}
         self._waiting: list[tuple[str, Row]] = []
-        self._grown = {name for rule in rules for name, _ in rule.heads}
-        self._at_once: list[tuple[_Rule, list[_Look]]] = []
+        self._bare = [rule for rule in rules if not rule.body]
         self._triggers: dict[str, list[tuple[_Rule, _Look, list[_Look]]]] = {}
         for rule in rules:
-            growing = [number for number, (name, _) in enumerate(rule.body) if name in self._grown]
-            for number in growing:
+            for number in range(len(rule.body)):
                 first, *rest = self._looks(rule, number)
                 self._triggers.setdefault(first.name, []).append((rule, first, rest))
-            if not growing:
-                self._at_once.append((rule, self._looks(rule, None)))
 
     def closed(self, facts: Iterable[tuple[str, Row]]) -> _Rows:
         for name, row in facts:
-            if name in self._grown:
-                self._push(name, row)
-            elif row not in self._rows.setdefault(name, {}):
-                self._take_in(name, row)
-        for rule, looks in self._at_once:
-            self._join(rule, looks, [None] * len(rule.choices))
+            self._push(name, row)
+        for rule in self._bare:
+            self._complete(rule, [None] * len(rule.choices))
         for name, row in self._waiting:
-            self._take_in(name, row)
+            for known, rows in self._index.get(name, {}).items():
+                rows.setdefault(tuple([row[place] for place in known]), []).append(row)
             for rule, first, rest in self._triggers.get(name, ()):
                 binding = _matched(rule, first, row, [None] * len(rule.choices))
                 if binding is not None:
@@ -311,11 +301,6 @@ class _Join:
         if row not in rows:
             rows[row] = None
             self._waiting.append((name, row))
-
-    def _take_in(self, name: str, row: Row) -> None:
-        self._rows[name][row] = None
-        for known, rows in self._index.get(name, {}).items():
-            rows.setdefault(tuple([row[place] for place in known]), []).append(row)
 
     def _join(self, rule: _Rule, looks: Sequence[_Look], binding: _Binding, at: int = 0) -> None:
         if at == len(looks):
@@ -345,7 +330,7 @@ class _Join:
                 for name, words in rule.heads:
                     self._push(name, bound(words, row))
 
-    def _looks(self, rule: _Rule, first: int | None) -> list[_Look]:
+    def _looks(self, rule: _Rule, first: int) -> list[_Look]:
         """Order the atoms of a body such that each is looked up by as much as is known; the first one is given."""
         left, known, looks = list(range(len(rule.body))), set[Word](), list[_Look]()
 
@@ -375,70 +360,3 @@ def _matched(rule: _Rule, look: _Look, row: Row, binding: _Binding) -> _Binding 
         elif known != thing:
             return None
     return inner
-
-
-# ---------------------------------------------------------------- what excludes one another
-
-
-Atom: TypeAlias = tuple[str, ...]
-"""A predicate and its arguments."""
-
-
-class Swap(NamedTuple):
-    """What an operator needs, what it may add, and what it deletes for certain."""
-
-    needs: frozenset[Atom]
-    adds: tuple[Atom, ...]
-    deletes: frozenset[Atom]
-
-
-def groups(changes: Sequence[Swap], states: Sequence[Iterable[Atom]], atoms: Iterable[Atom]) -> list[list[Atom]]:
-    """Return groups of atoms of which at most one holds in each of some states and all that follow; largest first.
-
-    A group is made of one predicate: all of its arguments but one, which is counted, or all of them, name the group. It
-    is kept if no operator adds an atom to a group without taking one away.
-    """
-    by_name: dict[str, list[Atom]] = {}
-    for atom in atoms:
-        by_name.setdefault(atom[0], []).append(atom)
-    possible: list[list[Atom]] = []
-    for name, members in by_name.items():
-        for counted in range(1, len(members[0])):
-            if all(_is_balanced(name, counted, change) for change in changes):
-                of_key: dict[Atom, list[Atom]] = {}
-                for atom in members:
-                    of_key.setdefault(_key(counted, atom), []).append(atom)
-                held = [Counter(_key(counted, atom) for atom in state if atom[0] == name) for state in states]
-                several = {key for keys in held for key, count in keys.items() if count > 1}
-                possible += [group for key, group in of_key.items() if key not in several]
-    return _chosen(possible)
-
-
-def _is_balanced(name: str, counted: int, change: Swap) -> bool:
-    """Whether an operator adds at most one atom to each group, and only in place of one that it needs and deletes."""
-    kept = change.needs - change.deletes
-    added = [_key(counted, atom) for atom in change.adds if atom[0] == name and atom not in kept]
-    if not added:
-        return True
-    freed = {_key(counted, atom) for atom in change.needs & change.deletes if atom[0] == name}
-    return len(set(added)) == len(added) and freed.issuperset(added)
-
-
-def _key(counted: int, atom: Atom) -> Atom:
-    return atom[:counted] + atom[counted + 1 :]
-
-
-def _chosen(possible: Sequence[list[Atom]]) -> list[list[Atom]]:
-    """Choose groups, the largest first, until no two atoms are left that one of them holds."""
-    chosen, taken = list[list[Atom]](), set[Atom]()
-    queue = [(-len(group), number) for number, group in enumerate(possible)]
-    heapify(queue)
-    while queue:
-        size, number = heappop(queue)
-        group = [atom for atom in possible[number] if atom not in taken]
-        if len(group) > 1 and len(group) < -size:  # others took some of it
-            heappush(queue, (-len(group), number))
-        elif len(group) > 1:
-            chosen.append(group)
-            taken.update(group)
-    return chosen

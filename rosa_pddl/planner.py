@@ -1,18 +1,19 @@
 """The planner: several ways tried in order, each with its own budget; whatever happens, the outcome has a name."""
 
+import json
 import sys
 import threading
 import time
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, wait
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import accumulate, product
-from math import inf
+from itertools import accumulate, chain, combinations, product
+from math import comb, inf
+from pathlib import Path
 
 from rosa_pddl import search
-from rosa_pddl.certificate import Certificate
 from rosa_pddl.domain import Domain, Step, fluents_in
 from rosa_pddl.engines import fast_downward
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
@@ -44,9 +45,60 @@ _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
 # So long a task may be grounded before it is asked for [s].
 _PREPARED_S = 60.0
+_MOST_ENTRIES = 1 << 14
 CERTIFIED = "certificate"
 """The way by which an answer was made before the mission."""
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """An answer of the planner for each combination of unfeasible actions, those with few of them first.
+
+    Args:
+        entries: the answers by the unfeasible ROSA actions, in the order of the domain; all others are feasible.
+    """
+
+    entries: dict[tuple[str, ...], PlanningResult]
+
+    @classmethod
+    def load(cls, path: str | Path, domain: Domain) -> "Certificate":
+        """Read what `rosa plan --certificate --json` wrote; PlannerSettingError if it is none of this domain."""
+        try:
+            entries = dict[tuple[str, ...], PlanningResult]()
+            for one in json.loads(Path(path).read_text())["entries"]:
+                steps = tuple(domain.step(step["action"], step["arguments"]) for step in one["steps"])
+                result = PlanningResult(Outcome(one["outcome"]), steps, one["engine"], cost=one["cost"])
+                entries[tuple(one["unfeasible"])] = result
+            return cls(entries)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            message = f"{path} is no certificate of {domain.file} ({type(error).__name__}: {error})"
+            raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
+
+    def prepared(self, problem: Problem) -> PlanningResult | None:
+        """Return the plan for what is unfeasible in a problem, or as little of its end as works there; None if none.
+
+        What is forecast to become unfeasible may have to be taken as that already.
+        """
+        domain, state, until = problem.domain, problem.state, problem.until
+        atoms = {domain.feasible_atom(one): one for one in domain.rosa_actions}
+        left_out = {step for step, times in problem.weights.items() if not times}
+        for lasting in (state, state - until.keys()) if until else (state,):
+            actions = tuple(one for atom, one in atoms.items() if atom not in lasting)
+            found = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED))
+            for count in range(1, 1 + len(found.steps)):
+                rest = found.steps[-count:]
+                if left_out.isdisjoint(rest) and flaw(domain, rest, state, problem.wanted, until) is None:
+                    return replace(found, outcome=Outcome.SOLVED, steps=rest, schedule=())
+        return None
+
+    @property
+    def fatal(self) -> tuple[str, ...]:
+        """The actions whose failure alone ends a mission that could be done."""
+        if not self.entries[()].outcome.is_solved:
+            return ()
+        alone = {out[0]: result.outcome for out, result in self.entries.items() if len(out) == 1}
+        return tuple(action for action, outcome in alone.items() if outcome.is_unsolvable)
 
 
 class Planner:
@@ -200,6 +252,32 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
             f"planning ran out of wall-clock time, and going on would make the run depend on the machine: {tried}"
         )
     return result
+
+
+def certificate(
+    domain: Domain, supposing: Callable[[Iterable[str]], Problem], planner: Planner, failures: int | None = None
+) -> Certificate:
+    """Find out what can be reached with every combination of feasible actions, each by a planning of its own.
+
+    Args:
+        domain: what `load_domain` returned.
+        supposing: returns what to plan while just these ROSA actions are unfeasible.
+        planner: plans; one that is warm answers most questions within a millisecond.
+        failures: look at combinations of at most so many unfeasible actions; None for all.
+
+    Raises:
+        PlannerSettingError: that many combinations there are not, or too many.
+    """
+    actions = domain.rosa_actions
+    most = len(actions) if failures is None else failures
+    if not 0 <= most <= len(actions):
+        raise PlannerSettingError(f"failures is {most}, expected 0 to {len(actions)}, as so many actions there are")
+    total = sum(comb(len(actions), count) for count in range(most + 1))
+    if total > _MOST_ENTRIES:
+        message = f"{total} combinations of {len(actions)} actions are too many (at most {_MOST_ENTRIES})"
+        raise PlannerSettingError(f"{message}; look at fewer failures at once, such as failures=2")
+    chosen = chain.from_iterable(combinations(actions, count) for count in range(most + 1))
+    return Certificate({out: planner.plan(supposing(out)) for out in chosen})
 
 
 class _Portfolio:
@@ -361,7 +439,7 @@ class _Portfolio:
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a process of its own, which delays no tick and may be killed; without what is forecast."""
         _, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
-        if task.numbers or task.tests:
+        if task.start.numbers or task.goal.tests:
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
         command = [sys.executable, "-I", "-S", search.__file__]
         ended = self.process.ask(command, given=search.written(task), limit_s=_left_s(deadline))

@@ -11,14 +11,17 @@ from typing import NamedTuple
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Derived, Domain, Schema, UpThing, conjuncts, lineage_of
 from rosa_pddl.engines.unified_planning import late_environment
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
-from rosa_pddl.formulas import CHANGES, COMPARISONS, Formulas, Scope
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import NumberUses
 from rosa_pddl.syntax import (
     ANY,
     BODY,
+    CHANGES,
+    COMPARISONS,
     NAME,
+    Formulas,
     Node,
+    Scope,
     Source,
     body_of,
     check_frames,

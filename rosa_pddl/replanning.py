@@ -10,12 +10,12 @@ from typing import Literal, Protocol, TypeAlias
 
 from rosa_pddl.domain import Domain, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
-from rosa_pddl.formulas import Goal
 from rosa_pddl.goals import Goals, Relevance, SoftGoals
 from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import CERTIFIED, Planner, awaited
 from rosa_pddl.problem import Problem, lock_of
+from rosa_pddl.syntax import Goal
 from rosa_pddl.validate import missing_at_start
 
 _LOG = logging.getLogger(__name__)
@@ -211,13 +211,16 @@ class PlannerClient:
     def has_answer(self) -> bool:
         """Whether the answer is there and due, or will not come any more."""
         question = self._question
-        return question is not None and self._is_due(question) and (question.future.done() or self._is_late(question))
+        if question is None or not self._is_due(question):
+            return False
+        # in lock-step the clock does not say whether a planner keeps its own time limit
+        is_late = self._delay_s is None and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
+        return question.future.done() or is_late
 
-    def take(self) -> tuple[_Question, PlanningResult] | None:
-        """Return the answer with its question if it is due and there; never waits."""
+    def take(self) -> tuple[_Question, PlanningResult]:
+        """Return the answer that there is, with its question."""
         question = self._question
-        if question is None or not self.has_answer:
-            return None
+        assert question is not None, "nothing was asked; look at has_answer first"
         result = self._answer(question)
         self.give_up()
         return question, result
@@ -240,10 +243,6 @@ class PlannerClient:
 
     def _is_due(self, question: _Question) -> bool:
         return self.clock() - question.at_s >= question.delay_s - _CLOCK_RESOLUTION_S
-
-    def _is_late(self, question: _Question) -> bool:
-        """Whether a planner is not keeping its own time limit; in lock-step the clock says nothing of that."""
-        return self._delay_s is None and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
 
     def _answer(self, question: _Question) -> PlanningResult:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
@@ -340,7 +339,7 @@ class Replanning:
     ) -> None:
         self._goals, self._monitor, self._client, self._policy, self._clash = goals, monitor, client, policy, clash
         self._effects, self._clock = monitor.effects, client.clock
-        self._relevance = Relevance(monitor.effects.domain, goals)
+        self.matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
         self._soft: SoftGoals | None = None
         self._wanted: Decision | None = None
@@ -360,9 +359,6 @@ class Replanning:
     @property
     def is_busy(self) -> bool:
         return self._wanted is not None or self._client.is_under_way
-
-    def matters(self, atom: str) -> bool:
-        return self._relevance.matters(atom)
 
     def why_no_plan(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
@@ -432,11 +428,8 @@ class Replanning:
         self._wanted = self._diagnosis = None
 
     def take(self, state: State) -> tuple[PlanExecution, Decision] | None:
-        """Return a plan if one has just been found, or what to do while there is none, and why it was asked for."""
-        answer = self._client.take()
-        if answer is None:
-            return None
-        question, result = answer
+        """Take the answer; return the plan, or what to do while there is none, and why it was asked for."""
+        question, result = self._client.take()
         if question.decision is None:
             self._diagnose(result, state)
             return None

@@ -10,6 +10,7 @@ input; it imports nothing but the standard library.
 import marshal
 import operator
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import reduce
@@ -21,10 +22,6 @@ from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
 
 T = TypeVar("T")
 S = TypeVar("S")
-Fact: TypeAlias = tuple[int, int]
-"""A variable and one of its values, both counted from 0."""
-State: TypeAlias = "tuple[int, ...]"
-"""The value of each variable, and behind them exact numbers."""
 
 _COMPARED = {"<": operator.lt, "<=": operator.le, "=": operator.eq, "!=": operator.ne}
 _COMPUTED = {
@@ -181,109 +178,109 @@ def _moves(label: _Label[S, T]) -> tuple[Move[S, T], ...]:
 
 
 Number: TypeAlias = "int | Fraction | tuple[Any, ...] | None"
-"""An exact number, `("n", place)` for the one at that place of a state, an operator with its parts, or unknown."""
+"""An exact number, `("n", place)` for the one at that place, an operator with its parts, or unknown."""
 Test: TypeAlias = tuple[str, Number, Number]
 """A comparison: `<`, `<=`, `=` or `!=`, and what is compared; nothing is so of what is unknown."""
 
 
-class Change(NamedTuple):
-    """What becomes of a number: the facts and comparisons it depends on, its place, and its new value, or the rise."""
+class State(NamedTuple):
+    """The atoms that hold, and the values of numbers that rise and fall."""
 
-    needs: tuple[Fact, ...]
-    tests: tuple[Test, ...]
+    atoms: frozenset[str]
+    numbers: tuple[Any, ...] = ()
+
+
+class Condition(NamedTuple):
+    """The atoms that have to hold, those that must not, and comparisons."""
+
+    needs: frozenset[str] = frozenset()
+    denies: frozenset[str] = frozenset()
+    tests: tuple[Test, ...] = ()
+
+
+class Change(NamedTuple):
+    """What becomes of a number: what that depends on, its place, and its new value, or the rise."""
+
+    condition: Condition
     place: int
     is_rise: bool
     amount: Number
 
 
 class Operation(NamedTuple):
-    """A grounded action, which its number names; an effect is what it depends on, the variable, and its new value.
+    """A grounded action, which its number names: what it needs, makes false and true, also on conditions, and changes.
 
     Besides its cost it may cost more, which depends on numbers that rise and fall.
     """
 
     number: int
-    needs: tuple[Fact, ...]
-    effects: tuple[tuple[tuple[Fact, ...], int, int], ...]
-    cost: int
-    uses: tuple[int, ...]
-    tests: tuple[Test, ...] = ()
+    condition: Condition
+    deletes: frozenset[str] = frozenset()
+    adds: frozenset[str] = frozenset()
+    effects: tuple[tuple[Condition, str, bool], ...] = ()
     changes: tuple[Change, ...] = ()
+    cost: int = 0
+    uses: tuple[int, ...] = ()
     more: Number = 0
 
 
 class Rule(NamedTuple):
-    """An axiom: it makes a variable 0 that is 1 otherwise; low layers come first."""
+    """An axiom: it makes an atom true that is false otherwise; low layers come first."""
 
     layer: int
-    needs: tuple[Fact, ...]
-    variable: int
-    tests: tuple[Test, ...] = ()
+    condition: Condition
+    atom: str
 
 
 class Task(NamedTuple):
-    """A grounded task; costs and what is used up are whole.
+    """A grounded task; costs and what is used up are whole. Limits say how much of each resource may be used up."""
 
-    Sizes say how many values each variable has, limits how much of each resource may be used up from here on. Numbers
-    that rise and fall, so many, stand behind the variables; their places count from the end, as -1, -2, ...
-    """
-
-    sizes: tuple[int, ...]
     start: State
-    goal: tuple[Fact, ...]
+    goal: Condition
     operations: tuple[Operation, ...]
     limits: tuple[int, ...]
     rules: tuple[Rule, ...] = ()
-    numbers: int = 0
-    tests: tuple[Test, ...] = ()
 
 
 class TaskGraph:
     """A task as a graph. It serves any start and limits; what it works out is kept for the next one.
 
-    What a fact of the goal takes at least, all variables but its own being left aside, guides the search. Unguided, it
-    finds of equally good plans the one that Fast Downward's blind A* finds: operations are tried in the order of what
-    they need.
+    What it takes at least to make a goal true guides the search: of what each operation needs one atom is looked at,
+    all else being left aside, so that this is a shortest way from atom to atom.
     """
 
-    def __init__(self, task: Task, *, is_guided: bool = True) -> None:
-        self._task, self._is_guided = task, is_guided
+    def __init__(self, task: Task) -> None:
+        self._task = task
         self._known = 0
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
         self._layers = [list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)]
-        self._derived = dict.fromkeys((rule.variable for rule in task.rules), 1)
+        self._derived = frozenset(rule.atom for rule in task.rules)
         self._directions = _directions(task)
-        spent = [(one.cost, *one.uses) for one in task.operations]
         # what axioms derive is left out, as no operation shows what that takes
-        goal = [(variable, value) for variable, value in task.goal if variable not in self._derived]
-        arcs = [(variable, value, _arcs(task, variable)) for variable, value in goal]
-        self._left = [
-            [
-                (variable, _left(each, value, task.sizes[variable], [one[number] for one in spent]))
-                for variable, value, each in arcs
-            ]
-            for number in range(1 + len(task.limits))
-        ]
+        goals = sorted(task.goal.needs - self._derived)
+        spent = zip(*((one.cost, *one.uses) for one in task.operations), strict=True) if task.operations else ()
+        arcs = [_arcs(task, amounts, self._derived) for amounts in spent]
+        self._left = [[distances(each, [goal]) for goal in goals] for each in arcs or [[]] * (1 + len(task.limits))]
 
     def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
         """Return a plan of least cost within the limits, its moves named by operations; the rest is as `cheapest`."""
         if self._known > _MOST_KNOWN:
             self._moves, self._least, self._known = {}, {}, 0
-        return cheapest(self, self._closed(list(start)), limits, cap)
+        return cheapest(self, self._closed(start.atoms, start.numbers), limits, cap)
 
     def is_goal(self, state: State) -> bool:
-        return _hold(self._task.goal, state) and _pass(self._task.tests, state)
+        return _holds(self._task.goal, state)
 
     def ranked(self, state: State) -> tuple[State, tuple[float, ...]]:
         """Return a state less the numbers of which more, or less, is as good or better, and those: less is better."""
         if not self._directions:
             return state, ()
-        known = [(sign, state[place]) for place, sign in self._directions.items()]
+        known = [(sign, state.numbers[place]) for place, sign in self._directions.items()]
         ranks = [inf if value is None else sign * value for sign, value in known if sign]
-        kept = [state[-place] for place in range(self._task.numbers, 0, -1) if -place not in self._directions]
-        return (*state[: len(self._task.sizes)], *kept), tuple(ranks)
+        kept = [value for place, value in enumerate(state.numbers) if place not in self._directions]
+        return State(state.atoms, tuple(kept)), tuple(ranks)
 
     def moves(self, state: State) -> Sequence[Move[State, int]]:
         """Return what can be done in a state, but for what leaves it as it is."""
@@ -294,65 +291,69 @@ class TaskGraph:
         return moves
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
-        """Return at least what it costs, and uses, to make the goal fact that is farthest."""
+        """Return at least what it costs, and uses, to make the goal true that is farthest."""
         least = self._least.get(state)
         if least is None:
-            costs, *uses = [max([left[state[one]] for one, left in each], default=0) for each in self._left]
-            least = self._least[state] = (costs if self._is_guided or costs == inf else 0), tuple(uses)
+            near = (None, *state.atoms)
+            found = [
+                max([min([left.get(one, inf) for one in near]) for left in each], default=0) for each in self._left
+            ]
+            least = self._least[state] = found[0], tuple(found[1:])
         return least
 
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
-        candidates = [one for fact in (None, *enumerate(state)) for one in self._by_need.get(fact, ())]
-        for _, operation in sorted([one for one in candidates if _hold(one[1].needs, state)]):
-            if not _pass(operation.tests, state):
+        candidates = [one for atom in (None, *state.atoms) for one in self._by_need.get(atom, ())]
+        for _, operation in sorted([one for one in candidates if _holds(one[1].condition, state)]):
+            deletes, adds = operation.deletes, operation.adds
+            if operation.effects:
+                made = [(atom, truth) for condition, atom, truth in operation.effects if _holds(condition, state)]
+                deletes = deletes.union([atom for atom, truth in made if not truth])
+                adds = adds.union([atom for atom, truth in made if truth])
+            numbers = _changed(operation.changes, state) if operation.changes else state.numbers
+            if numbers is None:
                 continue
-            after = list(state)
-            for given, variable, value in operation.effects:
-                if not given or _hold(given, state):
-                    after[variable] = value
-            if operation.changes and not _change(operation.changes, state, after):
-                continue
-            to = self._closed(after)
-            more = value_of(operation.more, state)
+            to = self._closed((state.atoms - deletes) | adds, numbers)
+            more = value_of(operation.more, state.numbers)
             if more is not None and more < 0:
                 raise NegativeCostError
             if to != state and more is not None:
                 yield Move(to, operation.cost + more, operation.uses, operation.number)
 
-    def _closed(self, state: list[int]) -> State:
+    def _closed(self, atoms: frozenset[str], numbers: tuple[Any, ...]) -> State:
         """Return a state with everything derived that the axioms derive."""
-        for variable, value in self._derived.items():
-            state[variable] = value
+        state = State(atoms - self._derived, numbers)
         for rules in self._layers:
             waiting = rules
-            while fired := [rule for rule in waiting if _hold(rule.needs, state) and _pass(rule.tests, state)]:
-                for rule in fired:
-                    state[rule.variable] = 0
-                waiting = [rule for rule in waiting if state[rule.variable]]
-        return tuple(state)
+            while fired := {rule.atom for rule in waiting if _holds(rule.condition, state)}:
+                state = State(state.atoms | fired, numbers)
+                waiting = [rule for rule in waiting if rule.atom not in fired]
+        return state
 
 
-def _hold(facts: Sequence[Fact], state: Sequence[int]) -> bool:
-    return all([state[variable] == value for variable, value in facts])  # noqa: C419  # a list is quicker: few facts
+def _holds(condition: Condition, state: State) -> bool:
+    needs, denies, tests = condition
+    atoms = state.atoms
+    return needs <= atoms and denies.isdisjoint(atoms) and (not tests or passes(tests, state.numbers))
 
 
-def _pass(tests: Sequence[Test], state: Sequence[int]) -> bool:
+def passes(tests: Sequence[Test], numbers: Sequence[Any]) -> bool:
     for kind, one, other in tests:
-        left, right = value_of(one, state), value_of(other, state)
+        left, right = value_of(one, numbers), value_of(other, numbers)
         if left is None or right is None or not _COMPARED[kind](left, right):
             return False
     return True
 
 
-def _change(changes: Sequence[Change], state: State, after: list[int]) -> bool:
-    """Put the new values of numbers in; return whether all that is to be changed is known."""
-    for needs, tests, place, is_rise, amount in changes:
-        if _hold(needs, state) and _pass(tests, state):
-            value = value_of(amount, state)
+def _changed(changes: Sequence[Change], state: State) -> tuple[Any, ...] | None:
+    """Return the new values of numbers; None if one that is to be changed is not known."""
+    after = list(state.numbers)
+    for condition, place, is_rise, amount in changes:
+        if _holds(condition, state):
+            value = value_of(amount, state.numbers)
             if value is None or (is_rise and after[place] is None):
-                return False
+                return None
             after[place] = after[place] + value if is_rise else value
-    return True
+    return tuple(after)
 
 
 def value_of(number: Number, state: Any) -> Any:  # noqa: ANN401  # whole, a fraction, or unknown
@@ -373,24 +374,24 @@ def _directions(task: Task) -> dict[int, int]:
 
     By their place: 1 if less is as good or better, -1 if more is, 0 if nothing asks for it.
     """
-    asked = [*task.tests, *(test for one in task.operations for test in one.tests)]
-    asked += [test for rule in task.rules for test in rule.tests]
     changes = [change for operation in task.operations for change in operation.changes]
-    signs: dict[int, set[int]] = {-1 - place: set() for place in range(task.numbers)}
+    signs: dict[int, set[int]] = {change.place: set() for change in changes}
     for operation in task.operations:
         _note_signs(operation.more, 1, signs)
-    for kind, one, other in asked:
-        for number, sign in ((one, 1), (other, -1)):
-            _note_signs(number, sign if kind in ("<", "<=") else 0, signs)
-    given = {variable for one in task.operations for needs, variable, _ in one.effects for variable, _ in needs}
-    derived = {rule.variable for rule in task.rules}
+    for asked in (task.goal, *(one.condition for one in task.operations), *(rule.condition for rule in task.rules)):
+        for kind, one, other in asked.tests:
+            for number, sign in ((one, 1), (other, -1)):
+                _note_signs(number, sign if kind in ("<", "<=") else 0, signs)
+    given = [condition for operation in task.operations for condition, *_ in operation.effects]
     for change in changes:
         # what one number does to another, or whether anything changes, is not looked into
         _note_signs(change.amount, 0, signs)
-        given |= {variable for variable, _ in change.needs}
-        for _, one, other in change.tests:
+        given.append(change.condition)
+    for condition in given:
+        for _, one, other in condition.tests:
             _note_signs(("+", one, other), 0, signs)
-    if given & derived:
+    derived = {rule.atom for rule in task.rules}
+    if any(not derived.isdisjoint(one.needs | one.denies) for one in given):
         return {}
     return {place: min(found, default=0) for place, found in signs.items() if len(found) < 2 and 0 not in found}
 
@@ -400,7 +401,7 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
     if isinstance(number, tuple):
         head, *parts = number
         if head == "n":
-            signs[parts[0]].add(sign)
+            signs.get(parts[0], set()).add(sign)
             return
         is_scaled = head == "*" and len([one for one in parts if isinstance(one, tuple) or one is None or one < 0]) < 2
         for at, part in enumerate(parts):
@@ -408,33 +409,25 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
             _note_signs(part, kept, signs)
 
 
-def _by_need(task: Task) -> dict[Fact | None, list[tuple[int, Operation]]]:
-    """Return the operations with their rank by the rarest fact that they need."""
-    found: dict[Fact | None, list[tuple[int, Operation]]] = {}
-    for rank, operation in enumerate(sorted(task.operations, key=lambda one: one.needs)):
-        rarest = max(operation.needs, key=lambda fact: task.sizes[fact[0]], default=None)
+def _by_need(task: Task) -> dict[str | None, list[tuple[int, Operation]]]:
+    """Return the operations with their rank by the atom that they need and fewest others do."""
+    found: dict[str | None, list[tuple[int, Operation]]] = {}
+    needed = Counter(atom for operation in task.operations for atom in operation.condition.needs)
+    for rank, operation in enumerate(task.operations):
+        rarest = min(sorted(operation.condition.needs), key=needed.__getitem__, default=None)
         found.setdefault(rarest, []).append((rank, operation))
     return found
 
 
-def _arcs(task: Task, variable: int) -> list[tuple[int, int, int]]:
-    """Return the changes of a variable, all else being left aside: from, to, and the index of the operation."""
+def _arcs(task: Task, amounts: Sequence[float], derived: frozenset[str]) -> list[tuple[str | None, str, float]]:
+    """Return from which atom, or None from anywhere, to which each operation leads, and what it takes."""
     found = []
-    for index, operation in enumerate(task.operations):
-        for _, changed, after in operation.effects:
-            if changed == variable:
-                needed = [value for one, value in operation.needs if one == variable]
-                found += [(before, after, index) for before in needed or range(task.sizes[variable])]
+    for one, takes in zip(task.operations, amounts, strict=True):
+        needs = one.condition.needs - derived
+        before = min(needs & one.deletes or needs, default=None)
+        made = (*one.adds, *(atom for _, atom, truth in one.effects if truth))
+        found += [(before, after, takes) for after in made]
     return found
-
-
-def _left(arcs: Sequence[tuple[int, int, int]], wanted: int, size: int, amounts: Sequence[int]) -> list[float]:
-    """Return, for each value of a variable, at least what it takes to give it the one that is wanted."""
-    least: dict[tuple[int, int], int] = {}
-    for one, two, index in arcs:
-        least[one, two] = min(amounts[index], least.get((one, two), amounts[index]))
-    far = distances([(one, two, takes) for (one, two), takes in least.items()], [wanted])
-    return [far.get(value, inf) for value in range(size)]
 
 
 # ---------------------------------------------------------------- as a program
@@ -442,15 +435,24 @@ def _left(arcs: Sequence[tuple[int, int, int]], wanted: int, size: int, amounts:
 
 def written(task: Task) -> bytes:
     """Return a task as this program reads it."""
-    operations, rules = [tuple(one) for one in task.operations], [tuple(one) for one in task.rules]
-    return marshal.dumps((task.sizes, task.start, task.goal, operations, task.limits, rules))
+    return marshal.dumps(_plain(task))
+
+
+def _plain(thing: Any) -> Any:  # noqa: ANN401  # what tasks are made of
+    return tuple(map(_plain, thing)) if isinstance(thing, tuple) else thing
 
 
 def _main() -> None:
-    sizes, start, goal, operations, limits, rules = marshal.load(sys.stdin.buffer)
-    operations = tuple([Operation(*one) for one in operations])
-    graph = TaskGraph(Task(sizes, start, goal, operations, limits, tuple([Rule(*one) for one in rules])))
-    found = graph.plan(start, limits)
+    start, goal, operations, limits, rules = marshal.load(sys.stdin.buffer)
+    made = [
+        Operation(
+            number, Condition(*needed), deletes, adds, tuple((Condition(*one[0]), *one[1:]) for one in effects), *more
+        )
+        for number, needed, deletes, adds, effects, *more in operations
+    ]
+    derived = [Rule(layer, Condition(*needed), atom) for layer, needed, atom in rules]
+    task = Task(State(*start), Condition(*goal), tuple(made), limits, tuple(derived))
+    found = TaskGraph(task).plan(task.start, limits)
     print(*(["none"] if found is None else ["plan", *(move.what for move in found.moves)]))
 
 

@@ -23,9 +23,9 @@ from rosa_pddl import (
     load_domain,
 )
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.formulas import conditions
 from rosa_pddl.problem import without_feasibility
 from rosa_pddl.replanning import diagnosis
+from rosa_pddl.syntax import conditions
 
 FAILED: Final = "failed"
 

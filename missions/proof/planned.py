@@ -94,5 +94,5 @@ def _steps(domain: Domain) -> list[Step]:
     """Return all steps that can be reached from how the problem begins, whatever becomes feasible."""
     feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
     first = initial_state(domain).union(feasible)
-    task = Grounded(domain, first, (first,), lambda instances: None)
+    task = Grounded(domain, first, first, lambda instances: None)
     return [task.step(number) for number in range(task.size)]

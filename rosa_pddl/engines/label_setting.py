@@ -33,16 +33,11 @@ _LONG_S = 1e6
 
 
 class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
-    """Plans of least cost, exactly; what actions use up may be limited by the goal, and numbers may rise and fall.
+    """Plans of least cost, exactly; what actions use up may be limited by the goal, and numbers may rise and fall."""
 
-    Args:
-        memory_mb: how much data the search may hold [MB].
-    """
-
-    def __init__(self, memory_mb: int = 4096) -> None:
+    def __init__(self) -> None:
         engines.Engine.__init__(self)
         OneshotPlannerMixin.__init__(self)
-        self._memory_mb = memory_mb
 
     @property
     def name(self) -> str:
@@ -68,7 +63,7 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         output_stream: IO[str] | None = None,
     ) -> engines.PlanGenerationResult:
         timeout_s = _LONG_S if timeout is None else timeout
-        planner = Planner(LABEL_SETTING, timeout_s, warm=False, memory_mb=self._memory_mb, cached=0)
+        planner = Planner(LABEL_SETTING, timeout_s, warm=False, cached=0)
         try:
             domain = _domain_of(problem)
             result = planner.plan(Problem(domain, initial_state(domain)))

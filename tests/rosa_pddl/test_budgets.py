@@ -1,8 +1,9 @@
 """Plans of least cost within limits: judged by trying everything, and by Fast Downward where nothing is limited."""
 
 from fractions import Fraction
-from itertools import product
+from itertools import compress, product
 from math import inf
+from operator import itemgetter
 from pathlib import Path
 
 import pytest
@@ -11,39 +12,52 @@ from hypothesis import strategies as st
 
 from rosa_pddl import Outcome, Planner, PlannerSettingError, Problem, flaw, initial_state, parse_domain
 from rosa_pddl.engines.processes import ProcessHandle
-from rosa_pddl.search import Operation, Task, TaskGraph
+from rosa_pddl.search import Condition, Operation, State, Task, TaskGraph
 from rosa_pddl.validate import ended, missing_at_start
 
 # ---------------------------------------------------------------- the search alone
 
 
+ATOMS = "abcd"
+FACTS = st.dictionaries(st.sampled_from(ATOMS), st.booleans(), max_size=2)
+
+
+def condition(facts):
+    needs, denies = (frozenset(atom for atom, truth in facts.items() if truth is wanted) for wanted in (True, False))
+    return Condition(needs, denies)
+
+
 @st.composite
 def tasks(draw):
     """Return a small task with up to two resources, cycles that cost nothing, and conditional effects."""
-    sizes = tuple(draw(st.lists(st.integers(2, 3), min_size=1, max_size=3)))
-    fact = st.integers(0, len(sizes) - 1).flatmap(lambda one: st.tuples(st.just(one), st.integers(0, sizes[one] - 1)))
-    facts = st.lists(fact, max_size=2, unique_by=lambda one: one[0]).map(tuple)
     resources = draw(st.integers(0, 2))
     operations = []
     for number in range(draw(st.integers(0, 6))):
-        effects = []
-        for variable, value in draw(st.lists(fact, min_size=1, max_size=2, unique_by=lambda one: one[0])):
-            effects.append((draw(facts) if draw(st.integers(0, 3)) == 0 else (), variable, value))
+        sure = condition(draw(FACTS))
+        effects = [(condition(draw(FACTS)), atom, truth) for atom, truth in draw(FACTS).items()]
         uses = tuple(draw(st.integers(0, 3)) for _ in range(resources))
-        operations.append(Operation(number, draw(facts), tuple(effects), draw(st.integers(0, 4)), uses))
-    start = tuple(draw(st.integers(0, size - 1)) for size in sizes)
+        needed, cost = condition(draw(FACTS)), draw(st.integers(0, 4))
+        operations.append(Operation(number, needed, sure.denies, sure.needs, tuple(effects), (), cost, uses))
+    start = State(draw(st.frozensets(st.sampled_from(ATOMS))))
     limits = tuple(draw(st.integers(-1, 8)) for _ in range(resources))
-    return Task(sizes, start, draw(facts), tuple(operations), limits)
+    return Task(start, condition(draw(FACTS)), tuple(operations), limits)
+
+
+def holds(condition, state):
+    return all(atom in state.atoms for atom in condition.needs) and not any(
+        atom in state.atoms for atom in condition.denies
+    )
 
 
 def applied(operation, state):
-    if any(state[variable] != value for variable, value in operation.needs):
+    """Do an operation: where an atom becomes both, it holds afterwards."""
+    if not holds(operation.condition, state):
         return None
-    after = list(state)
-    for conditions, variable, value in operation.effects:
-        if all(state[one] == needed for one, needed in conditions):
-            after[variable] = value
-    return tuple(after)
+    made = [(atom, False) for atom in operation.deletes] + [(atom, True) for atom in operation.adds]
+    made += [(atom, truth) for given, atom, truth in operation.effects if holds(given, state)]
+    after = {atom: atom in state.atoms for atom in ATOMS}
+    after.update(sorted(made, key=itemgetter(1)))
+    return State(frozenset(atom for atom, truth in after.items() if truth))
 
 
 def by_exhaustion(task):
@@ -62,7 +76,7 @@ def by_exhaustion(task):
             if cost[key] + operation.cost < cost.get((after, more), inf):
                 cost[after, more] = cost[key] + operation.cost
                 waiting.append((after, more))
-    reached = [spent for (state, _), spent in cost.items() if all(state[one] == value for one, value in task.goal)]
+    reached = [spent for (state, _), spent in cost.items() if holds(task.goal, state)]
     return min(reached, default=None)
 
 
@@ -76,14 +90,15 @@ def test_the_search_finds_what_trying_everything_finds(task):
     for move in found.moves:
         state = applied(task.operations[move.what], state)
         used = [a + b for a, b in zip(used, task.operations[move.what].uses, strict=True)]
-    assert all(state[variable] == value for variable, value in task.goal)
+    assert holds(task.goal, state)
     assert all(amount <= limit for amount, limit in zip(used, task.limits, strict=True))
 
 
 @given(tasks())
 def test_what_is_lacking_at_least_never_falls_by_more_than_a_step_takes(task):
     graph = TaskGraph(task)
-    for state in product(*map(range, task.sizes)):
+    for held in product([False, True], repeat=len(ATOMS)):
+        state = State(frozenset(compress(ATOMS, held)))
         cost, uses = graph.least(state)
         assert not graph.is_goal(state) or (cost, *uses) == (0,) * (1 + len(uses))
         for move in graph.moves(state):

@@ -7,7 +7,7 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, initial_state
-from rosa_pddl.formulas import conditions
+from rosa_pddl.syntax import conditions
 
 # What is wanted and where it is light are for others to say.
 DOMAIN = """(define (domain samples) (:requirements :typing :action-costs)

@@ -8,8 +8,8 @@ from unified_planning.io import PDDLReader
 
 from rosa_pddl import Planner, Problem, feasible_atoms, initial_state, load_domain
 from rosa_pddl.exceptions import PddlError
-from rosa_pddl.formulas import conditions
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
+from rosa_pddl.syntax import conditions
 
 DRIVE = ActionSchema(
     "drive",

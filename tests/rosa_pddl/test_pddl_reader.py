@@ -19,7 +19,7 @@ from rosa_pddl import (
     parse_domain,
 )
 from rosa_pddl.exceptions import nearest
-from rosa_pddl.formulas import conditions
+from rosa_pddl.syntax import conditions
 from rosa_pddl.validate import ended, goal_holds
 
 

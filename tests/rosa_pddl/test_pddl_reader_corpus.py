@@ -23,7 +23,7 @@ FILES = ("domain.pddl", "problem.pddl")
 PLANS = {
     "delivery": (17.0, "load drive drive unload"),
     "inspection": (3.0, "start_robot search_pipeline inspect_pipeline"),
-    "kitchen": (5.0, "heat at Cook at SERVE"),
+    "kitchen": (5.0, "at heat Cook at SERVE"),
     "patrol": (5.0, "charge move patrol move patrol"),
     "survey": (4.0, "survey move survey report"),
     "untyped": (3.0, "pick move drop"),
