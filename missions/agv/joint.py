@@ -333,7 +333,7 @@ class Task:
             if other is not inside:  # what was passed on the way here is known, so the way back is free
                 way = self._way(other, place.name)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
-                yield way._replace(length_m=way.length_m + back_m, conditions=both)
+                yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
 
     def _way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
         """Return a corridor from one of its ends: all of it, or what is left of it."""

@@ -81,8 +81,8 @@ class PddlNames:
         self.now = self._distinct("now")
         self.by_mode = {self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes}
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
-        vias = [Via(one.name, one.other(to), to) for one in corridors for to in one.ends]
-        vias += [via._replace(origin="") for via in vias]
+        ends = [(one, to) for one in corridors for to in one.ends]
+        vias = [*(Via(one.name, one.other(to), to) for one, to in ends), *(Via(one.name, "", to) for one, to in ends)]
         self.vias = {via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}") for via in vias}
         # The way to where the robot is within a corridor. It is never planned, but without it planners that look ahead
         # what can happen at all take it that the robot never is there.
