@@ -168,7 +168,7 @@ class ActionRequest:
         kb = self._kb
         if not kb.is_feasible(action):
             return why(kb, action)
-        self._since, self._is_ready, self._held = kb.now, False, action
+        self._since, self._held = kb.now, action
         _ledger(kb).holders.setdefault(action, {})[self._token] = preference
         reply = kb.request_action(action, preference)
         if not reply:
@@ -214,7 +214,7 @@ class ActionRequest:
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
             for preference in list(others.values()):  # of a thread that has joined meanwhile
                 kb.request_action(action, preference)
-        self._held = None
+        self._held, self._is_ready = None, False
 
 
 class Careful(Behaviour):

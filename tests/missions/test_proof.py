@@ -127,6 +127,16 @@ def test_tick_that_is_followed_is_as_if_it_were_run(setup):
     assert followed == edges(setup, is_on=False)[0]
 
 
+@pytest.mark.parametrize(
+    ("mission", "task", "situations", "transitions"),
+    [(SUAVE, "bt", 82, 907), (SUAVE, "pddl", 168, 1598), (MISSION, "bt", 332, 5803)],
+)
+def test_a_mission_has_as_many_situations_as_the_page_says(mission, task, situations, transitions):
+    """More of them: something that decides nothing is remembered, such as how a request was that has ended."""
+    found = Exploration(setup_of(mission, task)).explore(seconds=600.0)
+    assert (len(found.situations), found.transitions) == (situations, transitions)
+
+
 def all_of(found):
     """Return all that an exploration has found."""
     holds = [sorted(one) for one in found.holds.values()]
