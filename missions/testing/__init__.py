@@ -23,20 +23,14 @@ __all__ = [
     "replay",
 ]
 
-_HOMES = {
-    "missions.engine.components": ("CommandFailed",),
-    "missions.testing.decisions": ("Decisions", "check_golden"),
-    "missions.testing.recorded": ("replay",),
-    "missions.testing.scripted": ("FakeClock", "LeafMock", "ScriptedManaged", "mock_leaf"),
-}
-
 
 def __getattr__(name: str) -> object:
     """Import what is asked for only then: pytest imports this package at each start."""
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(home), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    own = (f"{__name__}.{home}" for home in ("decisions", "recorded", "scripted"))
+    homes = map(import_module, (*own, "missions.engine.components"))
+    return next(getattr(home, name) for home in homes if hasattr(home, name))
 
 
 def __dir__() -> list[str]:

@@ -17,10 +17,8 @@ if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
 SLACK_S: Final = 1e-6  # sums of ticks miss a time by rounding [s]
-MOST_PROBLEMS: Final = 8  # how many different problems a failure shows at most
 AROUND: Final = 3  # how many moments before and after the expected time a failure shows
-MOST: Final = 18  # how many moments within the expected time a failure shows at most
-MOST_LINES: Final = 40  # how many lines of a difference between traces are shown
+MOST: Final = 40  # how many lines of one kind a failure shows at most
 T = TypeVar("T")
 Names = str | Iterable[str]
 Steps = list[tuple[str, tuple[str, ...]]]
@@ -92,9 +90,10 @@ class Decisions:
         """Assert that an action begins."""
         __tracebackhide__ = True
         self._check("actions", action)
-        starts = [start for name, start, _, _ in self.actions if name == action]
-        found = [(start, start, f"it begins at {seconds(start)}", action) for start in starts]
-        self._in_time(f"{action} begins", at, within, found)
+        begun = [start for name, start, _, _ in self.actions if name == action]
+        self._in_time(
+            f"{action} begins", at, within, [(one, one, f"it begins at {seconds(one)}", action) for one in begun]
+        )
 
     def assert_ends(self, action: str, result: str = "completed", *, at: float, within: float = 1.0) -> None:
         """Assert that an action ends "completed", "failed" or "abandoned"."""
@@ -196,13 +195,10 @@ class Decisions:
         raise self._error(headline, f"{instead}\n\nwhat happened around {seconds(at)}:\n{shown}")
 
     def _error(self, headline: str, rest: str) -> AssertionError:
-        first: dict[DiagnosticProblem, float] = {}
-        for time, problem in self.problems:
-            first.setdefault(problem, time)
-        lines = [f"{seconds(time):>11}  {problem}" for problem, time in first.items()]
-        more = [f"{'':13}... and {len(lines) - MOST_PROBLEMS} more"] if len(lines) > MOST_PROBLEMS else []
-        unused = ["", "what could not be used, the first time:", *lines[:MOST_PROBLEMS], *more] if lines else []
-        return AssertionError("\n".join([headline, rest, *unused]))
+        first = {problem: time for time, problem in reversed(self.problems)}
+        unused = [f"{seconds(first[one]):>11}  {one}" for one in sorted(first, key=first.__getitem__)]
+        told = ["", "what could not be used, the first time:", *_cut(unused)] if unused else []
+        return AssertionError("\n".join([headline, rest, *told]))
 
 
 def seconds(time: float) -> str:
@@ -235,10 +231,11 @@ def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) 
     within = [one for one in moments if begin <= one.time <= end]
     after = [one for one in moments if one.time > end]
     shown = [*map(str, before[-AROUND:]), f"{seconds(begin):>11}  EXPECTED  {expected}"]
-    shown += map(str, within[:MOST])
-    if len(within) > MOST:
-        shown.append(f"{'':13}... and {len(within) - MOST} more until {seconds(end)}")
-    return "\n".join([*shown, *map(str, after[:AROUND])])
+    return "\n".join([*shown, *_cut([str(one) for one in within]), *map(str, after[:AROUND])])
+
+
+def _cut(lines: Sequence[str]) -> list[str]:
+    return [*lines[:MOST], *([f"... and {len(lines) - MOST} more"] if len(lines) > MOST else [])]
 
 
 def _is_our_own(event: Event) -> bool:
@@ -312,9 +309,7 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
         golden = list(readable(read_trace(path)))
         what, how = "not as in the golden trace", "update"
         shown = list(unified_diff(golden, now, "golden", "now", lineterm="", n=4))
-    if len(shown) > MOST_LINES:
-        shown[MOST_LINES:] = [f"... and {len(shown) - MOST_LINES} more lines"]
-    lines = "\n".join(shown)
+    lines = "\n".join(_cut(shown))
     raise AssertionError(f"{what} {path}\nif this is as it should be, {how} it: {command}\n\n{lines}")
 
 

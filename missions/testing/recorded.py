@@ -47,7 +47,6 @@ def replay(
     *,
     task: str = "bt",
     settings: RunSettings | None = None,
-    switching_s: float | None = None,
     managed: ScriptedManaged | None = None,
     strict: bool | None = None,
     watch: Callable[[MissionRun], object] | None = None,
@@ -63,7 +62,6 @@ def replay(
         behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
         settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
-        switching_s: how long a command to a component takes [s], by default as it was recorded, or 0.05.
         managed: what takes the commands, with its clock at 0; by default a system that does what is commanded.
         strict: whether messages that say what the model does not know are an error; by default those are that are
             handed in, not those of a file.
@@ -77,11 +75,9 @@ def replay(
     """
     messages = _messages_of(source)
     recorded = messages[0].get("run", {}) if messages else {}
-    takes_s = recorded.get("switching_s", {}) if switching_s is None else {}
-    default_s = SWITCHING_S if switching_s is None else switching_s
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
-    commands = recorded.get("commands", ()) if switching_s is None else ()
-    world.managed.follow(commands, {verb: takes_s.get(verb, default_s) for verb in VERBS})
+    takes_s = recorded.get("switching_s", {})
+    world.managed.follow(recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
