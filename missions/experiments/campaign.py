@@ -3,7 +3,7 @@
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import count, product
 from pathlib import Path
 from typing import Any, Final
@@ -107,11 +107,6 @@ class Campaign:
         """The modules of missions and managers of one's own."""
         names = (name.partition(":") for name in (*self.missions, *self.managers))
         return tuple(dict.fromkeys(module for module, colon, _ in names if colon))
-
-    def as_data(self) -> dict[str, Any]:
-        """Return it as plain data, from which `from_data` makes it again."""
-        data = {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
-        return data | {"sweep": {name: list(values) for name, values in self.sweep.items()}}
 
 
 def paper_table(runs: int = 100) -> Campaign:

@@ -58,10 +58,10 @@ class Document:
         lines = [f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in (head, marks, *rows)]
         self._parts.append("\n".join(lines))
 
-    def figure(self, name: str, caption: str, drawn: Mapping[str, bytes]) -> None:
-        """Add a picture, "png" and "svg"; the page holds the second within itself."""
-        self._parts.append(f"![{caption}]({name}.png)")
-        self.pictures |= {f"{name}.{suffix}": content for suffix, content in drawn.items()}
+    def figure(self, name: str, caption: str, drawn: bytes) -> None:
+        """Add a picture (SVG); the page holds it within itself."""
+        self._parts.append(f"![{caption}]({name}.svg)")
+        self.pictures[f"{name}.svg"] = drawn
 
     def as_markdown(self) -> str:
         return "\n\n".join(self._parts) + "\n"
@@ -73,7 +73,7 @@ class Document:
         body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
         for name in [one for one in self.pictures if one.endswith(".svg")]:
             data = f"data:image/svg+xml;base64,{base64.b64encode(self.pictures[name]).decode()}"
-            body = body.replace(f'src="{name.removesuffix(".svg")}.png"', f'src="{data}"')
+            body = body.replace(f'src="{name}"', f'src="{data}"')
         head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{CSS}</style>'
         return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
 
@@ -307,7 +307,7 @@ def _chance() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
-WIDTH, ROW, EDGES, DPI = 9.0, 0.8, 1.1, 130  # [inch], [inch], [inch], [px/inch]
+WIDTH, ROW, EDGES = 9.0, 0.8, 1.1  # [inch]
 INK, MUTED, FAINT = "#222222", "#666666", "#b5b5b5"
 EARLY, LATE, PLAIN, PAPER = "#0072b2", "#e69f00", "#7d8790", "#d55e00"
 CLUSTERS: Final = {"earlier cluster": EARLY, "later cluster": LATE, "never found": PLAIN}
@@ -324,8 +324,8 @@ Rows = Mapping[Group, Sequence[tuple[Array, tuple[float, float] | None]]]
 """Of each manager what the cells of its row show: values, and published mean and standard deviation."""
 
 
-def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> dict[str, bytes]:
-    """Draw a histogram of a figure for each manager, one above the other; returns it by suffix: "png", "svg".
+def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> bytes:
+    """Draw a histogram of a figure for each manager, one above the other; returns it as SVG.
 
     Of search times two clusters are shown, and apart those that never succeeded.
     """
@@ -336,8 +336,8 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
     return _drawn(rows, [label], bins, CLUSTERS if clusters else {}, "published mean ± sd")
 
 
-def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
-    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s]; returns it by suffix."""
+def reaction_histograms(comparison: Comparison) -> bytes:
+    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s]; returns it as SVG."""
     names, rows = comparison.uncertainties, {}
     for group in comparison.groups:
         means = (group.published.reactions_s.get(name) for name in names)
@@ -352,13 +352,13 @@ def reaction_histograms(comparison: Comparison) -> dict[str, bytes]:
 
 def _drawn(
     rows: Rows, labels: Sequence[str], bins: list[float], clusters: Mapping[str, str], mark: str, scale: str = "linear"
-) -> dict[str, bytes]:
+) -> bytes:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     with rc_context(STYLE):
         size = WIDTH, len(rows) * ROW + EDGES
-        drawing = Figure(figsize=size, dpi=DPI, facecolor="white", layout="constrained")
+        drawing = Figure(figsize=size, facecolor="white", layout="constrained")
         axes = drawing.subplots(len(rows), len(labels), sharex=True, squeeze=False)
         for row, (group, cells) in zip(axes, rows.items(), strict=True):
             row[0].set_ylabel(group.label, rotation=0, ha="right", va="center")
@@ -379,16 +379,9 @@ def _drawn(
         for cell, label in zip(axes[-1], labels, strict=True):
             cell.set_xlabel(label)
         _explain(drawing, list(rows), clusters, mark)
-        png = _written(drawing, "png", Software=None)
-        drawing.set_layout_engine("none")  # it stays as it has been laid out
-        return {"png": png, "svg": _written(drawing, "svg", Date=None)}
-
-
-def _written(drawing: "Figure", suffix: str, **metadata: None) -> bytes:
-    """Return a picture as a file, without the time and the versions that made it."""
-    content = BytesIO()
-    drawing.savefig(content, format=suffix, metadata=metadata)
-    return content.getvalue()
+        content = BytesIO()
+        drawing.savefig(content, format="svg", metadata={"Date": None})  # nothing of when it was made
+        return content.getvalue()
 
 
 def _stack(axes: "Axes", values: Array, searches: Array, bins: list[float]) -> bool:

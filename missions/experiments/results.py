@@ -9,7 +9,7 @@ import platform
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import chain
@@ -201,7 +201,7 @@ def _begun(folder: Path, campaign: Campaign) -> Campaign:
         folder.mkdir(parents=True, exist_ok=True)
         with closing(_opened(folder / FILE, "rwc")) as file:
             file.executescript(_TABLES)
-            about = FORMAT, *(json.dumps(one, ensure_ascii=False) for one in (campaign.as_data(), dict(provenance())))
+            about = FORMAT, *(json.dumps(one, ensure_ascii=False) for one in (asdict(campaign), dict(provenance())))
             file.execute("INSERT INTO about VALUES (?, ?, ?)", about)
             file.execute("COMMIT")
     return campaign
@@ -211,7 +211,7 @@ def _same(folder: Path, campaign: Campaign | None) -> Campaign:
     """Return the campaign of a folder, which must be the one asked for and have been begun with what there is now."""
     _, kept, begun_with = read_store(folder)
     if campaign is not None and campaign != kept:
-        mine, theirs = campaign.as_data(), kept.as_data()
+        mine, theirs = (json.loads(json.dumps(asdict(one))) for one in (campaign, kept))
         key = next(key for key in mine if mine[key] != theirs[key])
         problem = f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}"
         raise MissionError(f"{problem}; give another --out")

@@ -84,7 +84,7 @@ class Processes:
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(self.count, initializer=_end_with, initargs=(os.getpid(),))
+            self._executor = ProcessPoolExecutor(self.count, initializer=end_with, initargs=(os.getpid(),))
         started: Executor = self._executor
         return started
 
@@ -212,7 +212,7 @@ def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], Plann
         under_way[future] = waiting.popleft()
 
 
-def _end_with(parent: int) -> None:
+def end_with(parent: int) -> None:
     """Have this process end when the one that started it is gone, which a killed program cannot ask for."""
 
     def watch() -> None:

@@ -106,12 +106,11 @@ def test_reactions_are_told_in_two_parts(report):
     assert "U1, none" not in table
 
 
-def test_pictures_are_kept_twice_and_the_page_needs_none_of_them(report):
-    names = {path.stem for path in report.glob("*.png")}
-    assert names == {path.stem for path in report.glob("*.svg")}
+def test_pictures_stand_beside_the_text_and_the_page_needs_none_of_them(report):
+    names = {path.stem for path in report.glob("*.svg")}
     assert names == {"suave_search_time_s", "suave_distance_inspected_m", "suave_reactions"}
     text, page = (report / "report.md").read_text(), (report / "report.html").read_text()
-    assert all(f"({name}.png)" in text for name in names)
+    assert all(f"({name}.svg)" in text for name in names)
     assert page.count('src="data:image/svg+xml;base64,') == len(names)
     for path in report.glob("*.svg"):
         xml.etree.ElementTree.parse(path)
@@ -158,7 +157,7 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
     assert "100.00 ± 0.00 |" in text
     assert "50.00 ± 0.00 (2) |" in text
     assert "search time" not in text.split("## How it was computed")[0]
-    assert (tmp_path / "rover_MISSION_with_energy_1_explored_m.png").exists()
+    assert (tmp_path / "rover_MISSION_with_energy_1_explored_m.svg").exists()
     store = read_store(tmp_path / "c")
     write_report(store, tmp_path, figures=["done_s"])
     assert "| manager | runs | goal reached | done_s: mean [95 %] | sd [95 %] |" in (tmp_path / "report.md").read_text()
