@@ -9,8 +9,7 @@ import pickle
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,16 +19,15 @@ from missions.proof.rounds import (
     CAN_COPY,
     Changed,
     Doing,
-    Job,
     Known,
+    Onward,
     Rounds,
+    Seen,
     Situation,
     Step,
     Ticked,
     Way,
     Workers,
-    answered,
-    bring,
     megabytes,
 )
 from missions.proof.surroundings import Change
@@ -40,7 +38,7 @@ _AT_A_TIME: Final = 32
 _ALONE_S: Final = 1.0
 """For so long one process explores: most missions are known then [s]."""
 
-_PARTS: Final = (Situation, Step, Change, Changed, Ticked, Known, Doing, frozenset)
+_PARTS: Final = (Situation, Step, Change, Changed, Ticked, Seen, Known, Doing, frozenset)
 
 Wrong = tuple[str, Sequence[Step] | None]
 """What is wrong, in words, and the rounds that lead there, if a story shows it."""
@@ -57,36 +55,32 @@ class Exploration:
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number, that in the beginning first, then by the fewest rounds that lead there.
-        states: by number, what matters of its tree and of its knowledge base.
-        count: how many of them it is known of what follows, the first ones.
-        ticks: by moment, what may follow.
-        known, doing: what matters of states, by their keys.
+        states: by number, what matters of it.
+        onward: by number, what may follow, as far as that is known.
         faults: of the manager, in words, with the rounds that lead there first.
         holds: by predicate, in which situations it does.
         transitions: how many changes and ticks were found.
         seconds: how long it took [s].
-        megabytes: the most memory that was held when it ended, by all processes together [MB].
+        megabytes: the most memory that one process has held [MB].
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None) -> None:
         predicates, self._goal = [*predicates, *filter(None, [goal])], goal
         self._rounds = rounds = Rounds(setup, predicates)
-        self.rig, self.known, self.doing = rounds.rig, rounds.known, rounds.doing
+        self.rig = rounds.rig
         self.faults = {fault: list[Step]() for fault in rounds.faults}
         self.situations: list[Situation] = []
-        self.states: list[tuple[Doing, Known]] = []
-        self.count = 0
-        self.ticks: dict[Situation, list[Ticked]] = {}
+        self.states: list[Seen] = []
+        self.onward: list[Onward] = []
         self._steps: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
         self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
-        self._changed: dict[int, list[Changed]] = {}
         self._ticked: set[Situation] = set()
         self.transitions, self.seconds, self.megabytes = 0, 0.0, 0.0
         self._is_stopped = False
         sources = [Path(getattr(one, "__file__", None) or "") for one in [*sys.modules.values()]]
         self._newest = max(one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file())
-        self._reach(rounds.first, -1, Step())
+        self._reach(rounds.first, rounds.seen(rounds.first), -1, Step())
 
     def explore(self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None) -> "Exploration":
         """Find what can be reached; called again, it goes on.
@@ -106,12 +100,14 @@ class Exploration:
                 if self._is_stopped:
                     break
                 if crew is None and cores > 1 and time.perf_counter() > begun + _ALONE_S:
-                    crew = Workers(self._rounds, self._way, cores)
+                    crew = Workers(self._rounds, cores)
                 self._round(self.unexplored[: 1 if crew is None else _AT_A_TIME * cores], crew)
         finally:
             gc.set_threshold(*collected)
             self.seconds += time.perf_counter() - begun
-            self.megabytes = megabytes() + (0.0 if crew is None else crew.close())
+            if crew is not None:
+                crew.close()
+            self.megabytes = megabytes()
         return self
 
     def stop(self) -> None:
@@ -121,7 +117,7 @@ class Exploration:
     @property
     def unexplored(self) -> range:
         """The situations of which it is not known yet what follows."""
-        return range(self.count, len(self.situations))
+        return range(len(self.onward), len(self.situations))
 
     @property
     def is_finished(self) -> bool:
@@ -138,17 +134,25 @@ class Exploration:
         """The situations in which the goal is reached."""
         if self._goal is not None:
             return self.holds[self._goal]
-        return {number for number, (doing, _) in enumerate(self.states) if doing.status == "SUCCESS"}
+        return {number for number, one in enumerate(self.states) if one.doing.status == "SUCCESS"}
 
-    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Situation, int]]:
-        """Yield each round that may follow, its moment and where it leads; if still, those in which nothing happens."""
-        tree, known = self.situations[number]
-        is_over = number >= self.count or self.doing[tree].is_over
-        for after_changes, changes, was_late, _ in () if is_over else self._changed[known]:
-            moment = Situation(tree, after_changes)
-            for after, answers, is_late, _ in () if still and (changes or was_late) else self.ticks[moment]:
-                if not (still and is_late):
-                    yield Step(changes, answers, (was_late, is_late)), moment, self._numbers[after]
+    @property
+    def occurring(self) -> set[tuple[str, str]]:
+        """Kind and name of all that was selected or required in what was explored."""
+        changed = [change.facts for onward in self.onward for change, _ in onward]
+        return set().union(*(one.occurring for one in (*changed, *(one.facts for one in self.states))))
+
+    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Known, int]]:
+        """Yield each round that may follow, what is known before its tick and where it leads.
+
+        If still, those in which nothing happens.
+        """
+        for change, ticks in self.onward[number] if number < len(self.onward) else ():
+            is_news = change.changes or change.is_late
+            for tick in () if still and is_news else ticks:
+                if not (still and tick.is_late):
+                    step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
+                    yield step, change.facts, self._numbers[tick.after]
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
         """Return what is wrong in situations, with the way to the nearest of them; None if there are none."""
@@ -181,10 +185,7 @@ class Exploration:
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
-        situation = self.situations[number]
-        if not self._rounds.has_been_in(situation):
-            bring(self._rounds, self._way(number))
-        return self._rounds.load(situation)
+        return self._rounds.load(self._rounds.bring(self._way(number)))
 
     def path(self, number: int) -> list[Step]:
         """Return the rounds by which a situation was reached first."""
@@ -192,8 +193,8 @@ class Exploration:
 
     def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: what led where, not what states hold."""
-        size, done = len(self.situations) + self.is_finished, (self.count, self.seconds)
-        saved = self._mark(), size, done, self.ticks, self._changed, self._rounds.news(of_all=True)
+        size = len(self.situations) + self.is_finished
+        saved = self._mark(), size, len(self.onward), self.seconds, (self._rounds.found, self._rounds.ticked)
         return gzip.compress(pickle.dumps(saved), mtime=0)  # which says whether it is whole
 
     def go_on_from(self, kept: bytes) -> None:
@@ -205,19 +206,18 @@ class Exploration:
             MissionError: it is not what one has left, or one of another mission, or the mission does otherwise now.
         """
         try:
-            mark, size, (count, seconds), ticks, changed, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
+            mark, size, count, seconds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
         except Exception as error:  # whatever gzip and pickle make of what is none
             raise MissionError(f"it is not what an exploration has left: {error!r}") from error
         if mark == self._mark():
             self.explore(size, _ALONE_S, cores=1)
-        found: list[dict[Any, Any]] = [self.ticks, self._changed, *self._rounds.news(of_all=True)[0]]
-        kept_of = [ticks, changed, *news[0]]
-        if mark != self._mark() or any(not one.items() <= of.items() for one, of in zip(found, kept_of, strict=True)):
+        both = zip(self._rounds.found, news[0], strict=True)
+        if mark != self._mark() or any(not mine.items() <= theirs.items() for mine, theirs in both):
             raise MissionError("it is of another mission, of other options, or the mission has been changed since")
-        self.ticks, self._changed, self.seconds = ticks, changed, seconds
+        self.seconds = seconds
         self._rounds.hear(news)
-        while self.count < count:  # what follows is known, and found once more
-            self._round([self.count], None)
+        while len(self.onward) < count:
+            self._round(self.unexplored[:1], None)
 
     def _mark(self) -> str:
         """Return what tells explorations apart."""
@@ -235,42 +235,38 @@ class Exploration:
 
     def _round(self, batch: Sequence[int], crew: Workers | None) -> None:
         """Find what follows situations, by others or alone."""
-        ask: Callable[[Iterable[Job]], list[list[Any]]] = partial(answered, self._rounds, self._way)
-        ask = ask if crew is None else crew.ask
-        open_ = [(one, self.situations[one]) for one in batch if not self.doing[self.situations[one].tree].is_over]
-        unknown = {one.known: Job(number, one) for number, one in open_ if one.known not in self._changed}
-        self._changed.update(zip(unknown, ask(unknown.values()), strict=True))
-        jobs: dict[Situation, Job] = {}
-        for number, one in open_:
-            for change in self._changed[one.known]:
-                job = Job(number, one, change)
-                if job.moment not in self.ticks:
-                    jobs.setdefault(job.moment, job)
-        self.ticks.update(zip(jobs, ask(jobs.values()), strict=True))
-        for number, one in open_:
-            for change in self._changed[one.known]:
-                moment = Situation(one.tree, change.known)
-                self._note(change.faults, number, Step(change.changes))
+        ways = {one: self._way(one) for one in batch if not self.states[one].doing.is_over}
+        if crew is not None:
+            crew.explore([*ways.values()])
+        for one in batch:
+            self._take_in(self._rounds.onward(ways[one]) if one in ways else [])
+
+    def _take_in(self, onward: Onward) -> None:
+        """Note what follows the first situation of which that was not known."""
+        number = len(self.onward)
+        for change, ticks in onward:
+            self._note(change.faults, number, Step(change.changes))
+            self.transitions += 1
+            moment = Situation(self.situations[number].tree, change.known)
+            for tick in () if moment in self._ticked else ticks:
+                step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
+                self._note(tick.faults, number, step)
+                self._reach(tick.after, tick.seen, number, step)
                 self.transitions += 1
-                for tick in () if moment in self._ticked else self.ticks[moment]:
-                    step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
-                    self._note(tick.faults, number, step)
-                    self._reach(tick.after, number, step)
-                    self.transitions += 1
-                self._ticked.add(moment)
-        self.count += len(batch)
+            self._ticked.add(moment)
+        self.onward.append(onward)
 
     def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
         for fault in faults:
             self.faults.setdefault(fault, [*self.path(before), step])
 
-    def _reach(self, situation: Situation, before: int, step: Step) -> None:
+    def _reach(self, situation: Situation, seen: Seen, before: int, step: Step) -> None:
         number = self._numbers.setdefault(situation, len(self.situations))
         if number == len(self.situations):
             self.situations.append(situation)
-            self.states.append((self.doing[situation.tree], self.known[situation.known]))
+            self.states.append(seen)
             self._steps.append((before, step))
-            for holds, is_so in zip(self.holds.values(), self._rounds.holds.get(situation, ()), strict=True):
+            for holds, is_so in zip(self.holds.values(), seen.holds, strict=True):
                 if is_so:
                     holds.add(number)
 

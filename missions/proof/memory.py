@@ -96,7 +96,6 @@ class Memory:
         self._shared: dict[Any, Any] = {}  # what is one thing wherever it is held
         self._states: dict[int, Content] = {}
         self._by_ids: dict[tuple[int, ...], int] = {}
-        self._digests: dict[int, bytes] = {}
         self.with_parameters = parameters
         for one in apart:
             self._note(one)
@@ -113,20 +112,14 @@ class Memory:
         ids = tuple(map(id, state))
         key = self._by_ids.get(ids)
         if key is None:
-            self._by_ids[ids] = key = self._key(state)
+            text = "\n".join(map(said, state))
+            key = int.from_bytes(blake2b(text.encode(), digest_size=8).digest())
+            self._by_ids[ids] = key
             if self._states.setdefault(key, state) is not state:
                 raise MissionError(
                     "two states of the mission cannot be told apart by what their values say of themselves"
                 )
         return key
-
-    def _key(self, state: Content) -> int:
-        digests = self._digests
-        for content in state:
-            if id(content) not in digests:
-                digests[id(content)] = blake2b(said(content).encode(), digest_size=16).digest()
-        whole = b"".join([digests[id(content)] for content in state])
-        return int.from_bytes(blake2b(whole, digest_size=8).digest())
 
     def write(self, key: int) -> None:
         """Have everything be as it was in the state of that key."""

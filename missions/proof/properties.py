@@ -116,9 +116,9 @@ def _unfeasible(found: Exploration, reaction: int) -> Wrong | None:
     for count in range(reaction):
         following: dict[tuple[str, int], list[Step]] = {}
         for number in found.every if not count else dict.fromkeys(number for _, number in layer):
-            for step, moment, after in found.following(number):
-                both = found.known[moment.known].unfeasible
-                for action in both and set(both).intersection(found.states[after][1].unfeasible):
+            for step, facts, after in found.following(number):
+                both = facts.unfeasible
+                for action in both and set(both).intersection(found.states[after].facts.unfeasible):
                     if not count or (action, number) in layer:
                         way = layer[action, number] if count else found.path(number)
                         following.setdefault((action, after), [*way, step])
@@ -127,7 +127,7 @@ def _unfeasible(found: Exploration, reaction: int) -> Wrong | None:
 
 
 def _unreleased(found: Exploration) -> Wrong | None:
-    for number, (doing, known) in enumerate(found.states):
+    for number, (doing, known, _) in enumerate(found.states):
         for action in sorted(doing.running ^ set(known.required)):
             is_running = "is not requested any more, and what does it still runs"
             is_left = "is still requested, and nothing that does it runs"
@@ -136,7 +136,7 @@ def _unreleased(found: Exploration) -> Wrong | None:
 
 
 def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
-    for number, (_, known) in enumerate(found.states):
+    for number, (_, known, _) in enumerate(found.states):
         for both in (group.intersection(known.required) for group in groups):
             if len(both) > 1:
                 return found.first([number], f"{' and '.join(sorted(both))} are required")
@@ -145,9 +145,9 @@ def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
 
 def _stuck(found: Exploration) -> Wrong | None:
     """Look for a situation that does not lead to the end while facts stand, though another of its stage does."""
-    ended = {one for one in found.every if found.states[one][0].is_over}
+    ended = {one for one in found.every if found.states[one].doing.is_over}
     good = found.reaching((found.goals | ended).union(found.unexplored), still=True)
-    here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known in found.states]
+    here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known, _ in found.states]
     possible = {here[number] for number in found.reaching(found.goals, still=True).difference(found.goals)}
     bad = (one for one in found.every if one not in good and here[one] in possible)
     return found.first(bad, "it is not then, but elsewhere in this stage with the same facts")
@@ -169,7 +169,7 @@ def _wavering(found: Exploration) -> Wrong | None:
                 if places.setdefault(at, len(trail)) < len(trail):
                     break
             cycle = [one for one, place in places.items() if at in onward and place >= places[at]]
-            done = {", ".join(found.states[one][1].required) or "nothing" for one in cycle}
+            done = {", ".join(found.states[one].facts.required) or "nothing" for one in cycle}
             if len(done) > 1:
                 return f"it goes to and fro between {' and '.join(sorted(done))}", [*found.path(number), *trail]
     return None
@@ -183,7 +183,7 @@ def _unreached(found: Exploration) -> Wrong | None:
 
 
 def _missing(found: Exploration) -> Wrong | None:
-    kb, occurring = found.rig.kb, {pair for one in found.known.values() for pair in one.occurring}
+    kb, occurring = found.rig.kb, found.occurring
     tables: dict[str, Iterable[str]] = {"action": kb.actions}
     if found.rig.surroundings.failures:  # or what is there for failures would be missing
         tables |= {"function design": kb.designs, "configuration": kb.configurations}

@@ -12,9 +12,8 @@ from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.elements import ComponentKind, Parameters
 from kb.execution import Budgets
 from kb.manager import Planner, PriorityPlanner
-from missions.proof.leaves import Choices, Leaf, take_over
 from missions.proof.planned import nodes
-from missions.proof.surroundings import Surroundings
+from missions.proof.surroundings import Choices, Leaf, Surroundings, take_over
 from missions.proof.tape import Tape
 from rosa_bt import ForAction, RosaAction, TreeRunner
 
@@ -57,7 +56,7 @@ class Setup:
     Attributes:
         model: builds what the robot is made of and can do, anew at each call.
         build: makes the tree, or another behaviour that decides.
-        leaves: by name, what leaves may return; others as `leaves.usual` says.
+        leaves: by name, what leaves may return; others as `surroundings.usual` says.
         planner: makes what chooses configurations; by priority without one.
         start: what is measured before the first tick; nothing else is.
         surroundings: how facts change, see `Surroundings`.

@@ -7,25 +7,25 @@ or by copies of it, each a part.
 """
 
 import multiprocessing
+import os
 import signal
 import sys
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
-from multiprocessing.connection import Connection
-from resource import RUSAGE_SELF, getrusage
+from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 from typing import Any, Final, NamedTuple
 
 from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 
 from missions.engine.mission import MissionError
-from missions.proof.leaves import Answer
+from missions.experiments.workers import end_with
 from missions.proof.memory import Memory, said
 from missions.proof.planned import nodes, stage_of
 from missions.proof.rig import Predicate, Rig, Setup
-from missions.proof.surroundings import Change
+from missions.proof.surroundings import Answer, Change
 from rosa_bt.behaviours import kept
 
 CAN_COPY: Final = sys.platform.startswith("linux")
@@ -78,6 +78,15 @@ class Changed(NamedTuple):
     changes: tuple[Change, ...]
     is_late: bool
     faults: tuple[str, ...]
+    facts: Known
+
+
+class Seen(NamedTuple):
+    """What matters of a situation: of its tree and its knowledge base, and which of the predicates hold in it."""
+
+    doing: Doing
+    facts: Known
+    holds: tuple[bool, ...]
 
 
 class Ticked(NamedTuple):
@@ -87,6 +96,15 @@ class Ticked(NamedTuple):
     answers: tuple[Answer, ...]
     is_late: bool
     faults: tuple[str, ...]
+    seen: Seen
+
+
+Onward = list[tuple[Changed, list[Ticked]]]
+"""What may follow a situation: what can be known next, each with what a tick comes to then."""
+
+
+News = tuple[Sequence[dict[Any, Any]], list[int]]
+"""What was found of states and moments, by their keys, and which nodes of the tree were ticked, by their places."""
 
 
 class Rounds:
@@ -97,8 +115,7 @@ class Rounds:
         first: the situation in the beginning.
         is_slow: whether the manager may miss its turn.
         faults: what was wrong about what the manager did in the beginning, in words.
-        known, doing: what matters of states, by their keys.
-        holds: by situation, which of the predicates hold in it.
+        found: by what is known which changes may follow, and by moment which ticks.
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
@@ -108,14 +125,16 @@ class Rounds:
         self._tree = Memory(
             [rig.root, Blackboard.storage, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices]
         )
-        self.known: dict[int, Known] = {}
-        self.doing: dict[int, Doing] = {}
-        self.holds: dict[Situation, tuple[bool, ...]] = {}
+        self._facts: dict[int, Known] = {}
+        self._doing: dict[int, Doing] = {}
+        self._seen: dict[Situation, Seen] = {}
         self._settled: dict[int, tuple[int, tuple[str, ...]]] = {}
-        self._sent = [0, 0, 0]
+        self._changes: dict[int, list[Changed]] = {}
+        self._ticks: dict[Situation, list[Ticked]] = {}
+        self.found: tuple[dict[Any, Any], ...] = self._changes, self._ticks
+        self._sent = [0, 0]
         self._nodes = nodes(rig.root)
         self.first = Situation(self._tree.read(), self._known.read())
-        self._describe(self.first)
 
     def has_been_in(self, situation: Situation) -> bool:
         """Tell whether these states of tree and knowledge base were there, together or apart."""
@@ -127,65 +146,85 @@ class Rounds:
         self._tree.write(situation.tree)
         return self.rig
 
-    def news(self, *, of_all: bool = False) -> tuple[list[dict[Any, Any]], list[int]]:
-        """Return what has been noted of states since the last time, or ever, and which nodes were ticked, by place."""
-        noted: list[dict[Any, Any]] = [self.known, self.doing, self.holds]
-        if of_all:
-            self._sent = [0, 0, 0]
-        new = [dict(islice(one.items(), count, None)) for one, count in zip(noted, self._sent, strict=True)]
-        self._sent = [len(one) for one in noted]
-        return new, [place for place, one in enumerate(self._nodes) if one in self.rig.ticked]
+    @property
+    def ticked(self) -> list[int]:
+        """The nodes that were ever ticked, by their places."""
+        return [place for place, one in enumerate(self._nodes) if one in self.rig.ticked]
 
-    def hear(self, news: tuple[list[dict[Any, Any]], list[int]]) -> None:
-        """Note what another has noted."""
-        (known, doing, holds), ticked = news
-        self.known |= known
-        self.doing |= doing
-        self.holds |= holds
-        self.rig.ticked.update(self._nodes[place] for place in ticked)
+    def news(self) -> News:
+        """Return what was found since the last time, and which nodes were ever ticked."""
+        new = [dict(islice(one.items(), sent, None)) for one, sent in zip(self.found, self._sent, strict=True)]
+        self._sent = [len(one) for one in self.found]
+        return new, self.ticked
+
+    def hear(self, news: News) -> None:
+        """Take over what another has found."""
+        for mine, theirs in zip(self.found, news[0], strict=True):
+            mine.update(theirs)
+        self.rig.ticked.update(self._nodes[place] for place in news[1])
+
+    def bring(self, way: Way) -> Situation:
+        """Have been where rounds lead that were run before, here or elsewhere, and return it.
+
+        Raises:
+            MissionError: they lead elsewhere now.
+        """
+        places = range(len(way), 0, -1)
+        last = next((place for place in places if self.has_been_in(way[place - 1][2])), 0)
+        for before, step, after in way[last:]:
+            _check(self.run(before, step) == after)
+        return way[-1][2] if way else self.first
+
+    def onward(self, way: Way) -> Onward:
+        """Return what may follow the situation to which rounds lead."""
+        tree, known = way[-1][2] if way else self.first
+        if known not in self._changes:
+            self.bring(way)
+        found = []
+        for change in self.changes(known):
+            moment = Situation(tree, change.known)
+            if moment not in self._ticks and not self.has_been_in(moment):  # another has found the change
+                self.run(self.bring(way), Step(change.changes, late=(change.is_late, False)))
+                _check(self.has_been_in(moment))
+            found.append((change, self.ticks(moment)))
+        return found
 
     def run(self, before: Situation, step: Step) -> Situation:
         """Return where one round leads."""
-        moment = self.change(before.known, step.changes, is_late=step.late[0])
+        told = self._told(before.known, step.changes)
+        moment = told if step.late[0] else self._settle(told)[0]
         after = self._outcome(Situation(before.tree, moment), step.answers)
         return after if step.late[1] else Situation(after.tree, self._settle(after.known)[0])
 
-    def change(self, known: int, changes: tuple[Change, ...], *, is_late: bool) -> int:
-        """Return what is known after changes of facts."""
-        told = self._told(known, changes)
-        return told if is_late else self._settle(told)[0]
-
     def changes(self, known: int) -> list[Changed]:
         """Return what can be known next, each once, with and without the manager's turn."""
+        if known in self._changes:
+            return self._changes[known]
         self._known.write(known)
         reached: dict[int, Changed] = {}
         for changes in list(self.rig.surroundings.changes()):
             told = self._told(known, changes)
             settled, faults = self._settle(told)
-            reached.setdefault(settled, Changed(settled, changes, False, faults))
-            if self.is_slow:
-                reached.setdefault(told, Changed(told, changes, True, ()))
-        for one in reached:
-            self._describe_known(one)
-        return list(reached.values())
+            for now, is_late in ((settled, False), (told, True)) if self.is_slow else ((settled, False),):
+                if now not in reached:
+                    reached[now] = Changed(now, changes, is_late, () if is_late else faults, self._facts_of(now))
+        return self._changes.setdefault(known, list(reached.values()))
 
     def ticks(self, moment: Situation) -> list[Ticked]:
         """Return what a tick in a moment comes to, with every combination of answers."""
+        if moment in self._ticks:
+            return self._ticks[moment]
         found: list[Ticked] = []
-        for after, answers in self._outcomes(moment):
-            settled, faults = self._settle(after.known)
-            for known in dict.fromkeys((settled, after.known) if self.is_slow else (settled,)):
-                found.append(Ticked(Situation(after.tree, known), answers, known != settled, faults))
-                self._describe(found[-1].after)
-        return found
-
-    def _outcomes(self, moment: Situation) -> Iterator[tuple[Situation, tuple[Answer, ...]]]:
-        """Yield the situations after a tick, before the manager's turn, for all answers."""
         scripts: list[tuple[Answer, ...]] = [()]
         while scripts:
             after = self._outcome(moment, scripts.pop())
             scripts += self.rig.choices.others
-            yield after, tuple(self.rig.choices.taken)
+            answers = tuple(self.rig.choices.taken)
+            settled, faults = self._settle(after.known)
+            for known in dict.fromkeys((settled, after.known) if self.is_slow else (settled,)):
+                reached = Situation(after.tree, known)
+                found.append(Ticked(reached, answers, known != settled, faults, self.seen(reached)))
+        return self._ticks.setdefault(moment, found)
 
     def _outcome(self, moment: Situation, script: tuple[Answer, ...]) -> Situation:
         rig = self.rig
@@ -215,142 +254,90 @@ class Rounds:
             self._settled.setdefault(found[0], (found[0], ()))
         return found
 
-    def _describe(self, situation: Situation) -> None:
-        """Note what matters of a situation, if it is new."""
-        tree, rig = situation.tree, self.rig
-        self._describe_known(situation.known)
-        if tree not in self.doing:
+    def seen(self, situation: Situation) -> Seen:
+        """Return what matters of a situation that was there."""
+        if situation not in self._seen:
+            doing, facts = self._doing_of(situation.tree), self._facts_of(situation.known)
+            holds = tuple([bool(one(self.load(situation))) for one in self._predicates])
+            self._seen[situation] = Seen(doing, facts, holds)
+        return self._seen[situation]
+
+    def _doing_of(self, tree: int) -> Doing:
+        if tree not in self._doing:
             self._tree.write(tree)
-            running = frozenset(one.action for one in rig.doing if one.status is Status.RUNNING)
-            is_over = rig.root.status is Status.SUCCESS or getattr(rig.root, "final_status", None) is not None
-            self.doing[tree] = Doing(rig.root.status.name, running, said(stage_of(rig.root)), is_over)
-        if self._predicates and situation not in self.holds:
-            self.holds[situation] = tuple([bool(one(self.load(situation))) for one in self._predicates])
+            root = self.rig.root
+            running = frozenset(one.action for one in self.rig.doing if one.status is Status.RUNNING)
+            is_over = root.status is Status.SUCCESS or getattr(root, "final_status", None) is not None
+            self._doing[tree] = Doing(root.status.name, running, said(stage_of(root)), is_over)
+        return self._doing[tree]
 
-    def _describe_known(self, known: int) -> None:
-        if known in self.known:
-            return
-        self._known.write(known)
-        rig, kb = self.rig, self.rig.kb
-        chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
-        occurring = [("action", one) for one in rig.required] + [(one.node.kind, one.name) for one in chosen]
-        attributes = [kb.attributes[name] for name in rig.surroundings.values]
-        values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
-        failed = rig.surroundings.failed()
-        feasible = tuple(kb.selectable_actions())
-        self.known[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible)
-
-
-class Job(NamedTuple):
-    """What is to be found: what can be known next, or what a tick comes to after a change.
-
-    Attributes:
-        number: of the situation before.
-        before: it.
-        change: that is followed by a tick; None to find the changes.
-    """
-
-    number: int
-    before: Situation
-    change: Changed | None = None
-
-    @property
-    def moment(self) -> Situation:
-        """Where it begins."""
-        return self.before if self.change is None else Situation(self.before.tree, self.change.known)
+    def _facts_of(self, known: int) -> Known:
+        if known not in self._facts:
+            self._known.write(known)
+            rig, kb = self.rig, self.rig.kb
+            chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
+            occurring = [("action", one) for one in rig.required] + [(one.node.kind, one.name) for one in chosen]
+            attributes = [kb.attributes[name] for name in rig.surroundings.values]
+            values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
+            failed, feasible = rig.surroundings.failed(), tuple(kb.selectable_actions())
+            self._facts[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible)
+        return self._facts[known]
 
 
-def megabytes() -> float:
-    """Return the most memory that this process has held [MB]."""
-    return getrusage(RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
-
-
-def bring(rounds: Rounds, way: Way) -> None:
-    """Have been where rounds lead that were run before, here or elsewhere.
-
-    Raises:
-        MissionError: they lead elsewhere now.
-    """
-    last = max((place for place, (_, _, after) in enumerate(way, start=1) if rounds.has_been_in(after)), default=0)
-    for before, step, after in way[last:]:
-        _same(rounds.run(before, step), after)
-
-
-def _same(found: object, expected: object) -> None:
-    if found != expected:
+def _check(is_same: bool) -> None:
+    if not is_same:
         why = "it has been changed, or it decides by chance or by the time of day"
         raise MissionError(f"the same round does not lead to the same situation again: {why}")
 
 
-def answered(rounds: Rounds, way: Callable[[int], Way], jobs: Iterable[Job]) -> list[list[Any]]:
-    """Return what is found here, for each job `Changed` or `Ticked`; `way` tells how a situation is reached."""
-    return [_answer(rounds, job, way) for job in jobs]
-
-
-def _answer(rounds: Rounds, job: Job, way: Callable[[int], Way]) -> list[Any]:
-    if not rounds.has_been_in(job.moment):
-        if not rounds.has_been_in(job.before):
-            bring(rounds, way(job.number))
-        if job.change is not None:
-            _, changes, is_late, _ = job.change
-            _same(rounds.change(job.before.known, changes, is_late=is_late), job.change.known)
-    return rounds.changes(job.before.known) if job.change is None else rounds.ticks(job.moment)
+def megabytes() -> float:
+    """Return the most memory that this process has held, or one that it has begun and that has ended [MB]."""
+    most = max(getrusage(who).ru_maxrss for who in (RUSAGE_SELF, RUSAGE_CHILDREN))
+    return most / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 class Workers:
-    """Copies of this process, until it is closed."""
+    """Copies of this process, until it is closed; what one finds of a state, it is asked again."""
 
-    def __init__(self, rounds: Rounds, way: Callable[[int], Way], count: int) -> None:
-        self._rounds, self._way, self._held = rounds, way, [0.0] * count
-        context = multiprocessing.get_context("fork")
-        pipes = [context.Pipe() for _ in range(count)]
-        self._pipes, ends = [ours for ours, _ in pipes], [end for pipe in pipes for end in pipe]
-        self._copies = [context.Process(target=_work, args=(rounds, theirs, ends), daemon=True) for _, theirs in pipes]
-        with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads, which a copy lacks
-            for one in self._copies:
-                one.start()
-        for _, theirs in pipes:  # held by the copies alone: who waits for one that has died hears of it
-            theirs.close()
+    def __init__(self, rounds: Rounds, count: int) -> None:
+        self._rounds, context = rounds, multiprocessing.get_context("fork")
+        self._copies = [ProcessPoolExecutor(1, context, _begin, (rounds, os.getpid())) for _ in range(count)]
 
-    def ask(self, jobs: Iterable[Job]) -> list[list[Any]]:
-        """Return what is found, for each job `Changed` or `Ticked`; what one finds of a state, it is asked again."""
-        places = [(job, job.moment.known % len(self._pipes)) for job in jobs]
-        found: list[Iterator[list[Any]]] = []
+    def explore(self, ways: Sequence[Way]) -> None:
+        """Have found what may follow the situations to which rounds lead."""
+        parts: list[list[Way]] = [[] for _ in self._copies]
+        for way in ways:
+            parts[way[-1][2].tree % len(parts) if way else 0].append(way)
         try:
-            for number, pipe in enumerate(self._pipes):
-                part = [job for job, place in places if place == number]
-                pipe.send((part, {one: self._way(one) for one in {job.number for job in part}}))
-            heard = [pipe.recv() for pipe in self._pipes]
-        except (EOFError, OSError) as error:
+            asked = [copy.submit(_found, part) for copy, part in zip(self._copies, parts, strict=True)]
+            for one in asked:
+                self._rounds.hear(one.result())
+        except BrokenProcessPool as error:
             raise MissionError("a process that explores has died; if memory ran out, use fewer --cores") from error
-        self._held = [held for *_, held in heard]
-        for answers, news, _ in heard:
-            if isinstance(answers, str):
-                raise MissionError(answers)
-            self._rounds.hear(news)
-            found.append(iter(answers))
-        return [next(found[place]) for _, place in places]
 
-    def close(self) -> float:
-        """End them, and return the most memory that they have held together; what they share counts for each [MB]."""
+    def close(self) -> None:
         for one in self._copies:
-            one.kill()
-            one.join()
-        return sum(self._held)
+            one.shutdown(cancel_futures=True)
 
 
-def _work(rounds: Rounds, pipe: Connection, ends: Iterable[Connection]) -> None:
-    """Answer until nobody asks any more: whoever holds an end keeps the one who waits at the other from knowing."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who has asked is interrupted, and ends this one
-    for one in ends:
-        if one is not pipe:
-            one.close()
-    with suppress(EOFError, OSError):
-        while True:
-            jobs, ways = pipe.recv()
-            answers: list[list[Any]] | str
-            try:
-                answers = answered(rounds, ways.__getitem__, jobs)
-            except Exception as error:
-                answers = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
-            pipe.send((answers, rounds.news(), megabytes()))
+_copied: list[Rounds] = []
+"""In a copy of a process, what it explores."""
+
+
+def _begin(rounds: Rounds, parent: int) -> None:
+    """Begin as a copy, which is not interrupted, and ends when the process is gone that began it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    rounds.news()
+    _copied.append(rounds)
+    end_with(parent)
+
+
+def _found(ways: Sequence[Way]) -> News:
+    rounds = _copied[-1]
+    try:
+        for way in ways:
+            rounds.onward(way)
+    except Exception as error:  # of which not all can be sent
+        text = f"{type(error).__name__}: {error}"
+        raise MissionError(str(error) if isinstance(error, MissionError) else text) from None
+    return rounds.news()

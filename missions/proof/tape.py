@@ -5,16 +5,16 @@ once, and followed in every other state of the knowledge base that says the same
 """
 
 import operator
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from enum import Enum
 from types import MethodType
 from typing import Any, Final, NamedTuple, Protocol
 
 from kb import KnowledgeBase
 from kb.views import ElementView, Views
-from missions.proof.leaves import Choice, Choices
+from missions.proof.surroundings import Choice, Choices
 
 Path = tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...]
 """Attributes, items and calls, one after another, beginning at the knowledge base."""
@@ -104,17 +104,13 @@ def settled(asked: Asked) -> object:
     return how.real
 
 
+@dataclass(slots=True)
 class _Moment:
     """A moment of a tick: what is asked or chosen next, and what comes then; or the state of the tree at its end."""
 
-    __slots__ = ("after", "answered", "onward", "question", "then")
-
-    def __init__(self) -> None:
-        self.question: Choice | Path | None = None
-        self.answered: dict[int, tuple[object, int]] = {}
-        self.then: dict[object, _Moment] = {}
-        self.onward: dict[int, tuple[_Moment, int]] = {}
-        self.after: int | None = None
+    question: Choice | Path | None = None
+    then: dict[object, "_Moment"] = field(default_factory=dict)
+    after: int | None = None
 
 
 class Tape:
@@ -133,7 +129,7 @@ class Tape:
         self._kb, self._choices, self.is_on = kb, choices, is_on
         self._reached: dict[Path, Asked] = {}
         self._first: dict[int, _Moment] = {}
-        self._answered: defaultdict[Path, dict[int, tuple[object, int]]] = defaultdict(dict)
+        self._answered: dict[tuple[int, Path], tuple[object, int]] = {}
         self.kb: Any = self._stand_in(kb, ())
 
     def ask(self, asked: Asked, does: Callable[..., Any], *given: object) -> Any:  # noqa: ANN401  # whatever there is
@@ -163,7 +159,7 @@ class Tape:
         moment = self._first.setdefault(tree, _Moment())
         for question, answer in self._choices.said:
             if moment.question != question:  # not yet known, or told with other words, which decide nothing
-                moment.question, moment.then, moment.answered = question, {}, self._answered[question]
+                moment.question, moment.then = question, {}
             moment = moment.then.setdefault(answer, _Moment())
         moment.after = after
 
@@ -172,32 +168,24 @@ class Tape:
         moment = self._first.get(tree) if self.is_on else None
         while moment is not None and moment.after is None:
             if isinstance(moment.question, Choice):
-                moment = moment.then.get(self._choices.take(moment.question))
+                answer: object = self._choices.take(moment.question)
             else:
-                found = moment.onward.get(known) or self._onward(moment, known, memory)
-                moment, known = found if found is not None else (None, known)
+                answer, known = self._say(moment.question or (), known, memory)
+            moment = moment.then.get(answer)
         return None if moment is None or moment.after is None else (moment.after, known)
-
-    def _onward(self, first: _Moment, known: int, memory: _States) -> tuple[_Moment, int] | None:
-        """Return the moment at which a leaf is asked next, or the tick ends, and what is known then."""
-        moment: _Moment | None = first
-        at = known
-        while moment is not None and moment.after is None and not isinstance(moment.question, Choice):
-            said = moment.answered.get(at)
-            if said is None:
-                said = moment.answered[at] = self._say(moment.question or (), at, memory)
-            at = said[1]
-            moment = moment.then.get(said[0])
-        return None if moment is None else first.onward.setdefault(known, (moment, at))
 
     def _say(self, path: Path, known: int, memory: _States) -> tuple[object, int]:
         """Return what is answered in a state of the knowledge base, and in which it is then."""
+        said = self._answered.get((known, path))
+        if said is not None:
+            return said
         memory.write(known)
         last, found = self._kb.log.last, self._kb
         for does, given in path:
             found = does(found, *map(_plain, given))
         after = known if self._kb.log.last == last else memory.read()
-        return (found if _is_value(found) else type(found)), after
+        said = self._answered[known, path] = (found if _is_value(found) else type(found)), after
+        return said
 
     def _stand_in(self, real: object, path: Path) -> Asked:
         if not isinstance(real, _LIVE):

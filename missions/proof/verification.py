@@ -206,11 +206,11 @@ def _consequence(found: Exploration, facts: Sequence[Change]) -> Consequence:
     measured = {(one.name, one.to) for one in facts if one.to is not True}
     within = {
         number
-        for number, (_, known) in enumerate(found.states)
+        for number, (_, known, _) in enumerate(found.states)
         if sorted(known.failed) == failed and measured <= set(known.values)
     }
     reached = found.reaching(found.goals & within, within=within)
-    actions = sorted({one for number in within for one in found.states[number][1].required})
+    actions = sorted({one for number in within for one in found.states[number].facts.required})
     reaches = "nothing" if not reached else "the goal" if reached >= within else "the goal from some situations"
     is_known = within and (reached or found.is_finished)
     return Consequence(tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions))

@@ -2,8 +2,7 @@
 
 from math import nan
 
-from missions.proof.leaves import Choices, take_over
-from missions.proof.surroundings import Surroundings
+from missions.proof.surroundings import Choices, Surroundings, take_over
 from rosa_bt import replay_trace
 
 

@@ -109,7 +109,7 @@ def edges(setup, *, is_on=None):
     found.rig.tape.is_on = found.rig.tape.is_on if is_on is None else is_on
     found.explore(seconds=600.0)
     assert found.is_finished
-    seen = [(found.known[one.known], found.doing[one.tree]) for one in found.situations]
+    seen = [(one.facts, one.doing) for one in found.states]
     rounds = {
         (seen[before], step, seen[after])
         for before in range(len(found.situations))
@@ -188,16 +188,16 @@ def test_exploration_goes_on_from_a_file(number, monkeypatch):
 
 
 COPIES = """
-import sys, time
-from missions.proof import exploration, rounds
+import multiprocessing
+from missions.proof import exploration
 from missions.proof.exploration import Exploration
 from missions.proof.verification import setup_of
 from missions.suave_extended import MISSION
-exploration._ALONE_S, start = 0.0, rounds.Workers.__init__
-def told(self, *given):
-    start(self, *given)
-    print(*(one.pid for one in self._copies), flush=True)
-rounds.Workers.__init__ = told
+exploration._ALONE_S, explore = 0.0, exploration.Workers.explore
+def told(self, ways):
+    explore(self, ways)
+    print(*(one.pid for one in multiprocessing.active_children()), flush=True)
+exploration.Workers.explore = told
 Exploration(setup_of(MISSION, slow=True)).explore(seconds=60.0, cores=2)
 """
 
