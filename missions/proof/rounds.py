@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -297,7 +298,7 @@ def megabytes() -> float:
 
 
 class Workers:
-    """Copies of this process, until it is closed; what one finds of a state, it is asked again."""
+    """Copies of this process, until it is closed; what one finds of a tree in a state, it is asked again."""
 
     def __init__(self, rounds: Rounds, count: int) -> None:
         self._rounds, context = rounds, multiprocessing.get_context("fork")
@@ -309,7 +310,8 @@ class Workers:
         for way in ways:
             parts[way[-1][2].tree % len(parts) if way else 0].append(way)
         try:
-            asked = [copy.submit(_found, part) for copy, part in zip(self._copies, parts, strict=True)]
+            with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads: a copy has none
+                asked = [copy.submit(_found, part) for copy, part in zip(self._copies, parts, strict=True)]
             for one in asked:
                 self._rounds.hear(one.result())
         except BrokenProcessPool as error:

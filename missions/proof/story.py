@@ -91,19 +91,16 @@ def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
     *imports, expression = setup.splitlines()
     rounds = [(tuple(map(tuple, step.changes)), step.answers, step.late) for step in trail]
     function = "".join(letter if letter.isalnum() else "_" for letter in name.lower())
-    lines = [
-        '"""A story that `rosa verify` has found."""',
-        "",
-        *imports,
-        "from missions.proof.story import play",
-        "",
-        f"SETUP = {expression}",
-        f"ROUNDS = {pformat(rounds, width=110)}",
-        "",
-        "",
-        f"def test_{function}():",
-        f"    story = play(SETUP, ROUNDS)  # {what}",
-        "    assert not story.wrong, story",
-        "",
-    ]
-    return "\n".join(lines)
+    imported = "\n".join([*imports, "from missions.proof.story import play"])
+    return f'''"""A story that `rosa verify` has found."""
+
+{imported}
+
+SETUP = {expression}
+ROUNDS = {pformat(rounds, width=110)}
+
+
+def test_{function}():
+    story = play(SETUP, ROUNDS)  # {what}
+    assert not story.wrong, story
+'''

@@ -90,10 +90,9 @@ class Decisions:
         """Assert that an action begins."""
         __tracebackhide__ = True
         self._check("actions", action)
-        begun = [start for name, start, _, _ in self.actions if name == action]
-        self._in_time(
-            f"{action} begins", at, within, [(one, one, f"it begins at {seconds(one)}", action) for one in begun]
-        )
+        starts = [start for name, start, _, _ in self.actions if name == action]
+        found = [(start, start, f"it begins at {seconds(start)}", action) for start in starts]
+        self._in_time(f"{action} begins", at, within, found)
 
     def assert_ends(self, action: str, result: str = "completed", *, at: float, within: float = 1.0) -> None:
         """Assert that an action ends "completed", "failed" or "abandoned"."""
