@@ -102,6 +102,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         self.path = Path(path)
         with needs("mcap", "recordings as MCAP"):
             import mcap.writer  # noqa: F401  # found out before a file that is there is emptied
+        ros.types()  # so is whether `rosbags` is there
         try:
             if self.path.exists() and not self.path.is_file():
                 raise OSError("it is no file; name one that is there, or a new one")
