@@ -405,6 +405,7 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
         is_heard = "holds what was heard only, for `rosa replay` and tests" if place.suffix == ".jsonl" else ""
         holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
         raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
+    ros.types()  # a library that is missing is no fault of the recording
     for file, found in _ways(place, bag):
         try:
             for raw in found:
@@ -432,8 +433,8 @@ def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
 
 
 def _rosbag2(place: Path) -> Iterator[Raw]:
-    with needs("mcap", "recordings as MCAP and rosbag2"):
-        from rosbags.highlevel import AnyReader
+    from rosbags.highlevel import AnyReader
+
     with AnyReader([place], default_typestore=ros.types().store) as reader:
         kinds = {one.id: (one.topic, one.msgtype, one.msgdef.data) for one in reader.connections}
         for connection, stamp, data in reader.messages():
