@@ -18,7 +18,7 @@ from typing import Any, Final
 from weakref import WeakSet
 
 from kb import store_file
-from kb.amendments import Amendment, amend, amended_alike, differences, rebuilt
+from kb.amendments import amend, amended_alike, differences, rebuilt
 from kb.events import Event
 from kb.exceptions import InvalidValue
 from kb.files import sync_folder
@@ -36,6 +36,7 @@ _SNAPSHOT_AFTER: Final = 10_000  # events that are written, at least, before wha
 _PAUSE: Final = 0.001  # in which those who tell go on before it is written what they have told together [s]
 _AHEAD: Final = 1 << 20  # that is written to the log beside the file before it is brought into the file [bytes]
 _AGAIN: Final = 1.0  # after which it is tried again to write, and the mark is forced to the disk [s]
+_LONGEST_HOLD: Final = 5.0  # for which a fork waits for what another thread is at [s]
 _MOST_WAITING: Final = 100_000  # events that wait for room on the disk before it is given up: memory has an end too
 
 _log = logging.getLogger(__name__)
@@ -69,7 +70,7 @@ class Store:
         self.is_new = model is not None and store_file.make(self.path, _declared(model))
         self._guard, self._mark = store_file.guarded(self.path), -1
         self.using = threading.Lock()
-        _IN_USE.add(self.using)
+        HELD_OVER_FORKS.add(self.using)
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
@@ -78,18 +79,16 @@ class Store:
         self._knowledge: Knowledge
         self._lock: AbstractContextManager[object] = threading.RLock()
         try:
-            store_file.check_format(self.path, self._guard)
             self._connection, found = store_file.opened(self.path)
         except BaseException:
             os.close(self._guard)
             raise
         self._id, self._found = found.id, found
         self._written, self._tail = found.last, found.tail
-        self._snapshot = 0 if found.snapshot is None else found.snapshot.number
-        before = 0 if found.snapshot is None else found.snapshot.others
-        self._others = before + sum(row.verb != "measure" for row in found.rows)
+        self._snapshot = found.snapshot.number
+        self._others = found.snapshot.others + sum(row.verb != "measure" for row in found.rows)
         self._synced = 0.0
-        self.time = found.rows[-1].time if found.rows else found.snapshot.time if found.snapshot else 0.0
+        self.time = found.time
         try:
             self.model, self._serials = self._matched(model)
         except BaseException:
@@ -103,7 +102,7 @@ class Store:
         """Have everything known that is in the file; plans and attempts that were under way are abandoned [s]."""
         known.serials, found = self._serials, self._found
         with _blamed(self.path):
-            if found.snapshot is not None:
+            if found.snapshot.number:
                 known.from_json(json.loads(found.snapshot.known), found.snapshot.number, found.snapshot.time)
             for row in found.rows:
                 known.repeat(row.event)
@@ -122,20 +121,10 @@ class Store:
         Once it is closed nothing is read from it: what is held in memory is all that can be asked.
         """
         self.check_owner()
+        only = "" if measurements else "AND verb <> 'measure'"
         with self.using, _blamed(self.path):
-            return [] if self._closing else self._events(after, "" if measurements else "AND verb <> 'measure'", most)
-
-    def check(self) -> int:
-        """Check all of it; returns how many events it holds, or raises StoreError."""
-        self.check_owner()
-        with self.using:
-            found = store_file.survey(
-                self._connection, store_file.Mark(self._id, self._written, self._tail), is_whole=True
-            )
-            if found.problem:
-                raise found.error(self.path)
-            ((count,),) = self._connection.execute("SELECT COUNT(*) FROM events")
-            return int(count)
+            rows = () if self._closing else store_file.history(self._connection, after, self._written, only, most)
+            return [row.event for row in rows]
 
     def check_owner(self) -> None:
         """Raise StoreError in a process that was forked from the one that has opened the store."""
@@ -145,14 +134,12 @@ class Store:
                 "Make a knowledge base with a store of its own here"
             )
 
-    def _events(self, after: int, only: str, most: int = -1) -> list[Event]:
-        return [row.event for row in store_file.history(self._connection, after, self._written, only, most)]
-
     def _matched(self, model: Model | None) -> tuple[Model, Serials]:
         """Return the model that is gone on with, as it was amended, and the numbers in it."""
         stored, since = str(self._found.declared), self._found.since
         with _blamed(self.path):
-            amendments = [Amendment(*event.arguments) for event in self._events(since, "AND verb = 'amend'")]
+            rows = store_file.history(self._connection, since, self._written, "AND verb = 'amend'")
+            amendments = [row.event.arguments for row in rows]
             if model is not None and stored == _declared(model):
                 serials = Serials.of(model)
                 for one in amendments:
@@ -187,12 +174,11 @@ class Store:
                 ) from None
             self._connection.execute("PRAGMA journal_mode=WAL")
             self._connection.execute("PRAGMA synchronous=FULL")
-            (page,) = self._connection.execute("PRAGMA page_size").fetchone()
-            self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // page}")
+            self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // 4096}")  # in pages
             self._connection.execute(f"PRAGMA journal_size_limit={_AHEAD}")
             self._live(is_open=True)
             self._connection.execute("PRAGMA wal_checkpoint(FULL)")  # so that a log that is missing is noticed
-        known.log.heard = self._heard
+        known.log.heard = self._wake.set
         self._begin()
 
     def flush(self, timeout: float | None = None) -> bool:
@@ -257,10 +243,6 @@ class Store:
         self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
         self._thread.start()
         self._wake.set()
-
-    def _heard(self) -> None:
-        if not self._wake.is_set():
-            self._wake.set()
 
     def _run(self) -> None:
         while not self._is_given_up:
@@ -392,15 +374,12 @@ def _blamed(path: Path) -> Iterator[None]:
 # -------------------------------------------------------------------- forks
 
 HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all knowledge bases."""
-_IN_USE: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all files: SQLite has locks of its own, which a child would inherit as they are."""
+"""The locks of all knowledge bases, and of all files: SQLite has its own, which a child would inherit as they are."""
 
 
 def _hold() -> None:
     """Have nothing half-done while a process is forked."""
-    _HELD.extend(lock for lock in tuple(HELD_OVER_FORKS) if lock.acquire())
-    _HELD.extend(lock for lock in tuple(_IN_USE) if lock.acquire(timeout=1.0))
+    _HELD.extend(lock for lock in tuple(HELD_OVER_FORKS) if lock.acquire(timeout=_LONGEST_HOLD))
 
 
 def _let_go() -> None:

@@ -21,6 +21,7 @@ from kb.files import draft, sync_folder
 from kb.records import plain
 
 FORMAT: Final = 3  # of files that this version writes and reads
+HEAD: Final = 100  # the size of the header of the file, by which it is known [bytes]
 _MAGIC: Final = b"SQLite format 3\0"
 _OWNER: Final = 0x524F5341  # ROSA in ASCII: the application id in the header of the file
 _TABLES: Final = (
@@ -98,6 +99,10 @@ class Snapshot(NamedTuple):
         return cls(number, time, known, others, tail, digest(tail, number, time, known, others))
 
 
+NOTHING: Final = Snapshot(0, 0.0, "", 0, b"", b"")
+"""What is known before the first event."""
+
+
 class Mark(NamedTuple):
     """The number of the last event of a store that was acknowledged, and its digest."""
 
@@ -130,13 +135,18 @@ class Survey(NamedTuple):
     declared: str | None  # the model; None if it is not as it was written
     since: int  # the event before which it was another model
     id: bytes
-    snapshot: Snapshot | None
+    snapshot: Snapshot
     rows: list[Row]
     last: int  # the last event that is sound with all before it, and its digest
     tail: bytes
     acknowledged: int  # the last event that was acknowledged, as far as that is known
     is_open: bool
     problem: str  # what is wrong, first of all; empty if nothing is
+
+    @property
+    def time(self) -> float:
+        """The time of the last event [s]."""
+        return (self.rows[-1] if self.rows else self.snapshot).time
 
     @property
     def missing(self) -> int:
@@ -172,12 +182,11 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
     is_open, closed_at, closed_tail = life[0][:3] if life else (True, 0, b"")
     snapshots = [Snapshot(*one) for one in tried("SELECT * FROM snapshots ORDER BY number DESC")]
     problems += [f"what was known after event {one.number} is damaged" for one in snapshots if not is_sound(one)]
-    snapshot = next((one for one in snapshots if is_sound(one)), None)
-    number, tail = (snapshot.number, snapshot.tail) if snapshot else (0, b"")
-    if snapshot is not None:
-        counted = tried("SELECT COUNT(*) FROM events WHERE verb <> 'measure' AND number <= ?", number)
-        if counted and counted[0][0] != snapshot.others:
-            problems.append(f"of {snapshot.others} events before {number} that are no measurements not all are there")
+    snapshot = next((one for one in snapshots if is_sound(one)), NOTHING)
+    number, tail = snapshot.number, snapshot.tail
+    counted = tried("SELECT COUNT(*) FROM events WHERE verb <> 'measure' AND number <= ?", number)
+    if counted and counted[0][0] != snapshot.others:
+        problems.append(f"of {snapshot.others} events before {number} that are no measurements not all are there")
     ends, rows = {number: tail}, []
     try:
         for one in connection.execute("SELECT * FROM events WHERE number > ? ORDER BY number", (number,)):
@@ -201,7 +210,7 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
         problems.append(f"event {acknowledged} was acknowledged, and is missing or another one")
     if is_whole and not problems:
         try:
-            deque(history(connection, 0, snapshot.number if snapshot else 0), maxlen=0)
+            deque(history(connection, 0, snapshot.number), maxlen=0)
         except BROKEN as error:
             problems.append(str(error))
     problem = problems[0] if problems else ""
@@ -273,19 +282,22 @@ def put_in_place(part: Path, path: Path) -> bool:
 
 
 def guarded(path: Path) -> int:
-    """Open a file that nobody else has open as a store; returns its descriptor.
+    """Open a store that nobody else has open; returns the descriptor of its file.
 
     It is kept until the database is closed: to close any descriptor of a file takes away the locks of SQLite on it.
     """
+    descriptor = -1
     try:
         descriptor = os.open(path, os.O_RDONLY)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        os.close(descriptor)
-        raise _in_use(path) from None
+        check_format(path, os.pread(descriptor, HEAD, 0))
+    except (OSError, StoreError) as error:
+        if descriptor >= 0:
+            os.close(descriptor)
+        if isinstance(error, StoreError):
+            raise
+        is_taken = isinstance(error, BlockingIOError)
+        raise _in_use(path) if is_taken else StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
     return descriptor
 
 
@@ -293,12 +305,8 @@ def _in_use(path: Path) -> StoreError:
     return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
 
 
-def check_format(path: Path, descriptor: int) -> None:
-    try:
-        head = os.pread(descriptor, 100, 0)
-    except OSError as error:
-        raise StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
-    if not head.startswith(_MAGIC) or len(head) < 100:
+def check_format(path: Path, head: bytes) -> None:
+    if not head.startswith(_MAGIC) or len(head) < HEAD:
         raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
     if int.from_bytes(head[68:72], "big") != _OWNER:
         raise StoreError(f"{path}: this is a database of something else; it is left as it is. Name another file")

@@ -23,6 +23,7 @@ from kb.network import Network, Ref
 from kb.store import Store
 from kb.store_file import (
     BROKEN,
+    HEAD,
     Mark,
     Row,
     Snapshot,
@@ -101,15 +102,14 @@ def repair(file: File, new: New) -> Survey:
         if found.declared is None:
             raise found.error(file)
         snapshot = found.snapshot
-        rows = [*_sound(connection, snapshot.number if snapshot else 0), *found.rows]
+        rows = [*_sound(connection, snapshot.number), *found.rows]
         words = f"repaired: sound up to event {found.last}; {found.missing} acknowledged ones are missing"
-        time = rows[-1].time if rows else snapshot.time if snapshot else 0.0
-        last = Row.of(Event(found.last + 1, time, "store", (words,)), found.tail)
+        last = Row.of(Event(found.last + 1, found.time, "store", (words,)), found.tail)
         make(part, found.declared)
         fresh = sqlite3.connect(part)
         try:
             fresh.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", [*rows, last])
-            if snapshot:
+            if snapshot.number:
                 others = sum(row.verb != "measure" for row in rows) - sum(row.verb != "measure" for row in found.rows)
                 kept = Snapshot.of(*snapshot[:3], others, snapshot.tail)
                 fresh.execute("INSERT INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
@@ -171,7 +171,7 @@ def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.C
     """
     try:
         with path.open("rb") as file, TemporaryDirectory(prefix=".rosa-", dir=folder) as place:
-            check_format(path, file.fileno())
+            check_format(path, file.read(HEAD))
             copy = Path(place) / path.name
             for _ in range(100):
                 begun = _head(beside(path, "wal"))
