@@ -2,26 +2,20 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from typing import Any, NamedTuple
+from typing import Any
 
 from kb.elements import CHECKS, Changeable, Constraint, Estimation
 from kb.model import Model
 from kb.owl import individuals
 
-
-class Amendment(NamedTuple):
-    """Elements "declared" or "changed", as `plain_json` writes them, or the id of the one with which others went."""
-
-    how: str
-    written: Any
+Amendment = Sequence[Any]
+"""What became of elements: those "declared" or "changed" as `plain_json` writes them, the id of the one "removed"."""
 
 
 def amendment(how: str, changed: Sequence[Changeable], serials: individuals.Serials) -> Amendment:
     if how == "removed":
-        return Amendment(how, individuals.element_id(changed[0], serials))
-    return Amendment(
-        how, individuals.plain_json(made for one in changed for made in individuals.individual(one, serials))
-    )
+        return how, individuals.element_id(changed[0], serials)
+    return how, individuals.plain_json(made for one in changed for made in individuals.individual(one, serials))
 
 
 def amend(model: Model, serials: individuals.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds

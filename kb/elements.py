@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
+from html import escape
 from types import MappingProxyType
 from typing import Annotated, Any, Final, NamedTuple, Protocol, TypeGuard, TypeVar, get_type_hints
 
@@ -45,6 +46,14 @@ def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     if not math.isfinite(number):
         raise InvalidValue(f"a finite number is needed, not {shown(value)}")
     return number
+
+
+def table(caption: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+    """Return a table as notebooks show it, in HTML with every text escaped; what is None stays empty."""
+    titles = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
+    cells = (("" if one is None else escape(str(one)) for one in row) for row in rows)
+    lines = "".join(f"<tr>{''.join(f'<td>{one}</td>' for one in row)}</tr>" for row in cells)
+    return f"<table><caption>{escape(caption)}</caption><thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>"
 
 
 class Rate(NamedTuple):
@@ -156,10 +165,11 @@ def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
     return tuple({one.while_: one for one in given}.values())
 
 
-def pid(value: object) -> int:
-    if type(value) is int and 0 <= value < 2**63:
+def whole(what: str, value: object, least: int = 1) -> int:
+    """Return a whole number from the least on; above what 64 bits hold it is refused too."""
+    if type(value) is int and least <= value < 2**63:
         return value
-    raise InvalidValue(f"a process number is a whole number from 0, not {shown(value)}")
+    raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
 
 
 def choice(what: str, options: type[ChoiceT], given: object) -> ChoiceT:

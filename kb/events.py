@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from heapq import merge
+from itertools import takewhile
 from operator import attrgetter
 from threading import Condition, Lock, get_ident
 from typing import Any, Final, NamedTuple, Self
@@ -209,9 +209,9 @@ class Log:
     def since(self, number: int, *, measurements: bool = True) -> Iterator[Event]:
         """Yield the events after one, in order, with the measurements among them or without."""
         with self._lock:
-            others = _later(self._others, number)
-            measured = _later(self._measured, number) if measurements else []
-        return merge(measured, others, key=_NUMBER) if measured and others else iter(measured or others)
+            held = (self._measured, self._others) if measurements else (self._others,)
+            later = [one for events in held for one in takewhile(lambda one: one.number > number, reversed(events))]
+        return iter(sorted(later, key=_NUMBER))
 
     def __iter__(self) -> Iterator[Event]:
         self.settle()
@@ -219,18 +219,6 @@ class Log:
 
     def __len__(self) -> int:
         return len(self._measured) + len(self._others)
-
-
-def _later(events: deque[Event], number: int) -> list[Event]:
-    if not events or events[0].number > number:
-        return list(events)
-    later: list[Event] = []
-    for event in reversed(events):
-        if event.number <= number:
-            break
-        later.append(event)
-    later.reverse()
-    return later
 
 
 @dataclass(slots=True, eq=False)

@@ -162,6 +162,5 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 def infer_anew(state: State) -> None:
     """Infer everything from the facts, as after a change of the model; it may be done again."""
-    state.grow()
     state.forget_inferred()
     propagate(state, state.network.present())

@@ -39,8 +39,9 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
-_EVENTFUL: Final = ("apply", "measure", "finish", "advance")  # what is at work while something is told, or time passes
-
+_EVENTFUL: Final = ("apply", "measure", "finish", "advance", "amended")
+"""What is at work while something is told, time passes, or the model changes."""
+_IN_THE_MIDST: Final = "what handles a signal can ask and tell nothing in the midst of an event; do that later"
 
 _Pending = tuple[Event, Sequence[Put], bool, bool] | Literal["open"]
 """An event that is in; what is still to be put in place; whether the state has changed, and whether it matters to a
@@ -88,7 +89,7 @@ class Knowledge:
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
         """Make an event of what is said, and put it in place; None if it would change nothing."""
         if self.pending is not None:
-            self.settled(is_told=True)
+            self.settled()
         if verb not in RECORDS:
             self._open()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
@@ -100,7 +101,7 @@ class Knowledge:
     def measure(self, node: Node, value: float, time: float) -> Event:
         """Make an event of a measurement; the quickest of all, for it is the most frequent."""
         if self.pending is not None:
-            self.settled(is_told=True)
+            self.settled()
         index, state, measurements = node.index, self.state, self.measurements
         before, was_stale = state.value[index], state.stale[index]
         thresholds = self.network.thresholds(node)
@@ -132,12 +133,10 @@ class Knowledge:
         self._open()
         state.put(state.value, index, value)
         state.put(state.stale, index, False)
-        if not thresholds.steady:
-            return self._put(event, touched, put, words=words, matters=None)
         judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
         touched = [*self._judged(judged), *touched]
-        put_judged = partial(measurements.put_judged, judged, time)
-        return self._put(event, touched, put, put_judged, words=words, matters=None)
+        puts = (put, partial(measurements.put_judged, judged, time)) if judged else (put,)
+        return self._put(event, touched, *puts, words=words, matters=None)
 
     def settle(self, now: float) -> None:
         """Put in place what was interrupted, and have time do what it has done by now [s]."""
@@ -175,9 +174,6 @@ class Knowledge:
             state.version = event.number
         for put in puts:
             put()
-        if self.pending is not pending:  # who has asked meanwhile has done so too, and has come between
-            self.finish()
-            return
         if event.verb == "amend":
             event = Event(*event[:4], self._changes(), *event[5:])
         if event.changes:
@@ -196,18 +192,12 @@ class Knowledge:
         for witness in self.log.witnesses if is_new else ():
             witness(event)
 
-    def settled(self, *, is_told: bool = False) -> State:
-        """Return what is known once an interrupt is settled; a handler of signals asks, and an event goes on."""
-        pending = self.pending
-        if pending is None or not self._is_under_way():
+    def settled(self) -> State:
+        """Return what is known once an event that was interrupted is in or out."""
+        if self.pending is not None:
+            if self._is_under_way():
+                raise KnowledgeBaseError(_IN_THE_MIDST)
             self.finish()
-        elif is_told:
-            raise KnowledgeBaseError("what handles a signal can tell nothing in the midst of an event; tell it later")
-        elif pending == "open":
-            return self.state.before()
-        else:
-            self.finish()
-            self.pending = pending[0], *pending[1:]  # another one: so it is done again
         return self.state
 
     def _is_under_way(self) -> bool:
@@ -226,17 +216,10 @@ class Knowledge:
         words: str = "",
         matters: bool | None = True,
     ) -> Event:
-        """Put an event in place, with all that it makes of what is known.
+        """Put an event in place, with all that follows from the touched nodes, and what else is to be put there.
 
-        Args:
-            event: as it was told.
-            touched: the nodes whose facts it changes in the layer, from which to infer.
-            puts: what else is to be put in place; each may be called again.
-            changes: the statuses that have changed already; this and what follows is as in `Event`.
-            effects: what is selected or no longer.
-            plan: what was made.
-            words: what, in words.
-            matters: whether it can matter to a planner; None if only changed statuses do.
+        What is put may be put again. Some statuses may have changed already; that and what else there is to say of it
+        is as in `Event`. It can matter to a planner, or it cannot; None if only changed statuses do.
         """
         if touched:
             changes = [*changes, *propagate(self.state, touched)]
@@ -467,39 +450,29 @@ class Knowledge:
             self.settled()
             if change is self._amended:
                 return
-            self.settled(is_told=True)
+            if self._is_under_way():
+                raise KnowledgeBaseError(_IN_THE_MIDST)
             for element in change.elements if change.how == "removed" else ():
                 if isinstance(element, Action) and element.name in self.records.required:
                     self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
             self.state.kept = None
-            present = {node: self.state.status[node.index] for node in self.network.present()}
-            nodes = [node for node in present if node.element in change.elements]
-            self._before = {
-                node: status for node, status in present.items() if node not in nodes or change.how != "removed"
-            }
+            self._before = {node: self.state.status[node.index] for node in self.network.present()}
+            gone = [node for node in self._before if change.how == "removed" and node.element in change.elements]
             named = [one for one in change.elements if not isinstance(one, Estimation)] or change.elements
             names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
-            event = Event(
-                self.log.last + 1,
-                self.now,
-                "amend",
-                tuple(amendment(change.how, change.elements, self.serials)),
-                words=f"{names} {change.how} in the model",
-            )
-            put = partial(self._renew, change, nodes)
-            if change is not self._amended:  # nor has it been amended for what has asked meanwhile
-                self.pending = event, (put,), False, True
-                self.finish()
+            written = tuple(amendment(change.how, change.elements, self.serials))
+            event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
+            self.pending = event, (partial(self._renew, change, gone),), False, True
+            self.finish()
 
-    def _renew(self, change: facts.Amended, known: Sequence[Node]) -> None:
+    def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:
         """Relate what is in the model now, and infer all anew; it may be done again."""
         self.network.renew()
-        if change.how == "removed":
-            for node in known:
-                self.state.forget(node)
-                self.state.parameters.pop(node.name if node.kind == "component" else "", None)
-                for key in (node.index, ~node.index):
-                    self.measurements.alarms.clear(key)
+        for node in gone:
+            self.state.forget(node)
+            self.state.parameters.pop(node.name if node.kind == "component" else "", None)
+            for key in (node.index, ~node.index):
+                self.measurements.alarms.clear(key)
         self.state.grow()
         for element in change.elements if change.how != "removed" else ():
             if isinstance(element, Attribute | Constraint):

@@ -8,16 +8,14 @@ from contextlib import AbstractContextManager
 from functools import partial, wraps
 from pathlib import Path
 from threading import RLock
-from types import MappingProxyType
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import finalize
 
 from kb import questions, views
 from kb.amendments import amend
 from kb.diagnostics import DiagnosticProblem, read_diagnostics
-from kb.elements import Parameters, finite_number, flag, status_of, text
+from kb.elements import Parameters, finite_number, flag, status_of, table, text, whole
 from kb.elements import parameters as checked_parameters
-from kb.elements import pid as checked_pid
 from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation import why, why_selected
@@ -25,7 +23,6 @@ from kb.forecasts import Forecaster, feasible_until
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
-from kb.notebook import table
 from kb.owl.world import Answer, answers
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
@@ -74,8 +71,6 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
         caused = {name: _own(value) for name, value in kwargs.items()}
         now, log = self._time(), self._knowledge.log
         with self._lock:
-            if self._store is not None:
-                self._check_open()
             self._settle(now)
             before = log.last
             result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
@@ -112,6 +107,7 @@ class KnowledgeBase:
         model: as it is now.
         log: the events, in order; the newest, see `Log.begins`.
         history: what is on record and not asked every day.
+        store: the file of the log, and what is wrong with it; None without one.
         forecast: looks ahead: `kb.forecast("energy", 30.0)`, see `Forecaster`.
         actions, functions, components, designs, configurations, attributes: read-only views by name.
     """
@@ -129,20 +125,19 @@ class KnowledgeBase:
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
         if not callable(clock):
             raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
-        if type(keep) is not int or keep < 1:
-            raise InvalidValue(f"keep is a whole number of measurements from 1, not {keep!r}")
+        whole("keep", keep)
         if not isinstance(memory, Memory | None):
             raise InvalidValue(f"how much is held in memory is said by a kb.Memory, not by {memory!r}")
         model.settle()
         self.model = model
         self._time = _Time(clock, model)
         self._lock = RLock()
-        self._store = None if store is None else Store(store, model, keep)
+        self.store = None if store is None else Store(store, model, keep)
         self._knowledge = known = Knowledge(model, self._time, self._lock, memory)
         self._time.known = known
         known.now = now = self._time()
-        if self._store is not None and not self._store.is_new:
-            self._store.restore(known, now)
+        if self.store is not None and not self.store.is_new:
+            self.store.restore(known, now)
             known.log.time = -math.inf  # its clock may have begun anew
         elif model.facts:
             known.begin(model.facts, now)
@@ -163,9 +158,9 @@ class KnowledgeBase:
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
         model.watch(known)
         HELD_OVER_FORKS.add(self._lock)
-        if self._store is not None:
-            self._store.start(known, self._lock)
-            finalize(self, self._store.close)
+        if self.store is not None:
+            self.store.start(known, self._lock)
+            finalize(self, self.store.close)
             self._catch_up()  # with what time has done meanwhile
 
     # ---------------------------------------------------------------- asked
@@ -272,7 +267,7 @@ class KnowledgeBase:
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
-        return answers(sparql, timeout, self._knowledge, self._store, self._keep, self._held)
+        return answers(sparql, timeout, self._knowledge, self.store, self._keep, self._held)
 
     # ---------------------------------------------------------------- told: what is so
 
@@ -289,8 +284,6 @@ class KnowledgeBase:
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
         known, now = self._knowledge, self._time()
         with self._lock:
-            if self._store is not None:
-                self._check_open()
             self._settle(now)
             told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
@@ -500,21 +493,19 @@ class KnowledgeBase:
     def component_configured(self, component: str, parameters: Parameters) -> None:
         """Tell which parameters a component was given; see `parameters_in_force` of its view."""
         name = self._component(component).name
-        self._tell("component_configured", name, MappingProxyType(dict(checked_parameters(name, parameters))))
+        self._tell("component_configured", name, checked_parameters(name, parameters))
 
     @_telling
     def component_started(self, component: str, pid: int) -> Process:
         """Tell that a component runs as a process of the operating system, whether it is active already or not."""
-        checked_pid(pid)
-        self._tell("component_started", self._component(component).name, pid)
+        self._tell("component_started", self._component(component).name, whole("a process number", pid, 0))
         return next(reversed(self._knowledge.records.processes.values()))
 
     @_telling
     def component_ended(self, component: str, pid: int | None = None) -> None:
         """Tell that the process of a component has ended: that of a number, or all of them."""
-        if pid is not None:
-            checked_pid(pid)
-        self._tell("component_ended", self._component(component).name, pid)
+        number = None if pid is None else whole("a process number", pid, 0)
+        self._tell("component_ended", self._component(component).name, number)
 
     @_telling
     def record_attempt(
@@ -542,9 +533,8 @@ class KnowledgeBase:
         name, of = self._component(component).name, None
         if configuration is not None:
             of = known.network.configurations[configuration].name
-        given = MappingProxyType(dict(checked_parameters(name, parameters or {})))
-        if type(number) is not int or number < 1:
-            raise InvalidValue(f"the number of an attempt is a whole number from 1, not {number!r}")
+        given = checked_parameters(name, parameters or {})
+        whole("the number of an attempt", number)
         self._tell("record_attempt", known.records.plan_of(plan).number, name, operation, of, given, number)
         return next(reversed(known.records.attempts.values()))
 
@@ -628,25 +618,20 @@ class KnowledgeBase:
         return stop
 
     @property
-    def store(self) -> Store | None:
-        """The store: its path, what is wrong with it, and how to check it; None without one."""
-        return self._store
-
-    @property
     def saved(self) -> int:
         """The number of the last event that is on disk; 0 without a store."""
-        return self._store.saved if self._store else 0
+        return self.store.saved if self.store else 0
 
     def flush(self, timeout: float | None = None) -> bool:
         """Wait, at most for a timeout [s], until all that was told by now is on disk; returns whether it is."""
-        return self._store is not None and self._store.flush(timeout)
+        return self.store is not None and self.store.flush(timeout)
 
     def close(self) -> None:
         """Save what is left and give the store back: what memory holds can be asked, nothing more told; see `flush`."""
         with self._lock:
-            self._is_closed = self._store is not None
-        if self._store is not None:
-            self._store.close()
+            self._is_closed = self.store is not None
+        if self.store is not None:
+            self.store.close()
 
     # ---------------------------------------------------------------- helpers
 
@@ -658,7 +643,9 @@ class KnowledgeBase:
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
     def _settle(self, now: float) -> None:
-        """Have time do what it has done by now; mostly that is nothing, and nothing is called."""
+        """Have time do what it has done by now, before something is told; mostly that is nothing."""
+        if self.store is not None:
+            self._check_open(self.store)
         known = self._knowledge
         last = known.log.time
         known.now = now = now if now >= last else last
@@ -670,9 +657,8 @@ class KnowledgeBase:
         if self._publisher.is_heard:
             self._publisher.deliver()
 
-    def _check_open(self) -> None:
-        if self._store is not None:
-            self._store.check_owner()
+    def _check_open(self, store: Store) -> None:
+        store.check_owner()
         if self._is_closed:
             raise KnowledgeBaseError(
                 "this knowledge base is closed: its store is given back, so nothing more can be told. Tell before you "

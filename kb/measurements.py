@@ -78,9 +78,8 @@ class Measurements:
         return found
 
     def with_latest(self, attribute: Node, value: float) -> tuple[float, ...]:
-        """Return the measurements that count, with a new one; nothing where only the newest does."""
-        last = attribute.attribute.agreement[1]
-        return (*self.recent.get(attribute.index, ()), value)[-last:] if last > 1 else ()
+        """Return the measurements that count, with a new one."""
+        return (*self.recent.get(attribute.index, ()), value)[-attribute.attribute.agreement[1] :]
 
     def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
         """Have a measurement be the latest; it may be done again."""
@@ -143,11 +142,9 @@ class Measurements:
             self._begin(constraint, now)
 
     def resume(self, attribute: Node, now: float) -> None:
-        measured, value = self._state.time[attribute.index], None
-        if measured is not None:
-            value = self._state.value[attribute.index]
-            if not self._state.stale[attribute.index]:
-                self._expire(attribute, measured)
+        measured, value = self._state.time[attribute.index], self._state.value[attribute.index]
+        if measured is not None and not self._state.stale[attribute.index]:
+            self._expire(attribute, measured)
         recent = self.recent.get(attribute.index, ())
         steady = [one for one in attribute.constraints if is_steady(one)]
         judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]

@@ -12,7 +12,6 @@ A name is unique within its kind, not across kinds. Elements refer to one anothe
 knowledge bases are at work on it: the next question that they are asked sees it.
 """
 
-import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, replace
@@ -56,13 +55,13 @@ from kb.elements import (
     identifier,
     listed,
     meant_by,
-    pid,
     status_of,
+    whole,
 )
+from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.files import SUFFIXES, ModelFileError, write_text
-from kb.notebook import table as html_table
 from kb.owl.individuals import individuals, plain_json
 from kb.records import check_result
 
@@ -282,7 +281,7 @@ class Model:
     def save(self, path: str | Path) -> None:
         """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
         file = Path(path)
-        if _suffix(file, is_read=False) == ".owl":
+        if _suffix(file) == ".owl":
             from kb.owl.files import owl_text as written
         else:
             from kb.typeql.writer import typeql_text as written
@@ -308,11 +307,9 @@ class Model:
         """
         element = self._meant("what is changed", element)
         checks = {field: one.check for field, one in CHECKS[type(element)].items() if one.can_change}
-        for field in fields:
-            if field not in checks:
-                allowed = ", ".join(checks) or "nothing"
-                kind = KINDS[type(element)]
-                raise ModelError(f"{field!r} of {kind} {called(element)!r} cannot change; what can: {allowed}")
+        if unknown := [field for field in fields if field not in checks]:
+            what, allowed = f"{KINDS[type(element)]} {called(element)!r}", ", ".join(checks) or "nothing"
+            raise ModelError(f"{unknown[0]!r} of {what} cannot change; what can: {allowed}")
         values = {field: checks[field](field, called(element), value) for field, value in fields.items()}
         self._amend("changed", [element], partial(_set, element, values))
 
@@ -487,10 +484,9 @@ def _constraint(targets: tuple[Constrainable, ...], one: Expression) -> Constrai
     return Constraint(one.attribute, one.operator, one.value, targets, one.hysteresis, one.dwell)
 
 
-def _suffix(file: Path, *, is_read: bool = True) -> str:
-    """Return the suffix of a model's file; one that is read and is a folder, or cannot be, is refused when it is."""
+def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
-    if suffix not in SUFFIXES and not (is_read and os.path.isdir(file)):  # noqa: PTH112  # False for what is no path
+    if suffix not in SUFFIXES:
         given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
         raise ModelFileError(f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}", str(file))
     return suffix
@@ -530,7 +526,7 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
         values["value"] = model.attributes[fact.attribute].checked(fact.value)
     if isinstance(fact, facts.ProcessFact):
-        values["pid"] = pid(fact.pid)
+        values["pid"] = whole("a process number", fact.pid, 0)
     if given.get("result") is not None:
         check_result(given["result"])
     if isinstance(fact, facts.RequiredActionFact) and fact.preference is not None:

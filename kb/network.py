@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, Final
 
@@ -25,15 +25,8 @@ from kb.facts import Contents
 Ref = tuple[str, str] | tuple[str, str, int]
 """What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
 
-LEVELS: Final = {
-    "constraint": 0,
-    "configuration": 1,
-    "component": 2,
-    "function design": 3,
-    "function": 4,
-    "action": 5,
-    "attribute": 6,
-}
+_UPWARDS: Final = ("constraint", "configuration", "component", "function design", "function", "action", "attribute")
+LEVELS: Final = {kind: level for level, kind in enumerate(_UPWARDS)}
 """The order in which statuses are inferred; an attribute has none."""
 
 
@@ -89,15 +82,10 @@ class Thresholds:
     `<=` that is the next number above the written one.
     """
 
-    def __init__(self, constraints: Iterable[Node]) -> None:
-        self.steady: list[Node] = []  # not in that order: what they are depends on earlier measurements too
-        self._turns: list[tuple[float, Node]] = []
-        for node in constraints:
-            if is_steady(node):
-                self.steady.append(node)
-            else:
-                self._turns.append((_turn(node), node))
-        self._turns.sort(key=_FIRST)
+    def __init__(self, constraints: Sequence[Node]) -> None:
+        # not in that order: what these are depends on earlier measurements too
+        self.steady = [node for node in constraints if is_steady(node)]
+        self._turns = sorted(((_turn(node), node) for node in constraints if not is_steady(node)), key=_FIRST)
 
     def crossed(self, old: float, new: float) -> list[Node]:
         """Return the constraints that are not for the new value what they were for the old one."""

@@ -7,16 +7,12 @@ base as it would be if some facts were different. Nothing is changed.
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import Final, NamedTuple
+from typing import Final
 
-from kb import views
+from kb import explanation, views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
-from kb.explanation import Explanation
-from kb.explanation import explain as explained
-from kb.explanation import why as explained_shortly
-from kb.explanation.choice import ChoiceExplanation
-from kb.explanation.choice import explain_choice as explained_choice
+from kb.explanation import choice
 from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
@@ -96,7 +92,7 @@ def obsolete(base: Readable) -> Obsolete:
         return all_obsolete(state)
 
 
-def explain(base: Readable, element: Meant) -> Explanation:
+def explain(base: Readable, element: Meant) -> explanation.Explanation:
     """Say why an element has the status that it has, and what would make it feasible if it is not.
 
     A name that several kinds share means the action before the function, component, design, configuration and
@@ -104,24 +100,24 @@ def explain(base: Readable, element: Meant) -> Explanation:
     """
     now = base.now
     with base.reading() as state:
-        return explained(state, meant(base, state, element, _EXPLAINED), now)
+        return explanation.explain(state, meant(base, state, element, _EXPLAINED), now)
 
 
 def why(base: Readable, element: Meant) -> str:
     """Say in a sentence why an element has its status; quicker than `explain`, for it looks for no remedies."""
     now = base.now
     with base.reading() as state:
-        return explained_shortly(state, meant(base, state, element, _EXPLAINED), now)
+        return explanation.why(state, meant(base, state, element, _EXPLAINED), now)
 
 
-def explain_choice(base: Readable, element: Meant) -> ChoiceExplanation:
+def explain_choice(base: Readable, element: Meant) -> choice.ChoiceExplanation:
     """Say why a function has the design, or a component the configuration, that it has, and not another one.
 
     Of a name that both kinds share the function is meant.
     """
     now = base.now
     with base.reading() as state:
-        return explained_choice(state, meant(base, state, element, ("function", "component")), now)
+        return choice.explain_choice(state, meant(base, state, element, ("function", "component")), now)
 
 
 def outline(state: State) -> str:
@@ -171,10 +167,8 @@ def _adaptable(state: State, kind: str) -> tuple[str, ...]:
     return tuple(node.name for node in state.adaptable.nodes() if node.kind == kind)
 
 
-class _Assumption(NamedTuple):
-    what: str
-    node: Node
-    value: float | Forecast | None = None
+_Assumption = tuple[str, Node, float | Forecast | None]
+"""What is supposed, of which element, and the value of what is measured or forecast."""
 
 
 def suppose(
@@ -209,21 +203,21 @@ def suppose(
         listings[what] = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
     with base.reading() as state:
         network = state.network
-        supposed = []
+        supposed: list[_Assumption] = []
         for name, value in values.items():
             node = network.attributes[name]
             given = None if value is None else number(f"{name} cannot be supposed to be", value, node)
-            supposed.append(_Assumption("measured", node, given))
+            supposed.append(("measured", node, given))
         for what, names in listings.items():
-            kind = "action" if what == "requested" else "component"
-            supposed += [_Assumption(what, network.kinds[kind][name]) for name in names]
+            table = network.actions if what == "requested" else network.components
+            supposed += [(what, table[name], None) for name in names]
         if at is not None:
             now, then, of = base.now, finite_number(at), base.forecast
             if then < now:
                 raise InvalidValue(f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}")
-            doing = of.doing(state, None).union(one.node.name for one in supposed if one.what == "requested")
+            doing = of.doing(state, None).union(node.name for what, node, _ in supposed if what == "requested")
             for node in (node for name, node in network.attributes.items() if name not in values):
-                supposed.append(_Assumption("forecast", node, of.at(state, node, then, now, doing)))
+                supposed.append(("forecast", node, of.at(state, node, then, now, doing)))
         return Situation(base, state, supposed, at)
 
 
@@ -241,7 +235,7 @@ class Situation:
         self.forecast = base.forecast
         self._network = network = state.network
         self._assumptions = tuple(assumptions)
-        self._seen = (-1, -1)
+        self._seen: tuple[State | None, int, int] = (None, -1, -1)
         self._overlay: Overlay | None = None
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
@@ -273,8 +267,8 @@ class Situation:
     def reading(self) -> Iterator[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         with self._base.reading() as below:
-            seen = (below.version, self._network.revision)
-            if self._overlay is None or self._seen != seen or not self._overlay.is_on(below):
+            seen = (below, below.version, self._network.revision)
+            if self._overlay is None or self._seen != seen:
                 self._overlay, self._seen = self._supposed(below), seen
             yield self._overlay
 

@@ -7,10 +7,9 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType
 from typing import Any, Final, Generic, NamedTuple, TypeVar
 
-from kb.elements import Parameters, is_number
+from kb.elements import Parameters, is_number, table, whole
 from kb.exceptions import InvalidValue
 from kb.facts import PlanFact, ProcessFact, RequiredActionFact
-from kb.notebook import table
 
 T = TypeVar("T")
 
@@ -37,9 +36,7 @@ class Memory:
 
     def __post_init__(self) -> None:
         for name in ("events", "measurements", "records"):
-            most = getattr(self, name)
-            if type(most) is not int or most < 1:
-                raise InvalidValue(f"{name} of a memory is a whole number from 1, not {most!r}")
+            whole(f"{name} of a memory", getattr(self, name))
         if not is_number(self.span) or not self.span > 0:
             raise InvalidValue(f"the span of a memory is a time in seconds above 0, not {self.span!r}")
 

@@ -8,7 +8,6 @@ import math
 from array import array
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping
-from copy import deepcopy
 from operator import attrgetter
 from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
@@ -185,18 +184,10 @@ class History:
         return bisect_right(range(len(self)), time, key=lambda place: self.pairs[2 * place])
 
 
-FACTS: Final[Mapping[str, object]] = {
-    "value": None,
-    "time": None,
-    "stale": False,
-    "verdict": None,
-    "failed": False,
-    "active": False,
-    "selected": False,
-    "requested": False,
-    "asserted": None,
-    "asserted_required": False,
-}
+_FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
+FACTS: Final[Mapping[str, object]] = dict.fromkeys(("value", "time", "verdict", "asserted")) | dict.fromkeys(
+    _FLAGS, False
+)
 """The arrays of base facts, and what is in them where nothing is known."""
 
 _INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
@@ -304,20 +295,12 @@ class State:
             changed[key] = value
         self.kept = None
 
-    def before(self) -> "State":
-        """Return a copy of it as it was before the changes that are kept; a slow way, for rare cases."""
-        shared = (self.network, self.parameters, self.histories, *self.network.nodes)
-        found = deepcopy(self, {id(one): one for one in shared})
-        found.undo()
-        return found
-
 
 class Overlay(State):
     """A state on top of another: changes made here leave the one below as it is."""
 
     def __init__(self, below: State) -> None:
         self.network = below.network
-        self._below = below
         for name in (*FACTS, *_INFERRED):
             setattr(self, name, _Layer(getattr(below, name)))
         self.reasons = _Layer(below.reasons)
@@ -330,9 +313,6 @@ class Overlay(State):
 
     def mark(self, marked: Marked, node: Node, yes: bool) -> None:
         marked.own[node] = yes
-
-    def is_on(self, below: State) -> bool:
-        return self._below is below
 
     def changed(self) -> Iterable[int]:
         """Return the indices of the nodes whose statuses were inferred anew here, and are not what they were."""

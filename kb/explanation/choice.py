@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
+from kb.elements import table
 from kb.explanation import why
 from kb.network import Node
-from kb.notebook import table
 from kb.planners import choice_by_priority, ranked
 from kb.state import State
 from kb.status import Status

@@ -229,8 +229,11 @@ def test_missing_file_is_an_error_that_names_those_beside_it(tmp_path):
 
 
 def test_folder_is_no_model(tmp_path):
+    with pytest.raises(ModelFileError, match=r"ends in \.tql or \.owl, this one without a suffix"):
+        Model.load(tmp_path / "models")
+    (tmp_path / "models.tql").mkdir()
     with pytest.raises(ModelFileError, match="this is a folder"):
-        Model.load(tmp_path)
+        Model.load(tmp_path / "models.tql")
 
 
 def test_no_file_at_all_is_an_error():
