@@ -248,7 +248,7 @@ class Publisher:
         self._answers: dict[int, int] = {}
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Have a function called with every event from now on; returns how to stop that."""
+        """Call a function with every event from now on; returns how to stop that."""
         if not callable(callback):
             raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
         with self._lock:
@@ -292,8 +292,8 @@ class Publisher:
         self._answers[told] = depth + 1
         if depth >= _MOST_ANSWERS and subscriber in self._subscribers:
             self._stop(subscriber)
-            why = "has told something in answer to its own answers without end, and is called no more"
-            _log.error("the subscriber %r %s: have it tell only what is new", subscriber.call, why)
+            why = "answers its own answers without end, and is called no more"
+            _log.error("the subscriber %r %s: make it tell only what is new", subscriber.call, why)
 
     def _stop(self, subscriber: _Subscriber) -> None:
         if subscriber in self._subscribers:

@@ -139,7 +139,7 @@ class Knowledge:
         return self._put(event, touched, *puts, words=words, matters=None)
 
     def settle(self, now: float) -> None:
-        """Put in place what was interrupted, and have time do what it has done by now [s]."""
+        """Put in place what was interrupted, and take in what time has done by now [s]."""
         self.settled()
         self.now = max(now, self.log.time)
         if self.now >= self.measurements.alarms.next and not self._is_under_way():
@@ -439,7 +439,7 @@ class Knowledge:
                 propagate(self.state, [node])
 
     def prepare(self) -> None:
-        """Have time do what it has done by now, as before the model changes; what a clock raises stops that."""
+        """Take in what time has done by now, before the model changes; what the clock raises stops that."""
         now = self.clock()
         with self._lock:
             self.settle(now)

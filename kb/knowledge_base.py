@@ -58,7 +58,7 @@ T = TypeVar("T")
 
 
 def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
-    """Have a method hold the base while it tells something, once time has done what it has; subscribers hear then.
+    """Make a method hold the base while it tells something, after what time has done; then subscribers hear of it.
 
     Whoever gives the time or a mapping, and who is called, is not ours and may wait for another thread: no lock is held
     then.
@@ -608,7 +608,7 @@ class KnowledgeBase:
             self._tell("stale", name)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Have a function called with every event, in order; returns how to stop that.
+        """Call a function with every event from now on, in order; returns how to stop that.
 
         It is called by a thread that told, which holds nothing meanwhile: it may ask and tell. What it raises is
         logged and reaches nobody else.
@@ -643,7 +643,7 @@ class KnowledgeBase:
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
     def _settle(self, now: float) -> None:
-        """Have time do what it has done by now, before something is told; mostly that is nothing."""
+        """Take in what time has done by now, before something is told; mostly that is nothing."""
         if self.store is not None:
             self._check_open(self.store)
         known = self._knowledge

@@ -82,15 +82,14 @@ class Measurements:
         return (*self.recent.get(attribute.index, ()), value)[-attribute.attribute.agreement[1] :]
 
     def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
-        """Have a measurement be the latest; it may be done again."""
+        """Make a measurement the latest; it may be done again."""
         index, state, element = attribute.index, self._state, attribute.element
         state.value[index], state.time[index], state.stale[index] = value, time, False
         if recent:
             self.recent[index] = recent
         if element.max_age != math.inf:
             self._expire(attribute, time)
-        history = state.histories.get(index) or self.history(attribute)
-        history.add(time, value, count)
+        self.history(attribute).add(time, value, count)
 
     def _expire(self, attribute: Node, measured: float) -> None:
         max_age: float = attribute.element.max_age

@@ -408,7 +408,7 @@ class Model:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Have all that is declared within the `with` statement be one change, or nothing if something is refused."""
+        """Make all that is declared within the `with` statement one change, or none if something is refused."""
         batch = self._batch = []
         try:
             yield

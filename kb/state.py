@@ -184,10 +184,9 @@ class History:
         return bisect_right(range(len(self)), time, key=lambda place: self.pairs[2 * place])
 
 
+_VALUES: Final = ("value", "time", "verdict", "asserted")
 _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
-FACTS: Final[Mapping[str, object]] = dict.fromkeys(("value", "time", "verdict", "asserted")) | dict.fromkeys(
-    _FLAGS, False
-)
+FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(_FLAGS, False)}
 """The arrays of base facts, and what is in them where nothing is known."""
 
 _INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
@@ -283,7 +282,7 @@ class State:
         changed[key] = value
 
     def mark(self, marked: Marked, node: Node, yes: bool) -> None:
-        """Have a node in a set, or not."""
+        """Put a node into a set, or take it out."""
         if (node in marked.own) != yes:
             if self.kept is not None:
                 self.kept.append((marked, node, not yes))

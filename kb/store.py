@@ -99,7 +99,7 @@ class Store:
     # ---------------------------------------------------------------- read
 
     def restore(self, known: Knowledge, now: float) -> None:
-        """Have everything known that is in the file; plans and attempts that were under way are abandoned [s]."""
+        """Take in all that is in the file; plans and attempts that were under way are abandoned now [s]."""
         known.serials, found = self._serials, self._found
         with _blamed(self.path):
             if found.snapshot.number:
@@ -310,7 +310,7 @@ class Store:
         return last - self._snapshot >= (1000 if self._is_stopping else much)
 
     def adopt(self, model: Model, batch: Iterable[Event], snapshot: tuple[int, float, str]) -> None:
-        """Have all that comes after some events be of another model, of which a snapshot is given; in one step."""
+        """Write some events, and go on with another model, of which a snapshot is given; in one step."""
         with _blamed(self.path):
             self._commit(batch, snapshot, model)
 
@@ -378,7 +378,7 @@ HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
 
 
 def _hold() -> None:
-    """Have nothing half-done while a process is forked."""
+    """Wait until nothing is half-done, before the process is forked."""
     _HELD.extend(lock for lock in tuple(HELD_OVER_FORKS) if lock.acquire(timeout=_LONGEST_HOLD))
 
 
