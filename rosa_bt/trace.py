@@ -6,6 +6,7 @@ program that is killed leaves all but the tick that it was in.
 """
 
 import json
+import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -26,6 +27,9 @@ from rosa_bt.trees import TreeRunner
 
 _VERSION: Final = 3
 _KEPT: Final = 10_000
+_ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False)
+_ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
+"""Characters that end a line or cannot be written to a file: they are written as escapes."""
 
 
 class Node(NamedTuple):
@@ -127,6 +131,8 @@ class TraceVisitor(VisitorBase):
 
     def __init__(self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT) -> None:
         super().__init__(full=False)
+        if keep < 1:
+            raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
         self._kb = kb
         self._file: TextIO | None = None
         if path is not None:
@@ -263,7 +269,7 @@ def _tick_line(tick: Tick, before: Tick | None) -> str:
 
 
 def _line(record: Mapping[str, object]) -> str:
-    return json.dumps(record, separators=(",", ":")) + "\n"
+    return _ESCAPED.sub(lambda found: f"\\u{ord(found[0]):04x}", _ENCODER.encode(record)) + "\n"
 
 
 def read_trace(path: str | Path) -> Trace:

@@ -95,9 +95,10 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
         ScriptError: it cannot be of that kind.
     """
     held = entry.value
-    if is_number(held) and is_number(value):  # one of a truth value takes whole numbers, too
-        return cast(value, int if isinstance(held, bool) and value not in (0, 1) else type(held))
-    if held is EMPTY or type(held) is type(value):
+    if is_number(held) and is_number(value):  # an entry that holds a bool takes other whole numbers, too
+        is_bool = isinstance(held, bool) and value in (0, 1)
+        return cast(value, bool if is_bool else float if isinstance(held, float) else int)
+    if held is EMPTY or type(held) is type(value) or (isinstance(held, str) and isinstance(value, str)):
         return value
     raise ScriptError(f"{value!r} does not fit an entry that holds {held!r}")
 

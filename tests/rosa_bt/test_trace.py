@@ -144,6 +144,16 @@ def test_trace_in_memory_is_bounded_and_says_so_when_it_cannot_be_replayed():
         replay_trace(trace, rover(), tree)
 
 
+def test_trace_keeps_at_least_one_tick_or_says_so_before_it_writes_a_file(tmp_path):
+    with pytest.raises(ValueError, match="number of ticks from 1, not 0"):
+        run([], tmp_path / "run.jsonl", keep=0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_text_in_any_language_is_written_as_it_is():
+    assert "Wände in 20 °C" in str(Trace("Wände in 20 °C", ()))
+
+
 def test_tick_that_is_like_the_one_before_takes_few_bytes(tmp_path):
     path = tmp_path / "run.jsonl"
     run([[]] * 50, path)

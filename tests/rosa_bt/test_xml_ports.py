@@ -1,6 +1,7 @@
 """Ports, blackboards and the registry: what leaves are told, and what they tell each other."""
 
 import re
+from enum import StrEnum
 from functools import partial
 from itertools import cycle
 
@@ -523,3 +524,22 @@ def test_tree_in_the_style_of_nav2_plans_follows_and_recovers():
         "GoalUpdated:c:F Spin:s:S ComputePath:s:S FollowPath:s:R => RUNNING",
         "FollowPath:r:R => RUNNING",
     ]
+
+
+class Metres(float):
+    """A double of a class of its own, as those of numpy are."""
+
+
+class Colour(StrEnum):
+    RED = "red"
+
+
+@pytest.mark.parametrize(
+    ("held", "code", "expected"),
+    [(Metres(1.5), "x := 2.5", 2.5), (Metres(1.5), "x += 1", 2.5), (Colour.RED, "x := 'blue'", "blue")],
+)
+def test_script_writes_over_a_value_whose_class_is_derived_from_a_number_or_a_text(held, code, expected):
+    tree = load(f'<Script code="{code}"/>')
+    tree.blackboard["x"] = held
+    tree.tick_once()
+    assert tree.blackboard["x"] == expected
