@@ -1,4 +1,4 @@
-"""How it is done: py_trees behaviours that ask a knowledge base what is feasible, and tell it what is being done."""
+"""Behaviours of py_trees that ask a knowledge base which actions are feasible, and request the actions that they do."""
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction, forget_progress
 from rosa_bt.decorators import ForAction

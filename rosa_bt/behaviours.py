@@ -1,7 +1,7 @@
-"""Leaves: conditions that ask a knowledge base, and actions that tell it what is being done.
+"""Leaves: conditions that ask a knowledge base, and actions that request what they do.
 
-What a running behaviour has asked (its request, its progress) is kept for each knowledge base, because behaviours come
-and go: a tree switches between two behaviours of one action, and a plan makes a new behaviour for each step.
+Requests and progress are kept per knowledge base and not in the behaviours, because behaviours come and go: a tree
+switches between two behaviours that do the same action, and a plan makes a new behaviour for each step.
 """
 
 import json
@@ -27,18 +27,18 @@ from rosa_bt.exceptions import in_words
 _log = logging.getLogger(__name__)
 
 StatusView = ActionView | FunctionView | ComponentView | DesignView | ConfigurationView
-"""The view of an element that has a status and a name."""
+"""A view of an element that has a name and a status."""
 
 
 def halt(root: Behaviour) -> None:
-    """Stop every running behaviour of a subtree, children first; what one raises is its feedback and stops no other.
+    """Stop every running behaviour of a subtree, children first; an exception becomes the feedback of its behaviour.
 
     Raises:
-        BaseException: the last that interrupted this, such as KeyboardInterrupt, when all are stopped.
+        BaseException: the last interrupt that arrived meanwhile, e.g. KeyboardInterrupt, after all are stopped.
     """
     running = [one for one in root.iterate() if one.status is Status.RUNNING]
     interrupt: BaseException | None = None
-    for behaviour in (*running, *running):  # the second time those of which the stop was interrupted
+    for behaviour in (*running, *running):  # the second round stops those whose stop was interrupted
         try:
             if behaviour.status is Status.RUNNING:
                 behaviour.stop(Status.INVALID)
@@ -54,28 +54,28 @@ def halt(root: Behaviour) -> None:
         raise interrupt
 
 
-_SAVE_S: Final = 1.0  # how often where a running action is goes to the store [s]
+_SAVE_S: Final = 1.0  # interval at which the progress of a running action goes to the store [s]
 _RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
 
 
 @dataclass(slots=True)
 class _Ledger:
-    """What is kept for one knowledge base."""
+    """The requests and the progress of behaviours, for one knowledge base."""
 
     holders: dict[str, dict[object, str | None]] = field(default_factory=dict)
-    """Which running behaviours hold the request of an action, with what each prefers: when a tree switches between two
-    of them, the new one starts before the old one is stopped, and the request has to outlive the switch."""
+    """For each action, the running behaviours that hold its request, with their preferences. When a tree switches
+    between two of them, the new one starts before the old one is stopped, and the request has to stay open."""
     progress: dict[tuple[object, str, str], object] = field(default_factory=dict)
-    """What interrupted behaviours saved, by mission, action and name of the behaviour; see `_EARLIER`."""
+    """What interrupted behaviours saved, by mission (or `_EARLIER`), action and name of the behaviour."""
     reasons: dict[str, tuple[int, str]] = field(default_factory=dict)
-    """Why an action has its status: the revision of the knowledge base, and the sentence."""
+    """Why an action has its status: the revision of the knowledge base for which this holds, and the sentence."""
 
 
 _EARLIER: Final = object()
-"""Stands for the mission of a program before this one, whose progress is taken up once."""
+"""The key, in place of a mission, of progress that an earlier program left in the store; it is restored once."""
 _ledgers: WeakKeyDictionary[KnowledgeBase, _Ledger] = WeakKeyDictionary()
 _missions: WeakKeyDictionary[Behaviour, object] = WeakKeyDictionary()
-"""The mission that a tree is, by its root: what is saved in one is nothing to another."""
+"""The mission of each tree, by its root: progress that is saved in one mission is not restored in another."""
 
 
 def _ledger(kb: KnowledgeBase) -> _Ledger:
@@ -90,12 +90,12 @@ def _ledger(kb: KnowledgeBase) -> _Ledger:
 
 
 def begin_mission(root: Behaviour) -> None:
-    """Keep what the behaviours of a tree save apart from what those of other trees do."""
+    """Keep the progress that is saved in this tree apart from that of other trees."""
     _missions.setdefault(root, object())
 
 
 def forget_progress(kb: KnowledgeBase) -> None:
-    """Drop what interrupted actions saved: the next mission with this knowledge base begins at the beginning."""
+    """Drop the progress that interrupted actions saved: the next mission with this knowledge base starts afresh."""
     _ledger(kb).progress.clear()
     for key in kb.history.progress:
         _keep(kb, key, "")
@@ -106,7 +106,7 @@ def _keep(kb: KnowledgeBase, key: tuple[str, str], saved: str) -> None:
 
 
 def kept(kb: KnowledgeBase) -> tuple[object, ...]:
-    """Return what is kept of behaviours beside the tree, as it is held: who holds requests, and what was saved."""
+    """Return what is kept outside the tree, itself and no copy: the holders of requests, and the saved progress."""
     found = _ledger(kb)
     for action in kb.actions:
         found.holders.setdefault(action, {})
@@ -114,7 +114,7 @@ def kept(kb: KnowledgeBase) -> tuple[object, ...]:
 
 
 def why(kb: KnowledgeBase, action: str) -> str:
-    """Return why an action has its status, in the values of when a status changed last: cached until one does."""
+    """Return why an action has its status; the sentence is cached, with its values, until any status changes."""
     reasons = _ledger(kb).reasons
     found = reasons.get(action)
     if found is None or found[0] != kb.revision:
@@ -123,11 +123,10 @@ def why(kb: KnowledgeBase, action: str) -> str:
 
 
 class ActionRequest:
-    """One behaviour's part in the request of an action, from when it is admitted to the first `close`.
+    """The share of one behaviour in the request of an action, from `admit` to the first `close`.
 
     Args:
-        timeout: how long to wait until the robot is configured [s], by the clock of the knowledge base; None if the
-            behaviour does not wait for that.
+        timeout: how long to wait for the robot's configuration [s], by the clock of the knowledge base; None: no wait.
     """
 
     BOOKKEEPING = "_since"
@@ -144,16 +143,16 @@ class ActionRequest:
         _ledger(kb)
 
     def admit(self, owner: Any, *, even_if_unfeasible: bool = False) -> Status:  # noqa: ANN401  # RosaAction, ForAction
-        """Return SUCCESS when the owner may do its work, RUNNING while it waits for the robot, FAILURE if it must not.
+        """Return SUCCESS if the owner may work, RUNNING while it waits for the robot, FAILURE if it must not work.
 
-        The reason is its feedback. An action that cannot be done any more is given up: the owner is stopped.
+        The reason becomes the owner's feedback. If the action has become unfeasible, the owner is stopped.
         """
         if self._held is None:
             objection = self._open(owner.action, owner.preference)
         else:
             objection = "" if even_if_unfeasible else self._objection(self._held)
             if objection:
-                owner.stop(Status.INVALID)  # it has not failed, it cannot be done any more
+                owner.stop(Status.INVALID)  # interrupted, not failed: the action is unfeasible
         if objection:
             owner.feedback_message = objection
             return Status.FAILURE
@@ -164,7 +163,7 @@ class ActionRequest:
         return status
 
     def _open(self, action: str, preference: str | None) -> str:
-        """Request an action, or join those who hold it; return why not. What is requested is held before it is."""
+        """Request an action, or join its holders; return why it is refused. It is held before it is requested."""
         kb = self._kb
         if not kb.is_feasible(action):
             return why(kb, action)
@@ -177,14 +176,14 @@ class ActionRequest:
         return "" if reply else reply.reason
 
     def _objection(self, action: str) -> str:
-        """Return why an action that is held cannot be done any more; empty if it can."""
+        """Return why a held action cannot go on; empty if it can."""
         try:
             return "" if self._kb.is_feasible(action) else why(self._kb, action)
         except UnknownName:
             return f"{action} is no longer in the model"
 
     def _look(self, action: str) -> tuple[Status, str]:
-        """Return SUCCESS when the robot is configured, RUNNING before that, FAILURE after the time-out; and why."""
+        """Return SUCCESS if the robot is configured, RUNNING while it is not, FAILURE after the time-out; and why."""
         kb = self._kb
         if self.timeout is None:
             return Status.SUCCESS, ""
@@ -199,29 +198,29 @@ class ActionRequest:
         return Status.RUNNING, f"waiting: {lacking}"
 
     def close(self, status: Status, reason: str) -> None:
-        """Let go of the action; the last one who holds it tells the knowledge base how it ended.
+        """Let go of the action; the last holder cancels the request, with its result.
 
-        An interrupt leaves it as it is, or not yet closed: closed again, it is closed, and reported once.
+        After an interrupt in here, a second call finishes the work; the result is reported once.
         """
         action, kb = self._held, self._kb
         if action is None:
             return
         others = _ledger(kb).holders.setdefault(action, {})
         others.pop(self._token, None)
-        if not others and action in kb.actions:  # one that left the model was cancelled with it
+        if not others and action in kb.actions:  # removing an action from the model cancels its request
             if status is Status.INVALID:
                 reason = "" if kb.is_feasible(action) else kb.why(kb.actions[action])
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
-            for preference in list(others.values()):  # of a thread that has joined meanwhile
+            for preference in list(others.values()):  # another thread joined meanwhile
                 kb.request_action(action, preference)
         self._held, self._is_ready = None, False
 
 
 class Careful(Behaviour):
-    """A behaviour whose exceptions are its FAILURE, with the text as feedback; an interrupt stops it."""
+    """A behaviour that fails on an exception, with its text as feedback, and that an interrupt stops."""
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        """Do what is done in a tick; yield what is visited before this one, and return the outcome."""
+        """Do the work of one tick: yield the nodes that are visited before this one, and return the status."""
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
@@ -242,16 +241,16 @@ class Careful(Behaviour):
         yield self
 
     def shutdown(self) -> None:
-        """Stop if still running; called when the tree is shut down."""
+        """Stop the behaviour if it is running; called when the tree is shut down."""
         if self.status is Status.RUNNING:
             self.stop(Status.INVALID)
 
 
 class KbBehaviour(Careful):
-    """A leaf that knows a knowledge base; an exception in it is its FAILURE, with the text as feedback.
+    """A leaf that uses a knowledge base; it fails on an exception, with the text as feedback.
 
     Attributes:
-        known: number of the last event that it knew of when it was ticked; None of an action, which takes its time.
+        known: number of the last event before it was ticked; None for an action, which is not ticked at one moment.
     """
 
     BOOKKEEPING = "known"
@@ -262,7 +261,7 @@ class KbBehaviour(Careful):
         self.known: int | None = None
 
     def stop(self, new_status: Status) -> None:
-        """Terminate the round; an exception in that turns success into failure, an interruption stays one."""
+        """Call `terminate` and set the status; an exception in `terminate` turns SUCCESS into FAILURE."""
         self.status = self._terminated(new_status)
         self.iterator = self.tick()
 
@@ -279,7 +278,7 @@ class KbBehaviour(Careful):
         return self._advance()
 
     def _advance(self) -> Status:
-        with self.kb.reading():  # what it is asked belongs to one moment, which a trace can name
+        with self.kb.reading():  # all its questions are answered at one moment, which the trace can name
             self.known = self.kb.log.last
             if self.status is not Status.RUNNING:
                 self.initialise()
@@ -292,23 +291,23 @@ class KbBehaviour(Careful):
         return status
 
     def _answer(self, objection: str) -> Status:
-        """Return what a condition is: FAILURE if something speaks against it, which is the feedback."""
+        """Return SUCCESS if there is no objection, else FAILURE; the objection becomes the feedback."""
         self.feedback_message = objection
         return Status.FAILURE if objection else Status.SUCCESS
 
 
 class ActionBehaviour(PortsMixin, KbBehaviour):
-    """A behaviour about one ROSA action, named directly or through the port `action`.
+    """A behaviour about one ROSA action, whose name is an argument or is read from the port `action`.
 
     Attributes:
-        given: the name with which it was constructed; None where the port carries it.
+        given: the name that the constructor was given; None if the port gives it.
     """
 
     INPUT_PORTS = {"action": PortInformation(str, False, "name of the ROSA action")}  # noqa: RUF012  # as py_trees has it
     OUTPUT_PORTS = {}  # noqa: RUF012  # as py_trees has it
 
     def __init_subclass__(cls, *, tag: str | None = None, register: bool = False) -> None:
-        """Leave py_trees' process-wide registry of tags alone unless asked: names of classes need not be unique."""
+        """Keep the class out of py_trees' registry, unless asked: there, names of classes have to be unique."""
         super().__init_subclass__(tag=tag, register=register)
 
     def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None) -> None:
@@ -319,7 +318,7 @@ class ActionBehaviour(PortsMixin, KbBehaviour):
 
     @property
     def action(self) -> str:
-        """Name of the ROSA action: as constructed, or else what the port `action` carries."""
+        """Name of the ROSA action: as the constructor was given it, or else from the port `action`."""
         return str(self.get_input("action") if self.given is None else self.given)
 
 
@@ -328,8 +327,8 @@ class IsActionFeasible(ActionBehaviour):
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
-        during: how long it takes [s]. It has to stay feasible as long, as far as is known: to begin, at the worse ends
-            of what is forecast, and once it is requested, as expected, for what is left of its time.
+        during: how long the action takes [s]. It has to stay feasible for that time: at the start, at the worst ends
+            of the forecasts; once it is requested, by the expected forecasts, for the time that is left.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -337,7 +336,7 @@ class IsActionFeasible(ActionBehaviour):
 
     def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0) -> None:
         super().__init__(name, kb, action)
-        self.during, self.ends_too_soon = during, False  # it is feasible now, and will not be for as long
+        self.during, self.ends_too_soon = during, False  # ends_too_soon: feasible now, but not for as long as `during`
 
     def update(self) -> Status:
         action, self.ends_too_soon = self.action, False
@@ -355,16 +354,17 @@ class IsActionFeasible(ActionBehaviour):
 class HasStatus(KbBehaviour):
     """Condition: SUCCESS while an element of the model has a status, FAILURE with the reason otherwise.
 
-    Whether an action can be done is the question of `IsActionFeasible`: one that is being done is not "feasible" but
-    "solved".
+    To ask whether an action can be done, use `IsActionFeasible`: the status of an action that is requested and
+    configured is "solved", not "feasible".
 
     Args:
-        element: name of an action, function, component, design or configuration, or a view such as
-            `kb.components["camera"]` where elements of several kinds share the name.
-        status: one that an element of this kind can have, e.g. "failure".
+        element: name of an action, function, component, design or configuration; or a view such as
+            `kb.components["camera"]`, if elements of several kinds have the same name.
+        status: a status that elements of this kind can have, e.g. "failure".
 
     Raises:
-        kb.UnknownName, kb.AmbiguousName, kb.InvalidValue: there is no such element, several, or never that status.
+        kb.UnknownName, kb.AmbiguousName: no element, or more than one, has this name.
+        kb.InvalidValue: an element of this kind never has this status.
     """
 
     def __init__(self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str) -> None:
@@ -385,13 +385,13 @@ class HasStatus(KbBehaviour):
 
 
 class Measurement(KbBehaviour):
-    """Condition: SUCCESS while the latest measurement of an attribute compares as asked, FAILURE otherwise.
+    """Condition: SUCCESS while the comparison holds for the latest measurement of an attribute, else FAILURE.
 
     Args:
         attribute: its name.
         operator: one of `>=`, `>`, `<=`, `<`.
         value: what to compare with, in the attribute's unit.
-        unknown: what to return while the attribute is not measured, or was too long ago.
+        unknown: the status to return while the attribute has no measurement, or only one that is too old.
 
     Raises:
         kb.UnknownName: no such attribute; the message lists the nearest ones.
@@ -424,21 +424,21 @@ class Measurement(KbBehaviour):
 
 
 class RosaAction(ActionBehaviour):
-    """Action: what a mission does while the robot is configured for it; a mission subclasses this.
+    """Action: base class of what a mission does while the robot is configured for it.
 
-    A subclass implements `update`, and `initialise` and `terminate` if it needs them, without calling those of its
-    base. The action is requested before `initialise` and released after `terminate`, exactly once, however it ends:
-    SUCCESS is "completed", FAILURE (or an exception, with its text as feedback) "failed", an interruption or the tree's
-    shutdown "abandoned". A refused request is FAILURE with the reason, and the subclass is not called at all. An action
-    that becomes unfeasible while it runs is interrupted, "abandoned", and FAILURE with the reason. One that can be
-    continued says where it is, in `save_progress`, and goes on from there in `restore_progress`.
+    A subclass implements `update`, and `initialise` and `terminate` if it needs them; it need not call the base's. The
+    action is requested before `initialise` and released once, after `terminate`. The result of the request follows from
+    how the behaviour ends: SUCCESS is "completed", FAILURE or an exception (its text is the feedback) is "failed", an
+    interruption or the shutdown of the tree is "abandoned". If the request is refused, the behaviour fails with the
+    reason, and the subclass is not called. If the action becomes unfeasible while it runs, it is "abandoned", and the
+    behaviour fails with the reason. To continue where it was, implement `save_progress` and `restore_progress`.
 
     Args:
         action: name of the ROSA action; without it, the port `action` gives it.
         preference: name of the attribute to favour when a configuration is chosen, or None; also a port.
-        wait: start working only when the robot is configured for the action; RUNNING with what is lacking before that.
-        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
-        even_if_unfeasible: go on also when the action becomes unfeasible meanwhile.
+        wait: begin only when the robot is configured for the action; until then RUNNING, with what is missing.
+        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE, with what is missing.
+        even_if_unfeasible: go on when the action becomes unfeasible while it runs.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -467,7 +467,7 @@ class RosaAction(ActionBehaviour):
 
     @property
     def preference(self) -> str | None:
-        """Name of the attribute to favour: as constructed, or else what the port `preference` carries, if anything."""
+        """Name of the attribute to favour: as the constructor was given it, or else from the port, or None."""
         if self._preference is not None:
             return self._preference
         with suppress(RuntimeError):  # this leaf is not connected to a blackboard
@@ -475,20 +475,20 @@ class RosaAction(ActionBehaviour):
         return None
 
     def save_progress(self) -> object | None:
-        """Return where the action is, or None (the default) if it starts afresh next time.
+        """Return how far the action has come, or None (the default) if it starts afresh next time.
 
-        Called before `terminate` when the action is interrupted or has failed, and about once a second while it runs if
-        the knowledge base has a store, which keeps what JSON can hold for the program that opens it next. It is kept by
-        action and name of the behaviour, apart for each tree that a `TreeRunner` has, until the action succeeds or the
-        mission begins anew: a runner takes the tree over or shuts it down, its root succeeds, or `forget_progress(kb)`.
+        Called before `terminate` when the action is interrupted or fails, and, if the knowledge base has a store, about
+        once a second while it runs; the store keeps it (as JSON) for the next program. Progress is kept by action and
+        name of the behaviour, separately for each tree of a `TreeRunner`, until the action succeeds or a new mission
+        begins: when a runner takes over or shuts down the tree, its root succeeds, or `forget_progress(kb)` is called.
         """
         return None
 
     def restore_progress(self, progress: object) -> None:
-        """Go on from what `save_progress` returned; called after `initialise`, and only if something was saved."""
+        """Continue from what `save_progress` returned; called after `initialise`, if something was saved."""
 
     def forget_progress(self) -> None:
-        """Drop what was saved, of whichever action: the next start is at the beginning."""
+        """Drop what this behaviour saved, for all actions: it starts afresh next time."""
         progress, missions = _ledger(self.kb).progress, (self._mission, _EARLIER)
         for key in [key for key in progress if key[0] in missions and key[2] == self.name]:
             del progress[key]
@@ -497,13 +497,13 @@ class RosaAction(ActionBehaviour):
 
     @property
     def is_left(self) -> bool:
-        """Whether a program before this one has left progress that is not taken up yet."""
+        """Whether an earlier program left progress for this behaviour that is not restored yet."""
         return any((key[0], key[2]) == (_EARLIER, self.name) for key in _ledger(self.kb).progress)
 
     def stop(self, new_status: Status) -> None:
-        """Save progress, terminate the round and release the request, also when the subclass raises.
+        """Save progress, call `terminate` and release the request, also if the subclass raises.
 
-        It is stopped only when all that is done: whoever stops it again after an interrupt goes on with what is left.
+        The status changes last: after an interrupt in here, a second call does the rest.
         """
         ended = Status.INVALID
         try:

@@ -1,4 +1,4 @@
-"""Composites that py_trees has no namesake for: giving way to something else, and switching safely."""
+"""Composites that py_trees does not have: one gives way to another task, one switches safely between actions."""
 
 from collections.abc import Generator, Iterator, Mapping, MutableMapping
 from typing import Any
@@ -12,9 +12,9 @@ from rosa_bt.decorators import ForAction
 
 
 def gave_way(task: Behaviour) -> bool:
-    """Tell whether a task that failed did so because an action in it is unfeasible, or no longer in the model.
+    """Tell whether a failed task failed because an action in it is unfeasible, or no longer in the model.
 
-    What decides is what failed last: the step of a sequence, the last resort of a choice, all that failed side by side.
+    The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all children that failed.
     """
     failed = [child for child in task.children if child.status is Status.FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
@@ -28,10 +28,10 @@ def gave_way(task: Behaviour) -> bool:
 
 
 class _Parts(Composite):
-    """A composite whose children have different parts to play."""
+    """A composite whose children have different roles; base class."""
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        """Do what is done in a tick; yield what is visited before this one, and return the outcome."""
+        """Do the work of one tick: yield the nodes that are visited before this one, and return the status."""
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
@@ -47,17 +47,17 @@ class _Parts(Composite):
 
 
 class DoUntilUnfeasible(_Parts):
-    """Does a task; while that is unfeasible, does something else; then goes on with the task.
+    """Does a task; while the task is unfeasible, does something else; then goes on with the task.
 
-    The other begins in the tick in which the task fails because an action in it is unfeasible, and the task in that in
-    which the other gives back: there is no tick in which nothing is required, so the robot is not taken apart and put
-    together again. SUCCESS is the task's, and so is a FAILURE for any other reason; all else is RUNNING. What is done
-    meanwhile begins anew if it ends before the task is feasible, or fails.
+    The switch, in both directions, takes place within one tick. So an action is required after every tick, and the
+    robot is not deconfigured and configured again in between. This succeeds when the task does, and fails when the task
+    fails for a reason other than an unfeasible action; otherwise it is RUNNING. `meanwhile` starts again if it fails,
+    or succeeds, before the task is feasible.
 
     Args:
-        task: what to do: a behaviour, or a subtree, that fails when what it does becomes unfeasible.
+        task: a behaviour or subtree that fails when its action becomes unfeasible.
         meanwhile: what to do while the task is unfeasible.
-        memory: finish what is done meanwhile, also when the task is feasible before.
+        memory: finish `meanwhile` first, even if the task becomes feasible earlier.
     """
 
     def __init__(self, name: str, task: Behaviour, meanwhile: Behaviour, *, memory: bool = False) -> None:
@@ -75,7 +75,7 @@ class DoUntilUnfeasible(_Parts):
         return Status.RUNNING if is_instead else task.status
 
     def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
-        """Tick the task and, if it gives way, the other; once more if that is finished in this tick."""
+        """Tick the task and, if it gives way, `meanwhile`; if that succeeds at once, tick both once more."""
         for _ in range(2):
             yield from task.tick()
             if task.status is not Status.FAILURE or not gave_way(task):
@@ -90,21 +90,21 @@ class DoUntilUnfeasible(_Parts):
 
 
 Posture = MutableMapping[str, Any]
-"""After which action the robot is left as it is, under some key; shared by those who switch between some."""
+"""Holds, under a key, the action that was done last; shared by the behaviours that switch between actions."""
 
 
 class SafeSwitch(_Parts):
-    """Does an action; before that, what has to be done if another one was done last.
+    """Does an action, and before it the transition from the action that was done last, if there is one.
 
-    The transition runs to its end before the action is requested. If it fails, so does this, and the action is not
-    begun; if it is interrupted, it is begun again at the next start, unless the robot goes back to the other action.
+    The transition finishes before the action is requested. If it fails, this fails, and the action does not start. If
+    it is interrupted, it starts again at the next start, unless the robot has gone back to the other action.
 
     Args:
-        task: the action.
+        task: the behaviour that does the action.
         transitions: what to do first, by name of the action that was done last.
-        posture: which action that was; shared with the behaviours of the other actions.
-        action: name of the action, if the task does not say it itself.
-        key: of the posture.
+        posture: holds the action that was done last; shared with the behaviours of the other actions.
+        action: name of the action, if the task is neither a leaf with an action nor a `ForAction`.
+        key: the key in `posture`.
     """
 
     def __init__(

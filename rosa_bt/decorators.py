@@ -1,4 +1,4 @@
-"""Decorators that py_trees has no namesake for."""
+"""Decorators that py_trees does not have: to put any behaviour under an action, and to retry within a tick."""
 
 import math
 from collections.abc import Generator, Iterator
@@ -13,18 +13,18 @@ from rosa_bt.exceptions import in_words
 
 
 class ForAction(Careful, Decorator):
-    """Puts any behaviour, as it is, under a ROSA action: done only while that is feasible, requested meanwhile.
+    """Ticks any behaviour only while a ROSA action is feasible, and requests the action while the behaviour runs.
 
-    While the action is unfeasible, as is asked in each tick, this is FAILURE with the reason, and the child is stopped.
-    Otherwise the action is requested when the child starts and released exactly once, however the child ends: SUCCESS
-    is "completed", FAILURE (or an exception, with its text as feedback) "failed", an interruption "abandoned".
+    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this fails with the reason.
+    Otherwise the action is requested when the child starts, and released once, however the child ends: the result is
+    "completed" after SUCCESS, "failed" after FAILURE or an exception (its text is the feedback), else "abandoned".
 
     Args:
         action: name of the ROSA action.
-        child: what to do, a leaf or a whole subtree.
+        child: a leaf or a whole subtree.
         preference: name of the attribute to favour when a configuration is chosen, or None.
-        wait: tick the child only when the robot is configured for the action; RUNNING before that.
-        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE with what is lacking.
+        wait: tick the child only when the robot is configured for the action; RUNNING until then.
+        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE, with what is missing.
 
     Raises:
         kb.UnknownName: no such action; the message lists the nearest ones.
@@ -61,9 +61,9 @@ class ForAction(Careful, Decorator):
         return self.decorated.status
 
     def stop(self, new_status: Status) -> None:
-        """Stop the child if it is running, and release the request, also when the child raises.
+        """Stop the child if it is running, and release the request, also if the child raises.
 
-        It is stopped only when that is done: whoever stops it again after an interrupt goes on with what is left.
+        The status changes last: after an interrupt in here, a second call does the rest.
         """
         try:
             self.terminate(new_status)
@@ -78,10 +78,10 @@ class ForAction(Careful, Decorator):
 
 
 class UntilSuccess(Decorator):
-    """RUNNING until the child succeeds; a child that fails is tried once more in the same tick.
+    """RUNNING until the child succeeds; a child that fails is ticked once more in the same tick.
 
-    Without the second try there would be a tick in which nothing is being done, and so nothing required: the robot
-    would be taken apart between two actions and put together again a moment later.
+    Without this second attempt there would be a tick after which no action is required: the robot would be
+    deconfigured between two actions, and configured again a moment later.
     """
 
     def tick(self) -> Iterator[Behaviour]:

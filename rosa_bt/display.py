@@ -1,6 +1,6 @@
-"""Pictures of a tree with what can be done, and why not, drawn in: as text, for Graphviz, and as SVG.
+"""Pictures of a tree, with the feasibility of its actions: as text, for Graphviz, and as SVG.
 
-A picture shows the last tick, and for each action what the knowledge base says of it at this moment.
+A picture shows the statuses after the last tick, and for each action what the knowledge base says now.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,18 +29,18 @@ _SIGNS: Final = {
     **{Parallel: "=>", Decorator: "^"},
 }
 _FEASIBLE, _UNFEASIBLE, _PLAIN = "#2e7d32", "#c62828", "#8a8a8a"
-_WIDTH: Final = 44  # after how many characters a line of a note is broken
+_WIDTH: Final = 44  # characters in a line of a note; longer notes are wrapped
 
 
 class _Row(NamedTuple):
-    """What is drawn of a behaviour, below that of its parent and of what is before it."""
+    """What is drawn for one behaviour; rows are in order, parents before children."""
 
-    parent: int  # the number of its parent's row; -1 for the root
-    lead: str  # what leads to it in a text, four letters for each level
-    title: str  # its status, what it is (e.g. "->" for a sequence) and its name
+    parent: int  # number of the parent's row; -1 for the root
+    lead: str  # the lines before it in a text, four characters for each level
+    title: str  # status, kind (e.g. "->" for a sequence) and name
     status: Status
-    edge: str  # the colour says whether its action is feasible
-    notes: tuple[str, ...]  # feasibility with the reason, and feedback that says something else
+    edge: str  # colour of the border: whether the action is feasible
+    notes: tuple[str, ...]  # feasibility with the reason, and feedback, if it says something else
 
     @property
     def lines(self) -> list[str]:
@@ -50,8 +50,8 @@ class _Row(NamedTuple):
 def ascii_tree(root: Behaviour) -> str:
     """Return a tree as text: one line for each behaviour, with its status, feasibility and feedback.
 
-    `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked; `->` is a sequence, `?` a selector, `=>` a parallel, `^` a
-    decorator, `?!` a task that gives way; an `m` is for memory.
+    `*` is RUNNING, `o` SUCCESS, `x` FAILURE, `-` not ticked. `->` is a sequence, `?` a selector, `=>` a parallel, `^` a
+    decorator, `?!` a `DoUntilUnfeasible`; `m` stands for memory.
     """
     lines = []
     for row in _rows(root):
@@ -61,7 +61,7 @@ def ascii_tree(root: Behaviour) -> str:
 
 
 def dot_tree(root: Behaviour) -> str:
-    """Return a tree as a graph for Graphviz: `dot -Tsvg` draws it."""
+    """Return a tree as a graph in the DOT language of Graphviz, which `dot -Tsvg` draws."""
     lines = ["digraph tree {", "  rankdir=LR;", '  node [shape=box, style="rounded,filled", fontname="sans-serif"];']
     for number, row in enumerate(_rows(root)):
         label = "\\n".join(line.replace("\\", "\\\\").replace('"', '\\"') for line in row.lines)
@@ -72,7 +72,7 @@ def dot_tree(root: Behaviour) -> str:
 
 
 def svg_tree(root: Behaviour) -> str:
-    """Return a tree as an SVG picture: behaviours below one another, children farther to the right."""
+    """Return a tree as an SVG picture: one behaviour below the other, children indented to the right."""
     edges, shapes, feet = list[str](), list[str](), list[tuple[float, float]]()
     right, top = 0.0, _GAP
     for row in _rows(root):
@@ -91,9 +91,9 @@ def svg_tree(root: Behaviour) -> str:
 
 
 def _rows(root: Behaviour) -> list[_Row]:
-    """Return what is drawn, parents before children; a reason that stands above is not repeated.
+    """Return the rows, parents before children; a reason that an earlier row gives is not repeated.
 
-    What has finished below a node that was reset since then is drawn as not ticked.
+    A finished behaviour below a node that has been reset is drawn as not ticked.
     """
     rows, said = list[_Row](), set[str]()
     pending = [(root, -1, "", "", False)]
@@ -120,13 +120,13 @@ def _plain(text: str) -> str:
 
 
 def _feasibility(behaviour: Behaviour) -> str:
-    """Return what the knowledge base says of the behaviour's action; empty if it has none."""
+    """Return "feasible", or why the behaviour's action is not; empty if it has no action."""
     if not isinstance(behaviour, ActionBehaviour | ForAction):
         return ""
     try:
         kb, action = behaviour.kb, behaviour.action
         return "feasible" if kb.is_feasible(action) else kb.why(kb.actions[action])
-    except Exception as error:  # a port that nobody has written yet, or that carries no action's name
+    except Exception as error:  # the port is not written yet, or holds no name of an action
         return f"action not known yet: {_plain(in_words(error))}"
 
 
@@ -141,17 +141,17 @@ FONT: Final = 'font-family="sans-serif" font-size="12"'
 _GAP: Final = 12.0
 LINE: Final = 16.0
 LETTER: Final = 6.9
-"""Sizes in pixels; a letter is as wide as it is on average, with something to spare."""
+"""Sizes [px]; LETTER is a little more than the average width of a character."""
 
 
 def svg_size(lines: Sequence[str]) -> tuple[float, float]:
-    """Return width and height of a box with lines of text [px]; the first is in bold letters."""
+    """Return width and height of a box with lines of text [px]; the first line is bold."""
     longest = max(len(line) * (1.1 if line is lines[0] else 1.0) for line in lines)
     return 16 + LETTER * longest, 10 + LINE * len(lines)
 
 
 def svg_box(x: float, y: float, lines: Sequence[str], style: str) -> Iterator[str]:
-    """Yield the elements of a box with lines of text, its upper left corner at (x, y) [px]."""
+    """Yield the SVG elements of a box with lines of text, whose upper left corner is at (x, y) [px]."""
     width, height = svg_size(lines)
     yield f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" rx="5" {style}/>'
     for number, line in enumerate(lines):

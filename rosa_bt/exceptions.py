@@ -1,4 +1,4 @@
-"""What can go wrong in the layer of trees; each message says what was given, what exists and what to do."""
+"""The errors of this package, and how messages are made: they say what was given, what exists and what to do."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -15,22 +15,22 @@ class RosaBtError(Exception):
 
 
 class TreeChangeError(RosaBtError):
-    """A tree cannot be changed like that."""
+    """A tree cannot be changed in this way."""
 
 
 class TraceError(RosaBtError):
-    """A file is no trace, or cannot be replayed."""
+    """A file is not a trace, or a trace cannot be replayed."""
 
 
 class XmlError(RosaBtError, ValueError):
-    """A tree in XML cannot be read, or not be made; the message begins with file and line."""
+    """A tree in XML cannot be read, or cannot be built; the message begins with file and line."""
 
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(f"{where}: {problem}")
 
 
 class RegistryError(RosaBtError, ValueError):
-    """A behaviour cannot be registered like that."""
+    """A behaviour cannot be registered in this way."""
 
 
 class ExportError(RosaBtError, ValueError):
@@ -38,7 +38,7 @@ class ExportError(RosaBtError, ValueError):
 
 
 def hint(name: str, known: Iterable[str], what: str) -> str:
-    """Return the end of a message about an unknown name: what is near it, and what there is."""
+    """Return the end of a message about an unknown name: similar names, and the names that exist."""
     names = sorted(known)
     if not names:
         return f"there are no {what}"
@@ -49,7 +49,7 @@ def hint(name: str, known: Iterable[str], what: str) -> str:
 
 
 def in_words(error: Exception, *ours: str) -> str:
-    """Return an exception in words, with the last place that is in no package of ours or of Python's."""
+    """Return an exception as text, with the last line of the user's code in its traceback, if there is one."""
     own = (*_OURS, *ours, *stdlib_module_names)
     frames = [
         one for one in walk_tb(error.__traceback__) if str(one[0].f_globals.get("__name__")).split(".")[0] not in own

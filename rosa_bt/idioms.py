@@ -1,4 +1,4 @@
-"""Creators of common subtrees: what a mission needs to adapt, in one call."""
+"""Functions that make common subtrees for missions that adapt, in one call."""
 
 from collections.abc import Mapping, Sequence
 
@@ -15,12 +15,12 @@ from rosa_bt.xml.controls import CONTROLS
 
 
 def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
-    """Return an action that is done only while it is feasible, asked at each tick.
+    """Return a subtree that does an action only while it is feasible, which each tick asks.
 
     Args:
-        task: the action. Any other behaviour asks for itself (`ForAction`) or inside itself (a subtree) and is
-            returned as it is.
-        during: how long it takes [s]; see `IsActionFeasible`.
+        task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself, and in a subtree its
+            leaves do.
+        during: how long the action takes [s]; see `IsActionFeasible`.
     """
     if not isinstance(task, RosaAction):
         if not during:
@@ -31,9 +31,9 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
 
 
 def unguarded(root: Behaviour) -> list[RosaAction]:
-    """Return the actions of a tree that go on when they become unfeasible, and that nothing above them stops then.
+    """Return the actions of a tree that go on when they become unfeasible, and that no node above them stops then.
 
-    Guards are a `ForAction` around it, and an `IsActionFeasible` before it in a sequence without memory.
+    A node stops its action if it is a `ForAction`, or a sequence without memory with an `IsActionFeasible` before it.
     """
     actions = [one for one in root.iterate() if isinstance(one, RosaAction) and one.even_if_unfeasible]
     return [one for one in actions if not _is_guarded(one)]
@@ -55,14 +55,14 @@ def _is_guarded(action: RosaAction) -> bool:
 
 
 def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False, during: float = 0.0) -> Behaviour:
-    """Return a choice: the first of several actions that is feasible, and does not fail, is done.
+    """Return a selector that does the first of several actions that is feasible and does not fail.
 
     Args:
-        name: of the choice.
+        name: of the selector.
         tasks: the actions, the most preferred first.
-        memory: stay with what was begun as long as it is feasible; otherwise a preferred one takes over in the tick in
-            which it becomes feasible.
-        during: how long each of them takes [s]; one that is to be asked otherwise is given as `feasible_then_act`.
+        memory: go on with the action that has started as long as it is feasible; otherwise a more preferred action
+            takes over in the tick in which it becomes feasible.
+        during: how long each action takes [s]; for an action of another duration, pass `feasible_then_act(...)`.
     """
     return composites.Selector(name, memory=memory, children=[feasible_then_act(task, during) for task in tasks])
 
@@ -70,32 +70,32 @@ def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = Fals
 def do_until_unfeasible(
     task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None, during: float = 0.0
 ) -> DoUntilUnfeasible:
-    """Return a task that is done; while it is unfeasible, something else is; then the task goes on.
+    """Return a composite that does a task, and something else while the task is unfeasible; then the task goes on.
 
     Args:
-        task: an action, or a subtree that fails when what it does becomes unfeasible.
-        meanwhile: an action, or a subtree, to do in the meantime.
-        memory: finish what is done meanwhile, also when the task is feasible before.
-        name: of the whole.
-        during: how long the task takes [s], if it is an action; it is not begun if it would not stay feasible as long.
+        task: an action, or a subtree that fails when its action becomes unfeasible.
+        meanwhile: an action or a subtree to do while the task is unfeasible.
+        memory: finish `meanwhile` first, even if the task becomes feasible earlier.
+        name: of the composite.
+        during: how long the task takes [s], if it is an action; it starts only if it will stay feasible for that long.
     """
     name = name or f"{task.name}, or else {meanwhile.name}"
     return DoUntilUnfeasible(name, feasible_then_act(task, during), feasible_then_act(meanwhile), memory=memory)
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
-    """Have something done between two actions of a tree, whichever way the tree gets from one to the other.
+    """Add transitions to a tree: behaviours that run between two actions, on whatever way the tree gets there.
 
     Args:
-        root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are changed in place.
-        transitions: what has to be done, by the names of the action done last and of the action to begin.
+        root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are wrapped in place.
+        transitions: the behaviours, by a pair of names: the action that was done last, and the action to start.
 
     Returns:
         The root of the changed tree.
 
     Raises:
-        kb.UnknownName: no action of that name is done in the tree.
-        TreeChangeError: there has to be one transition, but several behaviours that do the action.
+        kb.UnknownName: the tree has no action with this name.
+        TreeChangeError: several behaviours do an action that needs a transition, or a parent is of an unknown kind.
     """
     tasks = [one for one in root.iterate() if isinstance(one, RosaAction | ForAction)]
     posture: Posture = {}

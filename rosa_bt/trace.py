@@ -1,8 +1,8 @@
-"""A trace: the log of events beside the ticks of a tree; written and read as lines of JSON, and replayed.
+"""A trace: the ticks of a tree together with the events of the knowledge base, in JSON lines; it can be replayed.
 
-The first line says what it is a trace of, each other is a tick with the events since the one before. What it does not
-say of the tree and of what was ticked is as in the tick before. Each line is on disk as soon as its tick is over, so a
-program that is killed leaves all but the tick that it was in.
+The first line names the version and the model. Each other line is a tick, with the events since the tick before. The
+tree and the visited behaviours are left out of a line if they are as in the tick before. Each line is written when its
+tick is over, so a program that is killed loses only the tick that was under way.
 """
 
 import json
@@ -33,7 +33,7 @@ _ESCAPED: Final = re.compile("[\x85\u2028\u2029\ud800-\udfff]")
 
 
 class Node(NamedTuple):
-    """A behaviour in a tree: how many others it is below, the name of its class, and its own, which others may have."""
+    """A behaviour in a tree: its depth (0 for the root), the name of its class, and its own name, not always unique."""
 
     depth: int
     kind: str
@@ -41,7 +41,7 @@ class Node(NamedTuple):
 
 
 class Visit(NamedTuple):
-    """A behaviour that was ticked: its number in the tree, parents before children, and its status, e.g. "RUNNING"."""
+    """A behaviour that was ticked: its place in `Tick.tree`, and its status, e.g. "RUNNING", and feedback."""
 
     node: int
     status: str
@@ -49,42 +49,42 @@ class Visit(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What became of an action."""
+    """A change of an action: of its request or its feasibility."""
 
     action: str
     what: str
     """One of "requested", "completed", "failed", "abandoned", "unfeasible" and "feasible"."""
     reason: str
-    """Why, in the words of the knowledge base; empty where none was given."""
+    """Why, in the words of the knowledge base; empty if no reason was given."""
 
 
 class Told(NamedTuple):
-    """An event that the knowledge base came to know since the tick before."""
+    """An event since the tick before, and who told it when."""
 
     event: Event
     place: int | None
-    """Before a behaviour of which place in `visited` others told it, -1 if before the tick; None if the tree did."""
+    """None if the tree told it. Else it came before the behaviour at this place in `visited`; -1: before the tick."""
 
 
 class Tick(NamedTuple):
-    """One tick, numbered from 0, at a time [s]."""
+    """One tick: its number, from 0, its time [s], what was ticked, and what became known."""
 
     number: int
     time: float
     tree: tuple[Node, ...]
-    """The behaviours of the tree, parents before children; the number of one is its place."""
+    """The behaviours of the tree, parents before children."""
     visited: tuple[Visit, ...]
-    """What was ticked, in order: children before parents."""
+    """The behaviours that were ticked, in order: children before parents."""
     events: tuple[Told, ...] = ()
-    """What became known, in order; a replay tells what others told again."""
+    """The events since the tick before, in order; a replay tells again those that the tree did not tell."""
     reasons: tuple[str, ...] = ()
-    """Why an action became unfeasible, for each time that one did in these events."""
+    """The reason for each time that an action became unfeasible in these events."""
     is_interrupted: bool = False
-    """Whether it was cut short, by Ctrl-C for instance, and the tree was halted; all events are as if before it."""
+    """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as before the tick."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
-        """What became of actions since the end of the tick before."""
+        """The requests, results and changes of feasibility of actions since the end of the tick before."""
         found, reasons = [], iter(self.reasons)
         for event, _ in self.events:
             if event.verb == "request_action":
@@ -101,7 +101,7 @@ class Tick(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """The ticks of a tree, and the name of the knowledge base's model; one kept in memory may lack the first ticks."""
+    """The ticks of a tree, and the name of the model; a trace from memory may lack the first ticks."""
 
     model: str
     ticks: tuple[Tick, ...]
@@ -111,22 +111,22 @@ class Trace:
         return "".join([_first_line(self.model), *ticks])
 
     def statuses(self, name: str) -> tuple[Status, ...]:
-        """Return what behaviours of a name returned whenever they were ticked, in order; without what was skipped."""
+        """Return the statuses of all behaviours with this name, in the order of ticks; skipped ones are left out."""
         visits = [visit for tick in self.ticks for visit in tick.visited if tick.tree[visit.node].name == name]
         return tuple(Status[visit.status] for visit in visits if visit.status != Status.INVALID.name)
 
 
 class TraceVisitor(VisitorBase):
-    """Writes down every tick: what became known before it, what was ticked, with which feedback, and what was decided.
+    """Records every tick: the events before it, which behaviours were ticked, with which status and feedback.
 
-    Add it to the visitors of a tree before its first tick; the trace begins with the first event that the log of the
-    knowledge base holds. The same run gives the same trace, to the byte. Memory is bounded: the last ticks are kept,
-    and with a file, all are in the file.
+    Add it to the visitors of a tree before the first tick; the trace begins with the first event that the log of the
+    knowledge base still holds. The same run gives the same trace, to the byte. Memory is bounded: it keeps the last
+    ticks; a file keeps all.
 
     Args:
-        kb: the knowledge base that the tree asks and tells.
-        path: a file to write to as well, anew.
-        keep: how many ticks to keep in memory; the last ones.
+        kb: the knowledge base that the tree uses.
+        path: a file to write all ticks to; an existing file is overwritten.
+        keep: how many of the last ticks to keep in memory, at least 1.
     """
 
     def __init__(self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT) -> None:
@@ -151,11 +151,11 @@ class TraceVisitor(VisitorBase):
 
     @property
     def trace(self) -> Trace:
-        """The ticks that are kept."""
+        """The ticks that are kept in memory."""
         return Trace(self._kb.model.name, tuple(self._ticks))
 
     def initialise(self) -> None:
-        """Begin a tick; from now on it is the tree that tells, in this thread."""
+        """Begin a tick: until its end, what this thread tells the knowledge base comes from the tree."""
         if self._thread is not None:
             self.interrupt()
         self._seen, self._known = [], []
@@ -173,14 +173,14 @@ class TraceVisitor(VisitorBase):
         self._write(visited, is_interrupted=False)
 
     def interrupt(self) -> None:
-        """End a tick that was cut short, when the tree is halted; a runner calls this instead of `finalise`."""
+        """End a tick that was cut short; a runner calls this instead of `finalise`, after it has halted the tree."""
         self._write((), is_interrupted=True)
 
     def _write(self, visited: tuple[Visit, ...], *, is_interrupted: bool) -> None:
         with self._kb.reading():
-            events = [Event(*one[:7]) for one in self._kb.log.since(self._done)]  # as they are read again
+            events = [Event(*one[:7]) for one in self._kb.log.since(self._done)]  # without what is not in a file
             time = float(self._kb.now)
-        if not is_interrupted:  # what came when all had been visited is the next tick's
+        if not is_interrupted:  # later events are of the next tick
             last = max([self._begun, *self._known, *self._own])
             events = [one for one in events if one.number <= last]
         self._done = events[-1].number if events else self._done
@@ -188,7 +188,7 @@ class TraceVisitor(VisitorBase):
         whys = [self._reasons.pop(one.number, [""] * len(_unfeasible(one))) for one in events]
         before = self._ticks[-1] if self._ticks else None
         if before is not None and visited == before.visited:
-            visited = before.visited  # held once
+            visited = before.visited  # keep one copy in memory
         tick = Tick(self._count, time, self._tree, visited, told, tuple(chain(*whys)), is_interrupted)
         if self._file is not None:
             self._file.write(_tick_line(tick, before))
@@ -203,7 +203,7 @@ class TraceVisitor(VisitorBase):
         return next((place for place, known in enumerate(self._known) if known >= number), len(self._known))
 
     def _witness(self, event: Event) -> None:
-        """Note whether the tree told it, and why actions became unfeasible by it, in the words of now."""
+        """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now."""
         if self._thread == get_ident():
             self._own.add(event.number)
         names = _unfeasible(event)
@@ -211,7 +211,7 @@ class TraceVisitor(VisitorBase):
             self._reasons[event.number] = [self._kb.why(self._kb.actions[name]) for name in names]
 
     def close(self) -> None:
-        """Hear no more of the knowledge base, and close the file."""
+        """Stop recording, and close the file."""
         if self._thread is not None:
             self.interrupt()
         log = self._kb.log
@@ -232,7 +232,7 @@ class TraceVisitor(VisitorBase):
             behaviour, depth = pending.pop()
             depths[behaviour] = depth
             pending += [(child, depth + 1) for child in reversed(behaviour.children)]
-        for behaviour, _, _ in self._seen:  # a step of a plan may be over, and gone, when the tick is
+        for behaviour, _, _ in self._seen:  # a step of a plan may have left the tree before the end of the tick
             depths.setdefault(behaviour, 1)
         self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
         self._tree = tuple(Node(depth, type(one).__name__, one.name) for one, depth in depths.items())
@@ -243,7 +243,7 @@ def _unfeasible(event: Event) -> list[str]:
 
 
 def _turns(change: StatusChange) -> bool:
-    """Tell whether an action has become unfeasible, or is so no longer."""
+    """Tell whether an action became unfeasible, or is no longer unfeasible."""
     unfeasible = ElementStatus.UNFEASIBLE
     return change.kind == "action" and (change.new is unfeasible) != (change.old is unfeasible)
 
@@ -253,7 +253,7 @@ def _first_line(model: str) -> str:
 
 
 def _tick_line(tick: Tick, before: Tick | None) -> str:
-    """Return the line of a tick after another one; without that, of the first."""
+    """Return the line of a tick that follows another; `before` is None for the first tick."""
     line: dict[str, object] = {"tick": tick.number, "time": tick.time}
     if before is None or tick.tree != before.tree:
         line["tree"] = tick.tree
@@ -276,11 +276,11 @@ def read_trace(path: str | Path) -> Trace:
     """Read a trace from a file.
 
     Raises:
-        TraceError: the file cannot be read, or is no trace; names the line.
+        TraceError: the file cannot be read, or is not a trace; the message names the line.
     """
     try:
         found = Path(path).read_bytes()
-        whole = found.rpartition(b"\n")[0] or found  # what the last line lacks, a program lacked that was killed
+        whole = found.rpartition(b"\n")[0] or found  # the last line is incomplete if the program was killed
         lines = whole.decode().splitlines()
     except (OSError, ValueError) as error:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
@@ -294,7 +294,7 @@ def read_trace(path: str | Path) -> Trace:
                 ticks.append(_tick_of(line, ticks[-1] if ticks else Tick(0, 0.0, (), ())))
                 continue
             version, model = line["rosa_bt_trace"], str(line["model"])
-        except Exception as error:  # whatever reading raises of a line that is not what it should be
+        except Exception as error:  # a wrong line may raise anything
             raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
         if version != _VERSION:
             how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
@@ -313,23 +313,23 @@ def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
     if not all(isinstance(place, int | None) for _, place in told):
         raise ValueError("the place of an event is a number or null")
     tick = Tick(int(line["tick"]), float(line["time"]), tree, visited, told, reasons, line.get("interrupted") is True)
-    tuple(tick.decisions)  # an event that lacks its arguments is found here
+    tuple(tick.decisions)  # raises if an event lacks arguments
     return tick
 
 
 def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Behaviour]) -> Trace:
-    """Return the trace of a tree whose knowledge base is told the events of another one, at their times.
+    """Tell a new knowledge base the events of a trace at their times, tick a new tree, and return its trace.
 
-    It equals the recorded one as long as model and tree are the same and every leaf decides by the knowledge base.
+    The two traces are equal if model and tree are the same and every leaf decides by the knowledge base alone.
 
     Args:
-        trace: from the first tick on, of a knowledge base whose log was complete.
-        model: what the robot is made of and can do.
-        build: makes the tree, for the knowledge base of the replay.
+        trace: a trace from the first tick on, of a knowledge base whose log was complete.
+        model: the model of the robot.
+        build: makes the tree, with the knowledge base of the replay.
 
     Raises:
         TraceError: the first ticks or events are missing, or an event cannot be told again.
-        kb.KnowledgeBaseError: the model does not know what was told.
+        kb.KnowledgeBaseError: an event names something that the model does not have.
     """
     if trace.ticks and trace.ticks[0].number:
         raise TraceError(f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file")
@@ -355,11 +355,11 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
 
 
 class _Replay(TraceVisitor):
-    """Tells within a tick what others told within it, where they did.
+    """Tells the events that others than the tree told during a tick, at the same place within the tick.
 
     Args:
-        now: the time that the clock shows [s], in a list.
-        keep: how many ticks there are.
+        now: a list with one number, the time of the clock of the replay [s].
+        keep: the number of ticks of the trace.
     """
 
     def __init__(self, kb: KnowledgeBase, now: list[float], keep: int) -> None:
@@ -370,7 +370,7 @@ class _Replay(TraceVisitor):
         self._stop_following = kb.subscribe(lambda event: self._follow())
 
     def tell(self, events: Iterable[Event]) -> None:
-        thread, self._thread = self._thread, None  # these are not of the tree
+        thread, self._thread = self._thread, None  # so that these events do not count as told by the tree
         for event in events:
             self._now[0] = event.time
             try:
@@ -399,7 +399,7 @@ class _Replay(TraceVisitor):
         super().finalise()
 
     def _follow(self) -> None:
-        """Tell what is due, and have the clock show what it showed when the tree told next."""
+        """Tell the events that are due, and set the clock to the time of the next event that the tree told."""
         if self._thread is None:
             return
         last = self._kb.log.last

@@ -1,4 +1,4 @@
-"""Running a tree in somebody else's time: the clock of a simulator, a recording or the wall."""
+"""Running a tree by a clock that is handed in: that of a simulator, a recording or the wall."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -18,16 +18,16 @@ from rosa_bt.exceptions import in_words
 
 Handler = Callable[[BehaviourTree], None]
 
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})  # raise nothing; a subclass may
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)  # deal with it, unless a subclass ticks in another way
+_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})  # they raise nothing; a subclass may
+_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)  # these handle exceptions, unless a subclass overrides that
 
 
 class GuardedTree(BehaviourTree):
-    """A py_trees tree that goes on when a behaviour raises.
+    """A tree of py_trees that goes on when a behaviour raises.
 
-    An exception of a behaviour, also of a plain py_trees one, wherever it is raised (`initialise`, `update`,
-    `terminate`, `tick`), is that behaviour's FAILURE with the text as feedback; its parent takes it from there. What is
-    taken out of the tree is stopped before the next tick at the latest.
+    If any behaviour raises, in `initialise`, `update`, `terminate` or `tick`, that behaviour fails, with the text of
+    the exception as feedback, and its parent handles the failure. A behaviour that is taken out of the tree is stopped
+    before the next tick at the latest.
     """
 
     def __init__(self, root: Behaviour) -> None:
@@ -36,7 +36,7 @@ class GuardedTree(BehaviourTree):
         self._guard_all()
 
     def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
-        """Tick once, with handlers and visitors as in py_trees; what is raised halts the tree before it goes on."""
+        """Tick once, with handlers and visitors as in py_trees; if one raises, halt the tree and raise that."""
         try:
             for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
                 handler(self)
@@ -65,7 +65,7 @@ class GuardedTree(BehaviourTree):
         self.count += 1
 
     def shutdown(self) -> None:
-        """Stop what is running, and shut every behaviour down; what that raises is raised when all were shut down."""
+        """Stop what is running, and shut down every behaviour; an exception is raised after all are shut down."""
         self._guard_all()
         halt(self.root)
         with ExitStack() as stack:
@@ -87,7 +87,7 @@ class GuardedTree(BehaviourTree):
             self._let_go()
 
     def _let_go(self) -> None:
-        """Stop what was taken out of the tree, and those that have lost the child they had got to: they begin anew."""
+        """Stop what was taken out of the tree, and composites that lost their current child: they start again."""
         before, self._present = self._present, dict.fromkeys(self.root.iterate())
         for behaviour in [one for one in before if one not in self._present]:
             halt(behaviour)
@@ -97,23 +97,23 @@ class GuardedTree(BehaviourTree):
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
-    """Tell whether a behaviour needs no guard: guards for all make a tick about a third longer."""
+    """Tell whether a behaviour needs no guard; with a guard for each, a tick takes about a third longer."""
     kind = type(behaviour)
     as_ours = any(issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop) for one in _CAREFUL)
     return as_ours or kind in _HARMLESS
 
 
 class _EndedBadly(Exception):
-    """A behaviour raised when it was stopped after success or failure; it has been dealt with."""
+    """A behaviour raised when it was stopped after SUCCESS or FAILURE; its guard has already handled it."""
 
 
 _guarded: WeakSet[Behaviour] = WeakSet()
 
 
 def _guard(behaviour: Behaviour) -> None:
-    """Turn what a behaviour raises into its FAILURE, with the text as feedback, and stop what runs below it.
+    """Wrap a behaviour, for good: when it raises, it fails, with the text as feedback, and its children are stopped.
 
-    What it raises on being interrupted is its feedback only; the interruption goes on.
+    If it raises while it is interrupted, the text is its feedback, and the interruption goes on.
     """
     tick, stop = behaviour.tick, behaviour.stop
 
@@ -154,17 +154,16 @@ def _fail(behaviour: Behaviour, stop: Callable[[Status], None], error: Exception
 class TreeRunner:
     """Ticks a tree at a fixed period of a clock that is handed in.
 
-    A mission begins when a runner takes its tree over, and ends when the root succeeds or the runner is shut down; what
-    interrupted actions saved is forgotten then.
+    A mission begins when a runner is made for a tree, and ends when the root succeeds or the runner is shut down. Both
+    drop the progress that interrupted actions saved, except what a store keeps for the next program after a shutdown.
 
     Args:
         root: of the tree.
         clock: gives the time [s].
-        period: from one tick to the next [s].
+        period: time between ticks [s].
 
     Attributes:
-        tree: the py_trees tree, for visitors and handlers, and to be changed between ticks (`insert_subtree` and the
-            like).
+        tree: the py_trees tree; add visitors and handlers to it, and change it between ticks, e.g. `insert_subtree`.
     """
 
     def __init__(self, root: Behaviour, *, clock: Callable[[], float], period: float = 0.1) -> None:
@@ -183,7 +182,7 @@ class TreeRunner:
 
     @property
     def due(self) -> float:
-        """When the next tick is due [s]."""
+        """Time at which the next tick is due [s]."""
         return self._start + self._ticks * self._period
 
     @property
@@ -192,7 +191,7 @@ class TreeRunner:
         return self.tree.root.status
 
     def update(self) -> bool:
-        """Tick once if a tick is due; tell whether it was. Ticks that were missed are not made up for."""
+        """Tick once if a tick is due; return whether it was. Missed ticks are not made up for."""
         now = self._clock()
         if now < self.due:
             return False
@@ -201,20 +200,20 @@ class TreeRunner:
         return True
 
     def put_off(self, until: float) -> float:
-        """Leave out the ticks that are due before a time [s]; return when the one before the next would have been."""
-        self._ticks = max(self._ticks, int((until - self._start) / self._period) - 1)  # it may be rounded up
+        """Leave out the ticks that are due before a time [s]; return the time of the last one left out [s]."""
+        self._ticks = max(self._ticks, int((until - self._start) / self._period) - 1)  # the quotient may be rounded up
         while self.due < until:
             self._ticks += 1
         return self._start + (self._ticks - 1) * self._period
 
     def tick(self) -> None:
-        """Tick once; what a handler or visitor raises, or interrupts it, is raised when all that runs is stopped."""
+        """Tick once; an exception of a handler or visitor, or an interrupt, is raised after the tree is stopped."""
         self.tree.tick()
         if self.status is Status.SUCCESS:
             self._forget_progress()
 
     def shutdown(self) -> None:
-        """Stop what is running, so that every request is released, and shut the tree down; raises what that raises."""
+        """Stop what is running, which releases all requests, and shut down the tree; raises what behaviours raise."""
         try:
             self.tree.shutdown()
         finally:

@@ -1,9 +1,9 @@
-"""What to do next, and how to be configured for it, by what that is worth until a deadline.
+"""What to do next, and in which configuration, to gain most until a deadline.
 
-A mission states what actions gain, and which errands, such as refuelling, gain nothing but keep the others feasible. A
-dynamic program finds the best course, exactly on a grid of times, by what the knowledge base forecasts. That an errand
-is worth doing now is told to it: what is put off is asserted to be unfeasible, with the reason, so that every task
-layer, explanation and replay follows. Nothing becomes feasible by it.
+A mission states what actions gain, and which errands, such as refuelling, gain nothing but keep other actions feasible.
+A dynamic program finds the course that gains most, exact on a grid of times, from the forecasts of the knowledge base.
+If an errand is worth doing now, the actions that it interrupts are put off: they are asserted to be unfeasible, with
+the reason, so that every task layer, explanation and replay sees it. No action becomes feasible in this way.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,9 +23,9 @@ from kb.status import OPERATORS
 from kb.views import ConstraintView
 from rosa_bt.idioms import feasible_then_act
 
-# In how many steps a horizon is looked at, how short one is at least [s]; with more states they are twice as long.
+# Steps until the deadline at most; shortest step [s]; states at most: if there are more, steps are twice as long.
 _STEPS, _FINEST_S, _MOST_STATES = 48, 1.0, 250
-# Over how long it is asked how fast an attribute changes [s].
+# Time over which the rate of change of an attribute is taken from its forecast [s].
 _SLOPE_S = 30.0
 _NOISE, _ROUNDING = 1e-9, 1e-5
 _LEAST = (">=", ">")
@@ -33,14 +33,14 @@ _LEAST = (">=", ">")
 
 @dataclass(frozen=True, slots=True)
 class Gain:
-    """What doing an action is worth while it is feasible.
+    """What an action gains while it is done.
 
     Attributes:
         action: its name.
-        rate: worth per second; by name of the configuration that it is done in, where it hangs on that.
-        spread: by what share the rate may be higher or lower.
-        away: how fast doing it takes the robot away from where errands are done [m/s].
-        switching_s: for how long nothing is gained when the configuration changes [s].
+        rate: worth gained per second; if it depends on the configuration, a mapping from the name of a configuration.
+        spread: share by which the rate may be higher or lower, from 0 to below 1.
+        away: speed at which the action takes the robot away from where errands are done [m/s].
+        switching_s: time without gain when the configuration changes [s].
     """
 
     action: str
@@ -52,13 +52,13 @@ class Gain:
 
 @dataclass(frozen=True, slots=True)
 class Errand:
-    """An action that gains nothing, and restores attributes of which others need enough.
+    """An action that gains nothing, but restores attributes that other actions need.
 
     Attributes:
         action: its name.
-        restores: what the attributes are when it is done, by name.
-        there, back: how long that takes, and how long it then takes until work goes on, by how far away it is [m to s].
-        spread: by what share both may be longer or shorter.
+        restores: the values of attributes when the errand is done, by name.
+        there, back: the time until that, and from then until work goes on [s], as functions of the distance [m].
+        spread: share by which both times may be longer or shorter, from 0 to below 1.
     """
 
     action: str
@@ -70,16 +70,16 @@ class Errand:
 
 @dataclass(frozen=True, slots=True)
 class Worth:
-    """What a mission is worth.
+    """What a mission gains, and by when.
 
     Attributes:
-        deadline: when it ends [s, by the clock of the knowledge base].
-        gains: what is worth something.
-        errands: what makes it last.
-        keep: of which attributes enough is kept at every moment to have so much left at the end of an errand, by name.
-            Of others an errand is planned only if their least value in the model is left.
-        away: how far the robot is from where errands are done [m].
-        unit: of the worth.
+        deadline: when the mission ends [s, by the clock of the knowledge base].
+        gains: the actions that gain something.
+        errands: the actions that restore attributes.
+        keep: least values of attributes at the end of an errand, by name: work goes on only as long as an errand can
+            still end with them. For other attributes, errands have to end with their least value in the model.
+        away: distance of the robot from where errands are done [m].
+        unit: unit of the worth, for messages.
     """
 
     deadline: float
@@ -94,12 +94,12 @@ class Decision(NamedTuple):
     """What to do now.
 
     Attributes:
-        action: its name; None for what is feasible, in the order of the task layer, as with nothing stated.
-        configuration: what to be configured as for it; None if that is open.
-        worth: what is expected to be gained from now until the deadline; None for "do not know".
-        low, high: the same if all goes as badly, or as well, as is forecast and stated.
+        action: its name; None leaves the choice to the task layer, as without a lookahead.
+        configuration: name of the configuration for it; None if any will do.
+        worth: expected gain from now until the deadline; None if unknown.
+        low, high: the gain if everything is at its worse, or better, end of what is forecast and stated.
         reason: why, in a sentence.
-        errands: when which begin by this plan [s].
+        errands: start [s] and action of each errand in this course.
     """
 
     action: str | None = None
@@ -112,19 +112,19 @@ class Decision(NamedTuple):
 
 
 class Lookahead:
-    """Decides what to do next, and tells the knowledge base what is put off.
+    """Decides what to do next, and puts off the actions that an errand interrupts.
 
     Args:
-        kb: the knowledge base; its forecasts say how attributes go on.
-        worth: what the mission is worth, or what says that at each decision; None, or no gains, for nothing stated.
-        period: how often it is decided anew at most, while no status changes [s].
+        kb: the knowledge base; its forecasts say how attributes change.
+        worth: what the mission gains, or a function that returns it for each decision; None for nothing stated.
+        period: least time between two decisions while no status changes [s].
 
     Attributes:
-        latest: what was decided last.
+        latest: the last decision.
 
     Raises:
-        UnknownName: the model has no such action, configuration or attribute.
-        InvalidValue: a number that makes no sense.
+        kb.UnknownName: the model has no such action, configuration or attribute.
+        kb.InvalidValue: a number is not finite or out of its range.
     """
 
     def __init__(
@@ -137,7 +137,7 @@ class Lookahead:
         self._worth = self._stated()
 
     def update(self) -> Decision:
-        """Decide if it is time to, tell what is put off, and return what was decided last."""
+        """Decide if it is time to, put off what an errand interrupts, and return the last decision."""
         kb, (revision, time) = self._kb, self._asked
         if self._begun is not None:
             errand, until, put_off = self._begun
@@ -146,7 +146,7 @@ class Lookahead:
                 return self.latest
             self._begun = None
             for action in [kb.actions[name] for name in put_off if name in kb.actions]:
-                if self.latest.reason in kb.why(action):  # what somebody else has said meanwhile stands
+                if self.latest.reason in kb.why(action):  # what somebody else has asserted meanwhile stays
                     kb.retract_status(action)
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
@@ -158,7 +158,7 @@ class Lookahead:
         return self.latest
 
     def decide(self) -> Decision:
-        """Return what is best now; nothing is told."""
+        """Return the best decision now, without telling the knowledge base anything."""
         kb, worth = self._kb, self._stated()
         self._worth = worth
         if not worth.gains or kb.now >= worth.deadline:
@@ -180,7 +180,7 @@ class Lookahead:
         return worth
 
     def _put_off(self, errand: Errand) -> None:
-        """Put off what an errand interrupts, until it is done, or should long have been."""
+        """Assert that the gaining actions are unfeasible, for at most twice the time that the errand should take."""
         kb, away = self._kb, self._worth.away
         until = kb.now + 2 * (errand.there(away) + errand.back(away)) + self._period
         names = [one.action for one in self._worth.gains if kb.is_feasible(one.action)]
@@ -190,12 +190,12 @@ class Lookahead:
 
 
 class WhatNext(Selector):
-    """Does the first of several tasks that is feasible, with what is not worth doing now put off.
+    """Does the first of several tasks that is feasible; tasks that are not worth doing now are put off.
 
     Args:
-        lookahead: decides, when it is time to.
-        tasks: actions, trees that fail when what they do becomes unfeasible, or a plan executor; as in
-            `first_feasible`, which this is with nothing stated.
+        lookahead: decides what to do; it is updated in each tick.
+        tasks: actions, subtrees that fail when their action becomes unfeasible, or a plan executor. If nothing is
+            stated, this does the same as `first_feasible`.
     """
 
     def __init__(self, name: str, lookahead: Lookahead, tasks: Sequence[Behaviour]) -> None:
@@ -208,13 +208,13 @@ class WhatNext(Selector):
 
 
 class WorthPlanner(PriorityPlanner):
-    """Chooses the configuration that a lookahead has decided for, and all else by priority."""
+    """Chooses the configuration that a lookahead decided on, and all others by priority."""
 
     def __init__(self, lookahead: Lookahead) -> None:
         self._lookahead = lookahead
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Choose as `PriorityPlanner` does, but for what was decided."""
+        """Choose as `PriorityPlanner` does, except for the configuration that was decided on, if it is feasible."""
         choice = super().choose(kb)
         decision = self._lookahead.update()
         if choice is None or decision.configuration is None:
@@ -227,7 +227,7 @@ class WorthPlanner(PriorityPlanner):
 
 
 def _check(kb: KnowledgeBase, worth: Worth) -> None:
-    """Raise for names that the model does not have, and numbers that make no sense."""
+    """Raise if the model does not have a name, or a number is not finite or out of its range."""
     finite_number(worth.deadline)
     for action, spread in [(one.action, one.spread) for group in (worth.gains, worth.errands) for one in group]:
         kb.is_feasible(action)
@@ -248,11 +248,11 @@ _Levels = tuple[float, ...]
 
 
 _Slopes = list[tuple[float, ...]]
-"""How fast each level changes [1/s]: at the low end of the interval, as expected, at the high end."""
+"""Rate of change of each level [1/s]: at the low end of the interval, as expected, at the high end."""
 
 
 class _Way(NamedTuple):
-    """Doing an action in a configuration: what it gains by side and step, how levels change and must be."""
+    """An action in a configuration: its rates by side and step, how levels change, and their least values."""
 
     gain: Gain
     configuration: str
@@ -262,11 +262,11 @@ class _Way(NamedTuple):
 
 
 class _TooManyStates(Exception):
-    """A question has more states than are looked at."""
+    """The dynamic program has more states than it may look at."""
 
 
 class _Course(NamedTuple):
-    """What a solution comes to: the first move, what is gained, which errands begin when, when it stands still [s]."""
+    """A solution: first move, gain, start [s] and action of each errand, when it stands still for good [s]."""
 
     first: int
     worth: float
@@ -281,15 +281,15 @@ class _Course(NamedTuple):
 
 
 _State = tuple[float, float, _Levels, int]
-"""How much time is left [s], how far away the robot is [m], the levels, the way in which it works; -1 for none."""
+"""Time left [s], distance of the robot [m], levels, number of the way in which it works (-1: none)."""
 
 
 class _Question:
-    """One decision: numbers, and the dynamic program over them.
+    """One decision: its numbers, and the dynamic program over them.
 
-    A move is the number of a way or, beyond these, of an errand; -1 is to wait. Levels are the attributes that errands
-    restore, more being better. All but the arrival at an errand is reckoned at one side: as expected (0), as badly (-1)
-    or as well (1) as is forecast and stated.
+    A move is the number of a way, or of an errand (counted after the ways), or -1, to wait. Levels are the values of
+    the attributes that errands restore; more is better. A solution is for one side: all as expected (0), at its worse
+    end (-1) or at its better end (1); but whether an errand arrives is always judged at the worse end.
     """
 
     def __init__(self, kb: KnowledgeBase, worth: Worth, steps: int) -> None:
@@ -308,14 +308,14 @@ class _Question:
         self._ways = [way for gain in worth.gains for way in self._ways_of(gain)]
 
     def _slopes(self, action: str) -> _Slopes:
-        """Return how fast levels change while an action is done."""
+        """Return how fast levels change while an action is done; an empty name stands for waiting."""
         slopes: _Slopes = []
         for name, level in zip(self._names, self._levels, strict=True):
             element, span, doing = self._kb.model.attributes[name], _SLOPE_S, (action,) if action else ()
-            now = self._kb.forecast(name, 0.0, doing=doing).value  # the level is as old as its measurement
+            now = self._kb.forecast(name, 0.0, doing=doing).value  # the measured level may be old
             level = level if now is None else now
             ahead = self._kb.forecast(name, span, doing=doing)
-            while ahead.value in (element.low, element.high) and span > 0.01:  # at the end of its range it stays
+            while ahead.value in (element.low, element.high) and span > 0.01:  # at a limit it stops
                 span /= 2
                 ahead = self._kb.forecast(name, span, doing=doing)
             self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
@@ -327,7 +327,7 @@ class _Question:
         kb, action, names = self._kb, self._kb.actions[gain.action], self._names
         is_low = any(one.attribute in names and one.status is Status.VIOLATED for one in action.constraints)
         if not is_low and not kb.is_feasible(gain.action):
-            return  # nothing says when what is missing comes back
+            return  # it cannot be foreseen when it is feasible again
         slopes = self._slopes(gain.action)
         for name, rate in _rates(gain):
             constraints = (*action.constraints, *(kb.configurations[name].constraints if name else ()))
@@ -338,7 +338,7 @@ class _Question:
             yield _Way(gain, name, rates, slopes, least)
 
     def _holding(self, constraint: ConstraintView) -> list[tuple[bool, ...]]:
-        """Return in which steps a constraint holds, by side; as it does now where that is unknown."""
+        """Return in which steps a constraint holds, by side; without a forecast, it stays as it is now."""
         found: list[tuple[bool, ...]] = [(constraint.status is not Status.VIOLATED,) * 3]
         compare = OPERATORS[constraint.operator]
         for step in range(1, self._steps):
@@ -351,7 +351,7 @@ class _Question:
         return found
 
     def _solved(self, side: int, *, is_late: bool = False) -> _Course:
-        """Find the best course; if late, errands are begun only when nothing else can be done."""
+        """Find the best course; if `is_late`, errands start only when no action can gain anything."""
         self._side, self._is_late = side, is_late
         self._known: dict[_State, tuple[float, int]] = {}
         self._rates = [[rate * (1 + side * way.gain.spread) for rate in way.rates[1 + side]] for way in self._ways]
@@ -373,7 +373,7 @@ class _Question:
         return _Course(first, worth, tuple(errands), still)
 
     def _without_levels(self) -> list[list[tuple[float, int]]]:
-        """Return what is gained from each step on, and by which move, were levels no matter; by the way before."""
+        """Return gain and best move by step and way before, as if levels always sufficed."""
         free = [[(0.0, -1)] * (len(self._ways) + 1)]
         for step in range(self._steps - 1, -1, -1):
             row, possible = [], [number for number, rates in enumerate(self._rates) if rates[step]]
@@ -384,19 +384,19 @@ class _Question:
         return free[::-1]
 
     def _worked(self, before: int, way: int, step: int, time: float) -> float:
-        """Return what working in a way for a time gains, less what it takes to change to it."""
+        """Return the gain of working in a way for a time [s], less the time to change the configuration."""
         gain, rate = self._ways[way].gain, self._rates[way][step]
         is_switched = before not in (way, -1) and self._ways[before].gain is gain
         return rate * (time - gain.switching_s * is_switched)
 
     def _freely(self, left: float, before: int) -> tuple[float, int]:
-        """Return what is gained in the time that is left, and by which move, were levels no matter."""
+        """Return gain and best move for the time that is left [s], as if levels always sufficed."""
         step = self._step(left)
         (value, move), (later, _) = self._free[step][before], self._free[step + 1][before]
         return later + (value - later) * (left / self._h - (self._steps - step - 1)), move
 
     def _best(self, state: _State) -> tuple[float, int]:
-        """Return what can be gained from a state on, and by which move."""
+        """Return the best gain from a state on, and its first move."""
         known = self._known.get(state)
         if known is None:
             if len(self._known) >= _MOST_STATES:
@@ -424,7 +424,7 @@ class _Question:
         return (best, move) if move >= 0 else (self._best(self._after(state, -1) or state)[0], -1)
 
     def _after(self, state: _State, move: int) -> _State | None:
-        """Return the state that a move leads to; None if it must not be made, which waiting may always."""
+        """Return the state after a move; None if the move is not allowed. Waiting always is."""
         left, away, levels, before = state
         time = min(self._h, left)
         if move < 0:
@@ -450,7 +450,7 @@ class _Question:
         return min(int(self._steps - left / self._h + _ROUNDING), self._steps - 1)
 
     def _bound(self, state: _State) -> float:
-        """Return what no course from a state gains more than: it stands still at the end, or does one more errand."""
+        """Return an upper bound of the gain from a state: levels suffice, run out, or one more errand is done."""
         left, away, levels, before = state
         free = self._freely(left, before)[0]
         lasting = max([self._lasting(levels, way) for way in self._ways])
@@ -465,7 +465,7 @@ class _Question:
         return one.there(away) * share, one.back(away) * share
 
     def _lasting(self, levels: _Levels, way: _Way) -> float:
-        """Return for how long levels suffice for a way to work [s]."""
+        """Return how long the levels suffice for a way [s]; -1 if they do not."""
         lasting = inf
         for level, slope, least in zip(levels, way.slopes, way.least, strict=True):
             if level < least - _ROUNDING:
@@ -479,13 +479,13 @@ class _Question:
         return tuple([round(level + slope[1 + self._side] * time, 6) for level, slope in pairs])
 
     def _arrives(self, levels: _Levels, away: float, errand: int, which: Sequence[int]) -> bool:
-        """Tell whether enough is left at the end of an errand, at the worse ends."""
+        """Tell whether enough of some levels is left at the end of an errand, at the worse ends of everything."""
         one, slopes = self._errands[errand], self._errand_slopes[errand]
         takes = one.there(away) * (1 + one.spread)
         return all(levels[index] + slopes[index][0] * takes >= self._keep[index] for index in which)
 
     def decision(self) -> Decision:
-        """Return what is best now, with what is expected to come of it."""
+        """Return the best decision now, with its expected gain."""
         if not self._ways:
             return Decision(reason="as without looking ahead, since nothing can be gained")
         worst, best, course = self._solved(-1), self._solved(1), self._solved(0)

@@ -1,4 +1,4 @@
-"""Trees in the XML of BehaviorTree.CPP 4: read with its semantics, and written."""
+"""Trees in the XML of BehaviorTree.CPP 4: reading them, with its semantics, and writing them."""
 
 from rosa_bt.xml.reader import load_xml
 from rosa_bt.xml.registry import BehaviourRegistry

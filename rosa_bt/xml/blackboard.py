@@ -1,7 +1,7 @@
-"""Blackboards, what the nodes of a tree read and write, entry by entry, and ports, through which they do so.
+"""Blackboards, whose entries the nodes of a tree read and write, and ports, through which they do so.
 
-A port is filled with what the element of its node says: a literal, or a key of the blackboard. A whole number is an
-int, a double a float, a text a str; what the program or a port made a bool stays one.
+The XML element of a node fills each port with a literal or with a key of the blackboard. Whole numbers are int, doubles
+float, texts str; a value that the program or a port declares as bool stays a bool.
 """
 
 import json
@@ -23,22 +23,22 @@ Clock = Callable[[], float]
 
 
 class PortError(RosaBtError, ValueError):
-    """A port is not declared, lacks a value, or has one of another type."""
+    """A port is not declared, has no value, or a value of another type."""
 
 
 class ScriptError(RosaBtError, ValueError):
-    """A script cannot be read, or fails when it is run."""
+    """A script cannot be read, or fails when it runs."""
 
 
 class _Empty:
-    """The value of an entry that has none yet."""
+    """The value of an entry that is still empty."""
 
     def __repr__(self) -> str:
         return "what has no value"
 
 
 EMPTY: Final = _Empty()
-_EXACT: Final = 2**53  # from here on, whole numbers are no doubles any more
+_EXACT: Final = 2**53  # from here on, a double cannot hold every whole number
 _NUMBER: Final = re.compile(
     r"\s*[-+]?(?:0x[0-9a-f]+|inf|nan|(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)", re.IGNORECASE | re.ASCII
 )
@@ -63,20 +63,20 @@ def whole(value: Any) -> int:  # noqa: ANN401  # a number of any kind
 
 
 def truth(value: object) -> bool:
-    """Return what a value means where a condition is expected: a double not 0, a whole number 0 or 1, never a text."""
+    """Return the truth of a value: a double is true unless 0, a whole number is 1 or 0; all else raises."""
     if isinstance(value, float) or value in (0, 1):
         return bool(value)
     raise ScriptError(f"{value!r} is neither true nor false; compare it with something")
 
 
 def number_in(text: str, board: "Blackboard") -> float:
-    """Return the number that a text says, or `true`, `false` or an enum."""
+    """Return the number that a text means: a number, `true`, `false` or the name of an enum."""
     named = {**board.enums, "true": 1.0, "false": 0.0}
     return float(named[text]) if text in named else begun(text)
 
 
 def begun(text: str) -> float:
-    """Return the number that a text begins with, as the C library reads it."""
+    """Return the number at the beginning of a text, as the C library (`strtod`) reads it."""
     found = _NUMBER.match(text)
     if found is None:
         raise ScriptError(f"{text!r} is no number")
@@ -84,15 +84,15 @@ def begun(text: str) -> float:
 
 
 def as_text(value: object) -> str:
-    """Write a value as `..` does: a double with six digits."""
+    """Return a value as a text, as the operator `..` of scripts does: a double with six decimals."""
     return f"{value:.6f}" if isinstance(value, float) else str(int(value) if isinstance(value, bool) else value)
 
 
 def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any kind
-    """Return a value as the entry takes it, of the kind that it holds.
+    """Return a value converted to the kind of value that an entry holds.
 
     Raises:
-        ScriptError: it cannot be of that kind.
+        ScriptError: the value cannot be converted.
     """
     held = entry.value
     if is_number(held) and is_number(value):  # an entry that holds a bool takes other whole numbers, too
@@ -104,38 +104,38 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
 
 
 OUTCOMES: Final = {one.name: one for one in Status if one is not Status.INVALID} | {"SKIPPED": Status.INVALID}
-"""What a node can be told to return instead of its child; read when it is needed."""
+"""The outcomes that a port can name, such as `else` of Precondition."""
 SCALARS: Final = (bool, int, float, str)
 
 
 @dataclass(slots=True)
 class Entry:
-    """What a blackboard holds under one key: a value, the type that was declared for it, and how often it was written.
+    """What a blackboard holds under one key: a value, its declared type (None: any), and how often it was written.
 
-    An entry exists from when a port names it, and is empty until it is given a value.
+    An entry exists as soon as a port names its key; it is empty until it is written.
     """
 
     value: Any = EMPTY
     declared: Any = None
     version: int = 0
     is_emptied: bool = False
-    """Whether a text of SetBlackboard has emptied it, as it does with what has no declared type."""
+    """Whether SetBlackboard emptied it by writing a text, as it does if no type is declared."""
 
     def put(self, value: object) -> None:
         self.value = value
         self.version += 1
 
     def read(self, text: str) -> Any:  # noqa: ANN401  # of the type that is declared
-        """Return what a text of a script means as the type that is declared; a text if none is."""
+        """Return a text of a script converted to the declared type; unchanged if none is declared."""
         if self.declared is Status:
             raise ScriptError(f"a script writes no outcome, as {text!r} would be")
         return converted(text, self.declared)
 
     def take(self, value: Any, *, is_port: bool = False) -> None:  # noqa: ANN401  # whatever is written
-        """Take what the program or a port writes, of the type that was declared; the first type is declared by it.
+        """Write a value from the program or a port, converted to the declared type; the first value declares it.
 
         Raises:
-            PortError: it is not of that type, and cannot be.
+            PortError: the value is not of the declared type, and cannot be converted.
         """
         declared = self.declared
         try:
@@ -153,11 +153,11 @@ class Entry:
 
 
 class Blackboard(MutableMapping[str, Any]):
-    """What the nodes of one SubTree can see; shared with nobody else but through remapped keys.
+    """The blackboard of one SubTree; other trees share entries with it through remapped keys only.
 
-    A key is looked for, in this order: `@key` in the blackboard of the main tree; among the constants that the SubTree
-    was given; under the name that it was remapped to, in the blackboard around; with autoremapping, under its own name
-    there, unless it begins with an underscore; here. An entry without a value counts as none.
+    A key is looked up in this order: `@key` in the blackboard of the main tree; among the constants of the SubTree
+    element; under its remapped name in the blackboard of the parent tree; with autoremapping under its own name there,
+    unless it begins with an underscore; in this blackboard. As a mapping, it does not contain empty entries.
     """
 
     def __init__(
@@ -181,7 +181,7 @@ class Blackboard(MutableMapping[str, Any]):
             self[key] = _constant(text)
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
-        """Return where a key is kept: the entries of one of the blackboards, and the key's name there."""
+        """Return where a key is kept: the entries of a blackboard, and the name of the key in it."""
         if key.startswith("@"):
             root = self
             while root.parent is not None:
@@ -196,21 +196,21 @@ class Blackboard(MutableMapping[str, Any]):
         return self._entries, key
 
     def entry(self, key: str) -> Entry | None:
-        """Return the entry of a key, which may be empty; None if there is none."""
+        """Return the entry of a key, which may be empty; None if it does not exist."""
         entries, name = self.place(key)
         return entries.get(name)
 
     def make(self, key: str, declared: object = None) -> Entry:
-        """Return the entry of a key, made if there is none, of a type that a port declares."""
+        """Return the entry of a key; if it does not exist, make it, with the type that a port declares."""
         entries, name = self.place(key)
         if name not in entries:
             entries[name] = Entry(declared=declared)
-            if self._remapping.get(key, "").startswith("@"):  # the library shows it under both names
+            if self._remapping.get(key, "").startswith("@"):  # BehaviorTree.CPP shows it under both names
                 entries[f"@{name}"] = entries[name]
         return entries[name]
 
     def unset(self, key: str) -> None:
-        """Remove what lives here under a key; as in BehaviorTree.CPP, nothing that is remapped."""
+        """Remove a key from this blackboard; as in BehaviorTree.CPP, a remapped key is not removed."""
         self._entries.pop(key, None)
 
     def __getitem__(self, key: str) -> Any:  # noqa: ANN401  # whatever a behaviour has written
@@ -223,7 +223,7 @@ class Blackboard(MutableMapping[str, Any]):
         entry = self.entry(key)
         if entry is not None:
             entry.take(value)
-        else:  # a text that the program sets may become anything
+        else:  # a text from the program declares no type
             made = self.make(key, type(value) if isinstance(value, bool | int | float) else None)
             made.put(value)
 
@@ -232,7 +232,7 @@ class Blackboard(MutableMapping[str, Any]):
         del entries[name]
 
     def __iter__(self) -> Iterator[str]:
-        """Iterate over the keys that have a value here; those of the blackboard around are its own."""
+        """Iterate over the keys that have a value in this blackboard, without those of the parent tree."""
         return (key for key, entry in self._entries.items() if entry.value is not EMPTY)
 
     def __len__(self) -> int:
@@ -240,7 +240,7 @@ class Blackboard(MutableMapping[str, Any]):
 
 
 def _constant(text: str) -> int | float | str:
-    """Return what a SubTree's literal is: a whole number, a double, else a text."""
+    """Return the value of a literal of a SubTree element: a whole number, a double, or else a text."""
     if re.fullmatch(r"-?[\d.]+(e[-+]?\d+)?", text, re.IGNORECASE | re.ASCII):
         for kind in (int, float):
             with suppress(ValueError):
@@ -260,10 +260,10 @@ _WORDS: Final[Mapping[Any, Mapping[str, Any]]] = {bool: BOOLS, Status: OUTCOMES}
 
 
 def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type that is wanted
-    """Return what a text means as a type: numbers by their beginning, lists as `1;2;3`, structures as `json:...`.
+    """Return a text converted to a type: numbers by their beginning, lists as `1;2;3`, structures as `json:...`.
 
     Raises:
-        ValueError, TypeError: nothing.
+        ValueError, TypeError: the text has no meaning as that type.
     """
     if wanted in (None, Any, object, str):
         return text
@@ -294,11 +294,11 @@ def cast(value: Any, wanted: Any) -> Any:  # noqa: ANN401  # a number, as anothe
 
 
 Declared = Mapping[str, PortInformation]
-"""Which ports a node has."""
+"""The ports of a node, by name."""
 
 
 def key_of(written: str, port: str) -> str | None:
-    """Return the key that a port's text points at: `{key}`, or `{=}` for the port's own name; None for a literal."""
+    """Return the key in the text of a port: of `{key}`, or for `{=}` the name of the port; None for a literal."""
     written = written.strip()
     if not (len(written) > 2 and written.startswith("{") and written.endswith("}")):
         return None
@@ -306,21 +306,21 @@ def key_of(written: str, port: str) -> str | None:
 
 
 def ports_of(made: object) -> tuple[Declared, Declared]:
-    """Return the ports that py_trees knows of a behaviour, or of a class of them: all, and those that put out."""
+    """Return the py_trees ports of a behaviour or of a class of behaviours: all ports, and the output ports."""
     if isinstance(made, PortsMixin) or (isinstance(made, type) and issubclass(made, PortsMixin)):
         return {**made.input_ports(), **made.output_ports()}, made.output_ports()
     return {}, {}
 
 
 class Ports:
-    """The ports that a node declares, as the attributes of its element fill them.
+    """The ports of a node, filled by the attributes of its element.
 
     Attributes:
-        keys: the key that a port points at, by name of the port.
-        literals: the value that a port is given in the element itself, by name of the port.
+        keys: the blackboard keys of ports that have one, by name of the port.
+        literals: the values of ports that have a literal, by name of the port.
 
     Raises:
-        PortError: an attribute is no port of it, a literal is of another type, or a key was declared of another type.
+        PortError: an attribute is not a port of the node, a literal has a wrong type, or a key has another type.
     """
 
     def __init__(self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard) -> None:
@@ -334,7 +334,7 @@ class Ports:
             if name not in declared:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
-            if key is None:  # what is no outcome is an error of the tick
+            if key is None:  # a wrong outcome raises only in the tick
                 self.literals[name] = text if self._type(name) is Status else self._converted(name, text)
             else:
                 self.keys[name] = key
@@ -348,18 +348,18 @@ class Ports:
         return None if wanted in (Any, object) else wanted
 
     def check_required(self, but: frozenset[str] = frozenset()) -> None:
-        """Raise unless every port that needs a value, except some, is given one or has a default."""
+        """Raise if a required port, except those in `but`, has neither a value nor a default."""
         for name, port in self._declared.items():
             given = name in self.keys or name in self.literals or port.has_default
             if port.required and not given and name not in but:
                 raise PortError(f"the port {name!r} is missing; write {name}=... in the element")
 
     def exists(self, name: str) -> bool:
-        """Tell whether a port has a value now, other than its default."""
+        """Tell whether a port has a value now; its default does not count."""
         return name in self.literals or (name in self.keys and self.keys[name] in self.blackboard)
 
     def get(self, name: str) -> Any:  # noqa: ANN401  # of the type that the port declares
-        """Return the value that a port has now, or its default if the element does not say it."""
+        """Return the value of a port now; its default if the element does not set it."""
         if name in self.literals:
             return self._converted(name, self.literals[name])
         key = self.keys.get(name)
@@ -371,19 +371,19 @@ class Ports:
         raise PortError(f"the port {name!r} has no value: {missing}")
 
     def set(self, name: str, value: object) -> None:
-        """Write what a port puts out; a port without a key puts it nowhere."""
+        """Write the value of an output port to its key; without a key, do nothing."""
         if name in self.keys:
             self.blackboard.make(self.keys[name], self._type(name)).take(value, is_port=True)
 
     def is_updated(self, name: str) -> bool:
-        """Tell whether the entry that a port names, as `{key}` or `key`, was written since this was asked last."""
+        """Tell whether the entry that a port names, as `{key}` or `key`, was written since the last call."""
         entry = self.blackboard.entry(self.keys.get(name) or str(self.get(name)))
         seen, self._seen = self._seen, self._seen if entry is None else entry.version
         return self._seen != seen
 
     def connect(self, behaviour: PortsMixin) -> None:
-        """Connect a behaviour with py_trees' ports to the blackboard of the tree instead of the process's."""
-        client = SimpleNamespace(  # stands in for py_trees' client, whose storage is one for the whole process
+        """Connect the py_trees ports of a behaviour to this blackboard instead of that of the process."""
+        client = SimpleNamespace(  # replaces the client of py_trees, which stores for the whole process
             register_key=lambda **_: None,
             is_registered=ports_of(behaviour)[0].__contains__,
             absolute_name=lambda key: self.keys.get(key) or key,

@@ -1,4 +1,4 @@
-"""The control nodes, each with the semantics of BehaviorTree.CPP 4.10 or Nav2, not of py_trees' namesake."""
+"""The control nodes, with the semantics of BehaviorTree.CPP 4.10 or Nav2, also where py_trees uses the same name."""
 
 import sys
 from contextlib import suppress
@@ -12,12 +12,12 @@ from rosa_bt.xml.nodes import DONE, FAILURE, MAX_NODES, RUNNING, SKIPPED, SUCCES
 
 
 class _InOrder(Control):
-    """One child after the other; `current_child` is where it has got to, None is the beginning.
+    """Ticks one child after the other; `current_child` is the next one to tick, None the first.
 
     Attributes:
-        goes_on: the outcome of a child after which the next one is ticked.
-        is_async: RUNNING between two children of which the first ended in its first tick.
-        keeps_place: also when a child ends it, and when it is halted.
+        goes_on: the outcome of a child after which the next child is ticked.
+        is_async: be RUNNING for a tick after a child that ended in its first tick.
+        keeps_place: keep `current_child` also when a child ends the node, and when the node is halted.
     """
 
     goes_on: ClassVar[Status]
@@ -58,7 +58,7 @@ class _InOrder(Control):
 
 
 class Reactive(Control):
-    """Every child from the first at each tick; one that is running halts and resets the others."""
+    """Ticks the children from the first in each tick; a running child resets and halts all others."""
 
     goes_on: ClassVar[Status]
 
@@ -78,12 +78,12 @@ class Reactive(Control):
 
 
 class Together(Control):
-    """All children at each tick, but those that have finished."""
+    """Ticks in each tick all children that have not finished."""
 
     is_side_by_side: ClassVar = True
 
     def _number(self, port: str) -> int:
-        """Return the number of children that a port says; a negative one counts from all of them: -1 is all."""
+        """Return the number of children in a port; a negative number counts from the end: -1 means all children."""
         said: int = self.ports.get(port)
         number = said if said >= 0 else max(len(self.children) + said + 1, 0)
         if number > len(self.children):
@@ -95,7 +95,7 @@ class Together(Control):
 
 
 class Parallel(Together):
-    """SUCCESS or FAILURE as soon as enough children have succeeded or failed; the rest are halted, or not ticked."""
+    """Ends as soon as enough children have succeeded or failed; the others are halted, or no longer ticked."""
 
     PORTS: ClassVar = {
         "success_count": PortInformation(int, default_value=-1),
@@ -117,7 +117,7 @@ class Parallel(Together):
 
 
 class ParallelAll(Together):
-    """Until all children have finished; FAILURE if too many failed."""
+    """Ends when all children have finished: FAILURE if `max_failures` or more of them failed, else SUCCESS."""
 
     PORTS: ClassVar = {"max_failures": PortInformation(int, default_value=1)}
 
@@ -135,9 +135,9 @@ class ParallelAll(Together):
 
 
 class _Conditional(Control):
-    """The first child is a condition: for the second, which is ticked if it succeeds, and the third, if it fails.
+    """Ticks the first child as a condition; if it succeeds, the second child, and if it fails, the third.
 
-    It is asked once, and what was chosen goes on to its end; or at each tick, and the other one is reset.
+    Once it has ended, only the chosen child is ticked; but with `asks_always`, it is ticked in each tick.
     """
 
     CHILDREN = 2, 3
@@ -158,7 +158,7 @@ class _Conditional(Control):
             chosen = 1 if verdict is SUCCESS else 2
             for other in slots[3 - chosen : 4 - chosen] if self.asks_always else ():
                 other.reset()
-            if chosen == len(slots):  # once: the condition stays finished, so an action is not started again
+            if chosen == len(slots):  # IfThenElse leaves the condition finished: an action is not started again
                 return self.end(FAILURE) if self.asks_always else FAILURE
             self._chosen = chosen
         verdict = yield from slots[self._chosen].tick()
@@ -166,7 +166,7 @@ class _Conditional(Control):
 
 
 class Switch(Control):
-    """The child whose case equals the variable, or else the last; a subclass says how many cases there are."""
+    """Ticks the child whose case equals the variable, or else the last; there is a class for each number of cases."""
 
     runs = False
     FORGETS = ("_running",)
@@ -185,7 +185,7 @@ class Switch(Control):
         return verdict
 
     def _is(self, case: str) -> bool:
-        """Tell whether a case is the variable: as text, or as the whole number or number that both begin with."""
+        """Tell whether a case equals the variable, as a text, or as the numbers at the beginning of both."""
         if not (self.ports.exists("variable") and self.ports.exists(case)):
             return False
         enums = self.ports.blackboard.enums
@@ -200,9 +200,9 @@ class Switch(Control):
 
 
 class TryCatch(Control):
-    """A sequence; if one of it fails, the last child is ticked in that tick, to its end, and the outcome is FAILURE.
+    """A sequence of all but the last child; if one fails, the last child is ticked to its end: then FAILURE.
 
-    With `catch_on_halt` the last child is ticked once when this is halted before anything has failed.
+    With `catch_on_halt`, the last child is also ticked once when the node is halted before a child has failed.
     """
 
     CHILDREN = (2, MAX_NODES)
@@ -238,7 +238,7 @@ class TryCatch(Control):
 
 
 class RecoveryNode(Control):
-    """(Nav2) The first child; each time it fails the second, and the first again, as often as it may be retried."""
+    """(Nav2) Ticks the first child; when it fails, the second, then the first again, `number_of_retries` times."""
 
     CHILDREN = (2, 2)
     PORTS: ClassVar = {"number_of_retries": PortInformation(int, default_value=1)}
@@ -268,7 +268,7 @@ class RecoveryNode(Control):
 
 
 class PipelineSequence(Control):
-    """(Nav2) A sequence that ticks what it has passed again, and is not held up by what is running there."""
+    """(Nav2) A sequence that ticks earlier children again, and goes on even if one of them is RUNNING then."""
 
     FORGETS = ("_furthest",)
     _furthest = 0
@@ -287,7 +287,7 @@ class PipelineSequence(Control):
 
 
 class RoundRobin(Control):
-    """(Nav2) The next child at each turn, until one succeeds or all have failed; perhaps not beyond the last one."""
+    """(Nav2) Ticks the next child, until one succeeds or all failed; without `wrap_around`, ends at the last."""
 
     PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=True)}
     FORGETS = ("_next", "_failed")

@@ -1,4 +1,4 @@
-"""The decorators, each with the semantics of BehaviorTree.CPP 4.10 or Nav2, not of py_trees' namesake."""
+"""The decorators, with the semantics of BehaviorTree.CPP 4.10 or Nav2, also where py_trees uses the same name."""
 
 from contextlib import suppress
 from typing import Any, ClassVar, Final
@@ -12,7 +12,7 @@ from rosa_bt.xml.scripts import parse_script
 
 
 class _Translated(OneChild):
-    """The outcome of the child, called something else."""
+    """Returns another outcome for some outcomes of the child."""
 
     outcomes: ClassVar[dict[Status, Status]]
 
@@ -22,7 +22,7 @@ class _Translated(OneChild):
 
 
 class _Again(OneChild):
-    """The child again, so many times, -1 is for ever: in the same tick if it has been RUNNING, else at the next."""
+    """Ticks the child a number of times (-1: for ever): again in the same tick if it was RUNNING, else in the next."""
 
     once_more: ClassVar[Status]
     FORGETS = ("_count",)
@@ -47,13 +47,13 @@ class _Again(OneChild):
 
 
 class RunOnce(OneChild):
-    """The child to its end, once; after that skipped, or with then_skip="false" the same outcome again."""
+    """Ticks the child to its end, once; after that it is skipped, or with then_skip="false" returns that outcome."""
 
     PORTS: ClassVar = {"then_skip": PortInformation(bool, default_value=True)}
     _outcome = SKIPPED
 
     @property
-    def runs(self) -> bool:  # type: ignore[override]  # here it depends on what was done
+    def runs(self) -> bool:  # type: ignore[override]  # depends on the state here
         return self._outcome is SKIPPED
 
     def decide(self) -> Ticking:
@@ -61,13 +61,13 @@ class RunOnce(OneChild):
             verdict = yield from self.child.tick()
             self._outcome = verdict if verdict in DONE else SKIPPED
             return verdict
-        with suppress(PortError):  # what is no truth value counts as true
+        with suppress(PortError):  # anything but a bool counts as true
             return SKIPPED if self.ports.get("then_skip") else self._outcome
         return SKIPPED
 
 
 class Timed(OneChild):
-    """A decorator that looks at the clock; its only port is for how long, from the tick in which it begins."""
+    """A decorator with a duration, its only port, which counts from the tick in which it starts."""
 
     FORGETS: ClassVar[tuple[str, ...]] = ("_since",)
     _since: float | None = None
@@ -78,7 +78,7 @@ class Timed(OneChild):
             raise PortError(f"the port {port!r} takes no negative number, as {self.ports.get(port)} is")
 
     def is_over(self) -> bool:
-        """Begin if need be, and tell whether the time is over."""
+        """Start the time if it is not started, and tell whether it is over."""
         now = self.ports.clock()
         if self._since is None:
             self._since = now
@@ -92,7 +92,7 @@ class Timed(OneChild):
 
 
 class Delay(Timed):
-    """Waits first; then ticks the child."""
+    """Is RUNNING for `delay_msec` [ms]; then ticks the child."""
 
     PORTS: ClassVar = {"delay_msec": PortInformation(int)}
 
@@ -101,7 +101,7 @@ class Delay(Timed):
 
 
 class Timeout(Timed):
-    """FAILURE if the child is still running when the time is over: it is halted then. 0 is no limit."""
+    """Halts the child, and fails, if it is RUNNING after `msec` [ms]; 0 is no limit."""
 
     PORTS: ClassVar = {"msec": PortInformation(int)}
     FORGETS = ("_since", "_is_spent")
@@ -116,7 +116,7 @@ class Timeout(Timed):
 
 
 class Precondition(OneChild):
-    """The child if a script says so, which is asked until it has begun; otherwise what `else` says."""
+    """Ticks the child if the script `if` is true; else returns `else`. Once the child runs, `if` is not asked."""
 
     PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Status, default_value=FAILURE)}
     runs = False
@@ -126,7 +126,7 @@ class Precondition(OneChild):
         self._condition = parse_script(self.ports.get("if"))
 
     def decide(self) -> Ticking:
-        instead: Status = self.ports.get("else")  # what is no outcome is an error of the first tick
+        instead: Status = self.ports.get("else")  # a wrong outcome raises in the first tick
         self._is_begun = self._is_begun or truth(self._condition(self.ports.blackboard))
         if not self._is_begun:
             return instead
@@ -136,7 +136,7 @@ class Precondition(OneChild):
 
 
 class _Updated(OneChild):
-    """The child, to its end, each time that an entry was written since this asked last; else SKIPPED, or RUNNING."""
+    """Ticks the child to its end each time that an entry was written; otherwise SKIPPED or RUNNING."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
     FORGETS = ("_goes_on",)
@@ -153,7 +153,7 @@ class _Updated(OneChild):
 
 
 class _Loop(OneChild):
-    """The child once for each element of a queue, one in a tick, and `if_empty` in the tick after the last."""
+    """Runs the child once for each element of a queue, one per tick; returns `if_empty` in the tick after the last."""
 
     of: ClassVar[type]
     FORGETS = ("_goes_on",)
@@ -185,7 +185,7 @@ class _Loop(OneChild):
 
 
 class _Anew(OneChild):
-    """(Nav2) The child when it is due: at the start of this node, and while it is running."""
+    """(Nav2) Ticks the child while it is RUNNING, and when it is due: at the start, or as a subclass says."""
 
     instead: ClassVar = RUNNING
     _is_due = True
@@ -201,7 +201,7 @@ class _Anew(OneChild):
 
 
 class RateController(_Anew, Timed):
-    """The child at its start, while it is running, and when a period has passed since it last succeeded."""
+    """Ticks the child at the start, while it is RUNNING, and 1 / `hz` [s] after it succeeded."""
 
     PORTS: ClassVar = {"hz": PortInformation(float, default_value=10.0)}
 
@@ -219,7 +219,7 @@ class RateController(_Anew, Timed):
 
 
 class SingleTrigger(_Anew):
-    """The child to its end, once until this node is reset; FAILURE after that."""
+    """Ticks the child to its end, once until this node is reset; FAILURE after that."""
 
     instead = FAILURE
 
@@ -230,7 +230,7 @@ class SingleTrigger(_Anew):
 
 
 class GoalUpdatedController(_Anew):
-    """The child at its start, while it is running, and when `goal` or `goals` has changed."""
+    """Ticks the child at the start, while it is RUNNING, and when `goal` or `goals` has changed."""
 
     PORTS: ClassVar = {name: PortInformation(object, required=False) for name in ("goal", "goals")}
     _known: object = None

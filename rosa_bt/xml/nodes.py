@@ -1,9 +1,9 @@
-"""What imported nodes have in common: a place that keeps the status until the parent resets it, and halting; leaves.
+"""The base classes of BehaviorTree.CPP's nodes, the slot that holds a child, and the leaves.
 
-A py_trees behaviour knows one status. BehaviorTree.CPP asks more of it: a child that has finished stays finished until
-its parent resets it, a node that was skipped is idle, and only what is RUNNING is halted. A `Slot` keeps that for a
-child, so that the behaviours themselves stay plain py_trees ones. SKIPPED and IDLE are INVALID here: py_trees has no
-other word.
+A behaviour of py_trees has one status. BehaviorTree.CPP needs more: a child that has finished stays finished until its
+parent resets it, a skipped node is idle, and only a RUNNING node is halted. A `Slot` keeps this status for each child,
+so that the children can be plain behaviours of py_trees. SKIPPED and IDLE are INVALID here, since py_trees has no other
+status for them.
 """
 
 from collections.abc import Generator, Iterator, Mapping, Sequence
@@ -27,19 +27,19 @@ RUNNING: Final = Status.RUNNING
 SKIPPED: Final = Status.INVALID
 DONE: Final = (SUCCESS, FAILURE)
 MAX_NODES: Final = 10_000
-"""Nodes in one tree with all its subtrees, at most; and so children of a node."""
+"""Most nodes in one tree with all its subtrees, and so also most children of a node."""
 
 Ticking = Generator[Behaviour, None, Status]
-"""Yields what is visited on the way, as py_trees' `tick` does, and returns the outcome."""
+"""Yields the nodes that are visited, as `tick` of py_trees does, and returns the outcome."""
 
 
 class NodeError(RosaBtError, RuntimeError):
-    """A node was given what it cannot follow; BehaviorTree.CPP throws a LogicError there."""
+    """A node cannot do what it is given; BehaviorTree.CPP throws a LogicError in this case."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Pre- and post-conditions of a node by attribute, e.g. `_skipIf`, and the blackboard that they speak of."""
+    """Pre- and post-conditions of a node, by attribute, e.g. `_skipIf`, and the blackboard that they use."""
 
     blackboard: Blackboard
     scripts: Mapping[str, ParsedScript]
@@ -49,7 +49,7 @@ class Rules:
     NAMES: ClassVar = (*INSTEAD, "_while", "_onHalted", "_onFailure", "_onSuccess", "_post")
 
     def outcome(self, status: Status) -> Status | None:
-        """Return what a pre-condition says instead of the node of that status; None if the node is to be ticked."""
+        """Return the outcome that a pre-condition sets for a node of this status; None if the node is to be ticked."""
         for name, verdict in self.INSTEAD.items() if status is SKIPPED else ():
             if name in self.scripts and truth(self.scripts[name](self.blackboard)):
                 return verdict
@@ -65,19 +65,19 @@ class Rules:
 
 @dataclass(eq=False)
 class Slot:
-    """The place of a child in its parent."""
+    """The place of a child in its parent, with the status that BehaviorTree.CPP gives the child."""
 
     node: Behaviour
     is_condition: bool = False
-    """A leaf that is asked again after it has finished; any other leaf stays finished until it is reset."""
+    """Whether it is a leaf that is ticked again after it has finished; other leaves stay finished until a reset."""
     source: tuple[str, Mapping[str, str]] | None = None
-    """The tag and the attributes with which it was written; None for a behaviour that came later."""
+    """Tag and attributes of its element; None for a behaviour that was inserted later."""
     rules: Rules | None = None
     status: Status = field(default=Status.INVALID, init=False)
-    """INVALID is idle; kept until the parent resets it."""
+    """Kept until the parent resets it; INVALID means idle."""
 
     def tick(self) -> Ticking:
-        """Tick the child; INVALID if it was skipped."""
+        """Tick the child and return its outcome; INVALID if it was skipped."""
         node = self.node
         verdict = self.rules.outcome(self.status) if self.rules else None
         if verdict is not None:
@@ -91,7 +91,7 @@ class Slot:
                 self.status = RUNNING
             yield from node.tick()
             verdict = node.status
-            if verdict is not SKIPPED:  # one that was skipped stays as it is until it is reset
+            if verdict is not SKIPPED:  # a skipped node keeps its status until it is reset
                 self.status = verdict
         elif self.is_condition or self.status not in DONE:
             yield from node.tick()
@@ -103,7 +103,7 @@ class Slot:
         return verdict
 
     def reset(self) -> None:
-        """Make the child idle; halt it if it is running."""
+        """Make the child idle; halt it if it is RUNNING."""
         if self.status is RUNNING:
             if self.node.status is RUNNING or isinstance(self.node, XmlNode):
                 self.node.stop(Status.INVALID)
@@ -112,7 +112,7 @@ class Slot:
         self.status = SKIPPED
 
     def wipe(self) -> None:
-        """Take away what a child that was reset did before that: pictures show it until the next tick."""
+        """Clear the behaviour's own status after a reset; until the next tick, pictures show the last outcome."""
         if self.status is SKIPPED and self.node.status in DONE:
             self.node.status = Status.INVALID
 
@@ -122,13 +122,13 @@ class XmlNode(Behaviour):
 
     PORTS: ClassVar[Declared] = {}
     CHILDREN: ClassVar[tuple[int, int]] = (1, MAX_NODES)
-    """How many it takes, at least and at most."""
+    """Least and greatest number of children."""
     FORGETS: ClassVar[tuple[str, ...]] = ()
-    """Names of attributes that begin anew, with the value in the class, when the node has ended or is halted."""
+    """Names of attributes that return to the value in the class when the node ends or is halted."""
     runs = True
-    """Whether a tick makes it RUNNING before it does anything else, so that it has to be reset if skipped."""
+    """Whether a tick makes it RUNNING first, so that it has to be reset even if it was skipped."""
     keeps_finished: ClassVar = True
-    """Whether a child that has finished stays so after the tick, or is idle again, as in a decorator."""
+    """Whether a finished child stays finished after the tick; in a decorator it becomes idle."""
 
     def __init__(self, name: str, slots: Sequence[Slot], ports: Ports) -> None:
         nodes = [slot.node for slot in slots]
@@ -138,7 +138,7 @@ class XmlNode(Behaviour):
 
     @property
     def slots(self) -> list[Slot]:
-        """The places of the children; one that came later has the rules of the one whose place it took, if any."""
+        """The slots of the children; a child that replaced another one has the rules of that one."""
         if self._seen != self.children:
             known = {slot.node: slot for slot in self._slots}
             is_same = len(self._slots) == len(self.children)
@@ -151,7 +151,7 @@ class XmlNode(Behaviour):
         return self._slots
 
     def prepare(self) -> None:
-        """Find wrong literals; called when it is made."""
+        """Raise if a literal is wrong; called when the node is made."""
 
     def decide(self) -> Ticking:
         raise NotImplementedError
@@ -174,12 +174,12 @@ class XmlNode(Behaviour):
         return self.status
 
     def stop(self, new_status: Status = Status.INVALID) -> None:
-        """Halt: the children that are running, and they only; then forget."""
+        """Halt: stop the children that are RUNNING, and forget the state of the node."""
         self.status = self.end(new_status)
         self.iterator = self.tick()
 
     def end(self, verdict: Status) -> Status:
-        """Forget, make every child idle, halt those that are running, and return the outcome."""
+        """Forget the state, make every child idle, halt those that are RUNNING, and return the outcome."""
         self.forget()
         self.reset_children()
         return verdict
@@ -194,7 +194,7 @@ class Control(XmlNode, Composite):
     """A node with several children."""
 
     def tip(self) -> Behaviour | None:
-        """Return the node that has decided last: below the last child that has the outcome of this one."""
+        """Return the node that decided the outcome: the tip of the last child that has the same outcome."""
         deciding = [child for child in self.children if child.status is self.status]
         return deciding[-1].tip() if deciding and self.status is not SKIPPED else Behaviour.tip(self)
 
@@ -211,14 +211,14 @@ class OneChild(XmlNode, Decorator):
 
 
 class Branch(OneChild):
-    """Its child, for somebody who is not of this kind: the caller of a whole tree, or a decorator of the user's."""
+    """Ticks its child; a root for callers that know no slots: of a whole tree, or in a decorator of the user."""
 
     def decide(self) -> Ticking:
         return (yield from self.child.tick())
 
 
 def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
-    """Tell whether a leaf keeps nothing from tick to tick: it neither begins nor ends, so it is a condition."""
+    """Tell whether a leaf has neither `initialise` nor `terminate`: it keeps nothing, so it is a condition."""
     kind = leaf if isinstance(leaf, type) else type(leaf)
     begins_or_ends = (kind.initialise, kind.terminate) != (Behaviour.initialise, Behaviour.terminate)
     has_children = isinstance(leaf, Behaviour) and bool(leaf.children)
@@ -226,7 +226,7 @@ def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
 
 
 class XmlLeaf(Behaviour):
-    """A leaf of BehaviorTree.CPP: made of what other nodes are made of, but has no children."""
+    """A leaf of BehaviorTree.CPP; its constructor has the arguments of other nodes, but `slots` is empty."""
 
     PORTS: ClassVar[Declared] = {}
     CHILDREN: ClassVar = (0, 0)
@@ -237,11 +237,11 @@ class XmlLeaf(Behaviour):
         self.prepare()
 
     def prepare(self) -> None:
-        """Find wrong literals; called when it is made."""
+        """Raise if a literal is wrong; called when the leaf is made."""
 
 
 class Script(XmlLeaf):
-    """SUCCESS when the script has been run."""
+    """Runs a script; then SUCCESS."""
 
     PORTS: ClassVar = {"code": PortInformation(str)}
 
@@ -262,9 +262,9 @@ class ScriptCondition(Script):
 
 
 class SetBlackboard(XmlLeaf):
-    """Writes a text, read as the type that the entry declares, or copies what another key holds.
+    """Writes a text, converted to the declared type of the entry, or copies the value of another key.
 
-    As in BehaviorTree.CPP, a text over an entry of no declared type leaves it empty, and over that it is an error.
+    As in BehaviorTree.CPP, if no type is declared, the first text empties the entry, and the second raises.
     """
 
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
@@ -293,7 +293,7 @@ class SetBlackboard(XmlLeaf):
 
 
 class UnsetBlackboard(XmlLeaf):
-    """Takes a key from the blackboard of its own tree."""
+    """Removes a key from the blackboard of its own tree."""
 
     PORTS: ClassVar = {"key": PortInformation(str)}
 
@@ -303,7 +303,7 @@ class UnsetBlackboard(XmlLeaf):
 
 
 class WasEntryUpdated(XmlLeaf):
-    """SUCCESS if an entry was written since this was ticked last, FAILURE if not, or never."""
+    """SUCCESS if an entry was written since the last tick of this leaf, else FAILURE."""
 
     PORTS: ClassVar = {"entry": PortInformation(object)}
 
@@ -312,7 +312,7 @@ class WasEntryUpdated(XmlLeaf):
 
 
 class Sleep(XmlLeaf):
-    """RUNNING until the time is over, then SUCCESS."""
+    """RUNNING for `msec` [ms], then SUCCESS."""
 
     PORTS: ClassVar = {"msec": PortInformation(int)}
 

@@ -1,4 +1,4 @@
-"""From XML text to elements that know their file and line, and from elements to behaviours."""
+"""Reads XML into elements that know their file and line, and makes behaviours of the elements."""
 
 import logging
 import os
@@ -26,9 +26,9 @@ from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
 MAX_SIZE: Final = 1_000_000
-"""Of one file or text [bytes]."""
+"""Greatest size of a file or text [bytes]."""
 MAX_DEPTH: Final = 100
-"""Levels of elements in a file, and of nodes in a tree with all its subtrees."""
+"""Most levels of elements in a file, and of nodes in a tree with all its subtrees."""
 
 _FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
 _VALUE: Final = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
@@ -43,19 +43,19 @@ _OF_VERSION_3: Final = {"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithM
 
 
 class Element(ElementTree.Element):
-    """One element of a file; text in it is passed over, as BehaviorTree.CPP does."""
+    """An element of a file; text in it is ignored, as in BehaviorTree.CPP."""
 
     where = ""
-    """File and line of its start; the file is `<text>` for a text that was handed in."""
+    """File and line where it starts; the file is `<text>` if the XML was given as a text."""
 
     @property
     def node(self) -> str:
-        """What node it is: of an explicit element such as `<Action ID=...>` its ID, or else the tag."""
+        """The name of the node: the ID of an explicit element such as `<Action ID=...>`, or else the tag."""
         return self.needed("ID") if self.tag in _EXPLICIT else self.tag
 
     @property
     def children(self) -> list["Element"]:
-        return list(self)  # type: ignore[arg-type]  # the builder makes them of this class
+        return list(self)  # type: ignore[arg-type]  # the builder makes elements of this class
 
     @property
     def ports(self) -> dict[str, str]:
@@ -71,15 +71,15 @@ class Element(ElementTree.Element):
 
 
 class Document:
-    """What files, or texts, and the files that they include define.
+    """The trees and models that are defined in files, or texts, and in the files that they include.
 
     Attributes:
-        root: the outermost element of the file itself; of several, of the one that names the main tree.
-        trees: by ID.
-        models: elements of the TreeNodesModels, by ID.
+        root: the outermost element of the file; of several files, of the one that names the main tree.
+        trees: the `BehaviorTree` elements, by ID.
+        models: the elements of the TreeNodesModels, by ID.
 
     Raises:
-        XmlError: it is no file of BehaviorTree.CPP 4, or a limit is exceeded.
+        XmlError: a file is not of BehaviorTree.CPP 4, or exceeds a limit.
     """
 
     def __init__(self, sources: Iterable[str | Path]) -> None:
@@ -102,10 +102,10 @@ class Document:
         return self._collect(_parse(text, "<text>"), Path.cwd(), [])
 
     def _file(self, path: Path, where: str, chain: list[Path]) -> Element:
-        """Return the outermost element of a file, which is read once however often it is named."""
+        """Return the outermost element of a file; a file is read once, even if it is included several times."""
         real = path
-        with suppress(ValueError):  # no file has such a name, as is found when it is read
-            real = Path(os.path.realpath(path))  # Path.resolve raises of links in a circle
+        with suppress(ValueError):  # no file can have this name; reading it reports that
+            real = Path(os.path.realpath(path))  # Path.resolve raises if links form a circle
         if real in chain:
             circle = " -> ".join(one.name for one in [*chain[chain.index(real) :], real])
             raise XmlError(where, f"files include each other: {circle}")
@@ -116,7 +116,7 @@ class Document:
         return self._files[real]
 
     def main(self, wanted: str | None) -> str:
-        """Return the ID of the tree to make: the one that is asked for, the file's main tree, or the only one."""
+        """Return the ID of the tree to make: the wanted one, or the main tree of the file, or the only one."""
         chosen = wanted or self.root.get("main_tree_to_execute")
         if chosen is not None:
             self.tree(chosen, self.root)
@@ -133,7 +133,7 @@ class Document:
         return self.trees[name]
 
     def _collect(self, root: Element, folder: Path, chain: list[Path]) -> Element:
-        """Take up what a file defines and includes; return its outermost element, which is given."""
+        """Add what a file defines and includes; return `root`, its outermost element."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
         if root.get("BTCPP_format", "4") != "4":
@@ -178,7 +178,7 @@ class Document:
 
 
 def wrong_id(name: str) -> str:
-    """Return why the library does not take an ID, and what to write instead; empty if it does."""
+    """Return why BehaviorTree.CPP refuses an ID, and what to write instead; empty if it accepts the ID."""
     wrong = _FORBIDDEN.search(name)
     if not wrong and name != "Root":
         return ""
@@ -195,7 +195,7 @@ def _add(table: dict[str, Element], name: str, element: Element) -> None:
 
 
 def _read(path: Path, where: str) -> bytes:
-    where = where if where.isprintable() and len(where) <= 200 else "<text>"  # what was given may be no path
+    where = where if where.isprintable() and len(where) <= 200 else "<text>"  # it may not be a path at all
     try:
         with path.open("rb") as file:
             return file.read(MAX_SIZE + 1)
@@ -206,9 +206,9 @@ def _read(path: Path, where: str) -> bytes:
 
 
 def _parse(text: str | bytes, file: str) -> Element:
-    """Return the outermost element; what the original's reader takes though it is no XML is noted.
+    """Return the outermost element; log a warning if the text is not XML, but BehaviorTree.CPP would read it.
 
-    That is: raw `&&` and `<` in attributes, `--` in comments, blanks before the declaration.
+    It reads raw `&&` and `<` in attributes, `--` in comments, and blanks before the declaration.
     """
     if len(text) > MAX_SIZE:
         raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
@@ -239,7 +239,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal depth
         depth += 1
-        if depth > MAX_DEPTH + 3:  # the root, the tree and what a model has in it are not nodes
+        if depth > MAX_DEPTH + 3:  # the root, the tree and the contents of models are not nodes
             raise XmlError(where(), f"more than {MAX_DEPTH} elements in each other; use SubTree")
         builder.start(tag, attributes).where = where()  # type: ignore[attr-defined]  # made by its factory
 
@@ -248,7 +248,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
         depth -= 1
         builder.end(tag)
 
-    def refuse(*declared: object) -> None:  # no entity is declared but in a document type
+    def refuse(*declared: object) -> None:  # entities are declared in document types only
         raise XmlError(where(), "a document type or entity is not read; write values out")
 
     parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
@@ -267,12 +267,12 @@ _NODES: Final[Mapping[str, type[Control | OneChild | XmlLeaf]]] = {**CONTROLS, *
 
 
 class SubTree(Branch):
-    """A tree in its place: below another one, or as the whole that is ticked.
+    """A tree of a file: below another tree, or as the root that is ticked.
 
     Attributes:
-        blackboard: what its nodes read and write; a mapping.
-        tree: its ID.
-        models: of the file that it was read from.
+        blackboard: the blackboard of its nodes; a mapping.
+        tree: the ID of the tree.
+        models: the elements of the TreeNodesModels of the file.
     """
 
     def __init__(self, name: str, slot: Slot, board: Blackboard, tree: str, models: tuple[Element, ...]) -> None:
@@ -281,7 +281,7 @@ class SubTree(Branch):
 
 
 Substitute = Status | Iterable[Status] | Callable[[str], Behaviour]
-"""What stands in for a leaf: what it returns, tick by tick, or what makes another behaviour of its name."""
+"""Replaces a leaf: the status that it returns, or one for each tick, or a function that makes a behaviour by name."""
 
 
 def load_xml(
@@ -293,28 +293,28 @@ def load_xml(
     enums: Mapping[str, int] | None = None,
     substitutes: Mapping[str, Substitute] | None = None,
 ) -> SubTree:
-    """Make a tree that is written in the XML of BehaviorTree.CPP 4, with its semantics.
+    """Make a tree from the XML of BehaviorTree.CPP 4, with its semantics.
 
     Args:
-        text_or_path: the XML itself, or the file that it is in; or several of them, whose trees use one another.
-        registry: the behaviours that the leaves are.
-        tree: ID of the tree to make; without it, the file's `main_tree_to_execute`, or its only one.
+        text_or_path: the XML as a text, or the path of a file; or several of these, whose trees use one another.
+        registry: the behaviours for the leaves.
+        tree: ID of the tree to make; without it, the `main_tree_to_execute` of the file, or its only tree.
         clock: gives the time [s] to Delay, Timeout and Sleep; without it, the clock of the knowledge base that the
-            registry is bound to, or else the monotonic one of this computer.
-        enums: names that scripts know, with their numbers, e.g. `{"RED": 1}`.
-        substitutes: what stands in for leaves, by name, tag, or pattern of the path, e.g. `"Mission/*/drive"`: IDs of
-            the trees, then the name. A status, several for one tick each of which the last goes on (such as
-            `trace.statuses("drive")`), or a function of the name that makes a behaviour; the first that fits is taken.
-            Rules such as `_skipIf` stay, ports are neither read nor written.
+            registry is bound to, or else the monotonic clock of this computer.
+        enums: names that scripts can use, with their numbers, e.g. `{"RED": 1}`.
+        substitutes: replacements of leaves, by name, by tag, or by a pattern of the path (IDs of the trees, then the
+            name), e.g. `"Mission/*/drive"`; the first that fits is taken. It is a status; or several, one for each
+            tick, the last for all later ticks, e.g. `trace.statuses("drive")`; or a function that makes a behaviour
+            from the name. Rules such as `_skipIf` stay; ports are neither read nor written.
 
     Returns:
-        A py_trees behaviour, to be ticked like any other. INVALID after a tick means that it was skipped.
+        A behaviour of py_trees. INVALID after a tick means that it was skipped.
 
     Raises:
-        XmlError: the file cannot be read, or a tree not be made of it; the message begins with file and line.
+        XmlError: the XML cannot be read, or the tree cannot be made; the message begins with file and line.
     """
     is_one = isinstance(text_or_path, str | Path) or not isinstance(text_or_path, Iterable)
-    document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # it is asked above
+    document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # checked above
     for name, element in document.trees.items():
         if name in (*_NODES, "SubTree") or name in registry.entries:
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
@@ -335,7 +335,7 @@ class _Builder:
         self.unused: Final = dict.fromkeys(substitutes)
         self.leaves: Final[dict[str, None]] = {}
         self._count = self._depth = 0
-        self._trees: list[str] = []  # in which the one is that is made at the moment
+        self._trees: list[str] = []  # IDs of the trees around the node that is being made
         self._named: set[tuple[int, str]] = set()
 
     def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
@@ -357,7 +357,7 @@ class _Builder:
             node, is_condition = self._node(element, board)
         except XmlError:
             raise
-        except Exception as error:  # whatever behaviours of the user raise when they are made
+        except Exception as error:  # constructors of the user may raise anything
             problem = str(error) if isinstance(error, RosaBtError) else in_words(error)
             raise element.error(f"<{element.node}> cannot be made: {problem}") from error
         self._depth -= 1
@@ -431,7 +431,7 @@ class _Builder:
         model = self._document.models.get(tree)
         found = {}
         for port in model.children if model is not None and model.tag == "SubTree" else ():
-            if port.tag.endswith("_port"):  # editors write other things, too
+            if port.tag.endswith("_port"):  # editors write other elements, too
                 name = port.needed("name")
                 if default := port.get("default"):
                     found[name] = default

@@ -1,4 +1,4 @@
-"""Which behaviour stands behind which name in a file, and making it: arguments and ports from attributes."""
+"""Registers behaviours under the names that files use, and makes them, with arguments and ports from attributes."""
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
@@ -27,38 +27,38 @@ _OF_NAV2: Final = frozenset(
     ("RecoveryNode", "PipelineSequence", "RoundRobin", "RateController", "SingleTrigger", "GoalUpdatedController")
 )
 BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS}) - _OF_NAV2
-"""Names that have their meaning already; Nav2's may be registered anew, as its releases differ."""
+"""Names that cannot be registered; those of Nav2 can, since its releases differ."""
 _ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
-"""Parameters that no attribute is meant for."""
+"""Parameters that no attribute of an element sets."""
 _VARIOUS: Final = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
 
 
 @dataclass(frozen=True)
 class Entry:
-    """What is registered under a name."""
+    """The behaviour that is registered under a name."""
 
     factory: Factory
     kind: Kind | None
     bound: Mapping[str, Any]
-    """Arguments that every factory is given that has a parameter of that name."""
+    """Arguments for every factory that has a parameter of the same name."""
 
     def children(self) -> tuple[int, int]:
-        """Return how many children it takes, at least and at most."""
+        """Return the least and the greatest number of children that it takes."""
         least = int("child" in self._parameters)
         return (1, MAX_NODES) if "children" in self._parameters else (least, least)
 
     def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
-        """Make the behaviour; PortError if an attribute has no meaning for it, is missing, or of another type."""
+        """Make the behaviour; raise PortError if an attribute is unknown, missing, or of a wrong type."""
         declared = self.arguments
         mine = {key: text for key, text in written.items() if key in declared}
-        for key in ports_of(self.made)[0]:  # what has a key is read from the port, unless the constructor needs a value
+        for key in ports_of(self.made)[0]:  # a port with a key is read later, unless the constructor needs it now
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
         given = _values(declared, mine, board)
         behaviour = self.factory(**self._offered(name, branches, board), **given)
         known, outputs = ports_of(behaviour)
         rest = {key: text for key, text in written.items() if key not in declared or key in known}
-        ports = Ports({**declared, **known}, rest, board)  # raises of what is no port, and says which ports there are
+        ports = Ports({**declared, **known}, rest, board)  # raises if an attribute is not a port, and lists the ports
         if isinstance(behaviour, PortsMixin):
             ports.check_required(frozenset(outputs) | mine.keys())
             ports.connect(behaviour)
@@ -75,7 +75,7 @@ class Entry:
 
     @property
     def made(self) -> type[Behaviour] | None:
-        """The class of what it makes, if that is known before."""
+        """The class of the behaviour that it makes; None if the factory is a function."""
         return self._maker if isinstance(self._maker, type) else None
 
     @cached_property
@@ -84,10 +84,10 @@ class Entry:
 
     @cached_property
     def arguments(self) -> Declared:
-        """The parameters that can be written as attributes, as ports; those of the name of a port have its type."""
+        """The parameters that attributes can set, as ports; one with the name of a port has the type of that port."""
         maker = self._maker
         try:
-            hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of the class that it is
+            hints = get_type_hints(getattr(maker, "__init__") if isinstance(maker, type) else maker)  # noqa: B009  # of that class
         except (NameError, TypeError):
             hints = {}
         hints |= {name: port.data_type for name, port in ports_of(self.made)[0].items()}
@@ -108,7 +108,7 @@ class Entry:
 
 
 def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> dict[str, Any]:
-    """Return what the constructor is given."""
+    """Return the arguments of the constructor from attributes."""
     for name, port in declared.items():
         if port.required and name not in mine:
             raise PortError(f"{name!r} is missing; write {name}=... in the element, or hand it to BehaviourRegistry")
@@ -122,7 +122,7 @@ def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> d
 
 
 def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) -> None:
-    """Find here, not in the middle of a mission, an action that is missing, said twice, or not in the model."""
+    """Raise now, not during a mission, if the action is missing, given twice, or not in the model."""
     said = leaf.given
     if said is not None and rest.get("action", said) != said:
         raise PortError(
@@ -157,15 +157,15 @@ _OURS: Final[Mapping[str, Factory]] = {
 
 
 class BehaviourRegistry:
-    """Behaviours by the names that files call them.
+    """The behaviours that files of trees can use, by name.
 
     Args:
-        bound: arguments for every factory that has a parameter of that name, e.g. `kb=kb`. With a `kb`,
-            IsActionFeasible, HasStatus and Measurement are there already, and ForAction, UntilSuccess,
-            DoUntilUnfeasible and SafeSwitch; the clock of the knowledge base is that of the trees.
+        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`. With a `kb`,
+            IsActionFeasible, HasStatus, Measurement, ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch are
+            registered from the start, and the clock of the knowledge base is the default clock of the trees.
 
     Attributes:
-        entries: what is registered, by name.
+        entries: the registered behaviours, by name.
 
     Example::
 
@@ -175,7 +175,7 @@ class BehaviourRegistry:
         class Search(RosaAction): ...
     """
 
-    def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the user's behaviours need
+    def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
         self.bound: Final = dict(bound)
         own = _OURS if "kb" in bound else {}
         self.entries: Final = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
@@ -190,20 +190,20 @@ class BehaviourRegistry:
     def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
 
     def register(self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
-        """Register a class of behaviours, or a function that makes one; also as a decorator.
+        """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
 
-        Parameters that are called `name`, `child` and `children` get what the file says, `blackboard` that of the tree;
-        every other parameter, and every port that py_trees knows of, is an attribute, read as the type it declares.
+        The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of the tree. Every
+        other parameter, and every port of py_trees, is an attribute, converted to its declared type.
 
         Args:
             name: the tag or ID in the file; a bare `@registry.register` takes the name of the class or function.
-            factory: the class or function, which is returned as it is; without one, a decorator is returned.
-            kind: "condition" for a leaf that is to be asked again when it has finished and was not reset, "action" for
-                one that is not. Without it, what the file says (`<Condition ID=...>` or its TreeNodesModel), and else:
-                a class that overrides neither `initialise` nor `terminate` makes conditions.
+            factory: the class or function, which is returned as it is; without it, a decorator is returned.
+            kind: "condition" for a leaf that is ticked again after it has finished, even if it was not reset; "action"
+                for a leaf that is not. Without it, the file decides (`<Condition ID=...>` or its TreeNodesModel), or
+                else the class: without `initialise` and `terminate` of its own, it makes conditions.
 
         Raises:
-            RegistryError: the name is taken.
+            RegistryError: the name is taken, or an argument is of a wrong kind.
         """
         if callable(name):
             return self.register(name.__name__, name)
@@ -221,7 +221,7 @@ class BehaviourRegistry:
         return factory
 
     def name_of(self, behaviour: Behaviour) -> str | None:
-        """Return the name under which the class of a behaviour is registered, or its own if a function has that."""
+        """Return the name under which the class is registered, or the behaviour's own if a function has that name."""
         for name, entry in self.entries.items():
             if entry.factory is type(behaviour):
                 return name

@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from lark import Lark
 
 ParsedScript = Callable[[Blackboard], Any]
-"""What a script does to a blackboard; returns the value of its last statement."""
+"""Runs a script on a blackboard, and returns the value of its last statement."""
 _Parts = list[Any]
-"""The parts of an expression: scripts, with the signs between them."""
+"""The parts of an expression: operands, with the operators between them."""
 
 
-_EPSILON: Final = 2.0**-23  # numbers that are nearer than this are equal, but not less or more
+_EPSILON: Final = 2.0**-23  # numbers that differ by less are equal; `<` and `>` are exact
 _MAX_NESTED: Final = 50
 
 
@@ -54,7 +54,7 @@ _BITS: Final = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
 _COMPARED: Final[Mapping[str, Callable[[Any, Any], bool]]] = {
     "==": _equal,
     "!=": lambda one, other: not _equal(one, other),
-    "<": lambda one, other: not one >= other,  # nan is less than all, and more
+    "<": lambda one, other: not one >= other,  # nan is both less and greater than any number
     ">": lambda one, other: not one <= other,
     "<=": lambda one, other: not one > other,
     ">=": lambda one, other: not one < other,
@@ -142,14 +142,14 @@ def _prefixed(parts: _Parts, board: Blackboard) -> float:
     value = operand(board)
     if not is_number(value):
         raise ScriptError(f"{sign!r} is not for {value!r}")
-    if sign == "~":  # of what is not whole, the whole part
+    if sign == "~":  # of the whole part of a number
         return double(~whole(math.trunc(value) if math.isfinite(value) else value))
     return -double(value) if sign == "-" else float(not double(value))
 
 
 @dataclass(frozen=True, slots=True)
 class _Name:
-    """Reads an enum, or else an entry; what is assigned to is one."""
+    """Reads an enum, or else an entry; also the target of an assignment."""
 
     name: str
 
@@ -170,10 +170,10 @@ def _parser() -> "Lark":
 
 
 def parse_script(code: str) -> ParsedScript:
-    """Read a script.
+    """Parse a script.
 
     Raises:
-        ScriptError: it cannot be read; says where.
+        ScriptError: the script cannot be read; the message says where.
     """
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
@@ -188,8 +188,8 @@ def parse_script(code: str) -> ParsedScript:
     return lambda board: [statement(board) for statement in statements][-1]
 
 
-def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of lark, which has no types for what is in it
-    """Return what a part of a script does; a sign is itself."""
+def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of lark, which is not typed
+    """Return a function that evaluates a part of a script; an operator is returned as its text."""
     if depth > _MAX_NESTED:
         raise ScriptError(f"a script has at most {_MAX_NESTED} signs in each other")
     if not isinstance(part, str):

@@ -1,6 +1,6 @@
-"""From behaviours back to XML.
+"""Writes trees as XML.
 
-`export_xml` writes what can be read again, exactly, and refuses the rest; a `NumberedTree` shows any tree of py_trees.
+`export_xml` writes trees that can be read again exactly, and refuses others; a `NumberedTree` shows any tree.
 """
 
 import inspect
@@ -24,7 +24,7 @@ from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
-_SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites without memory, and with it
+_SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites: the tag without memory, and with it
     Inverter: ("Inverter",),
     FailureIsSuccess: ("ForceSuccess",),
     SuccessIsFailure: ("ForceFailure",),
@@ -36,17 +36,17 @@ _SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites wit
 _IDIOMS: Final = (ForAction, UntilSuccess, DoUntilUnfeasible, SafeSwitch)
 MAIN: Final = "MainTree"
 MOST_NODES: Final = 2**16 - 1
-"""Of a NumberedTree: a number has 16 bits."""
+"""Most nodes of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
 
 _NAMES: Final = ("action", "preference", "wait", "timeout", "even_if_unfeasible", "during", "memory", "after")
-"""Parameters of ours that are written as attributes; the behaviours keep them under these names."""
+"""Parameters of our behaviours that are written as attributes; the behaviours have attributes of these names."""
 _UNSAID: Final = (None, False, inf)
 
 
 def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
-    """Return what a behaviour of ours was given beside its name, as far as what makes it takes that."""
+    """Return the arguments of a behaviour of ours beside its name, as far as `maker` takes them."""
     names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
     if isinstance(node, ActionBehaviour) and node.given is not None:
         taken = {*inspect.signature(maker).parameters, *node.input_ports()}
@@ -59,16 +59,16 @@ def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
 def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, *, models: bool = False) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
-    Written are trees that `load_xml` made, also changed ones, and trees of these behaviours of py_trees, which mean
-    exactly the same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure,
-    Success, Failure, and leaves that need no arguments but a name, a knowledge base and the action. The idioms are
-    written as the nodes that they are made of, among them ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch,
-    which a registry with a knowledge base has. What is on the blackboards is not written.
+    It writes trees from `load_xml`, also changed ones, and trees of those behaviours of py_trees that mean exactly the
+    same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure, Success,
+    Failure, and leaves that need no arguments but a name, a knowledge base and the action. The idioms are written as
+    the nodes that they consist of; ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch are in every registry with
+    a knowledge base. The contents of blackboards are not written.
 
     Args:
         behaviour: the root of the tree.
-        registry: gives the leaves of py_trees trees their tags; without it, a leaf's tag is the name of its class.
-        models: write a TreeNodesModel of all that is registered, with its ports, as Groot2 wants it.
+        registry: gives leaves that are not from a file their tags; without it, the tag is the name of the class.
+        models: add a TreeNodesModel of all registered behaviours, with their ports, as Groot2 needs it.
 
     Raises:
         ExportError: a behaviour has no exact counterpart; the message names it.
@@ -93,7 +93,7 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
 
 
 def _names(wanted: str) -> Iterator[str]:
-    """Yield a name, and what something is called that cannot have it: Dock, Dock_2, Dock_3."""
+    """Yield a name, and then what to use if it is taken: Dock, Dock_2, Dock_3."""
     yield wanted
     yield from (f"{wanted}_{number}" for number in count(2))
 
@@ -104,10 +104,10 @@ class _Writer:
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
         self.conditions: dict[str, bool] = {}
-        """Whether the leaves that were written are conditions, by tag."""
+        """Whether the written leaves are conditions, by tag."""
 
     def tree(self, subtree: SubTree | None, slot: Slot) -> str:
-        """Write a tree; return the ID, which is another one if a tree with that ID has other content by now."""
+        """Write a tree; return its ID, which is a new one if the ID belongs to a tree with other content."""
         if subtree is not None:
             self.models.update({model.attrib["ID"]: model for model in subtree.models})
             slot = subtree.child
@@ -128,14 +128,14 @@ class _Writer:
             if tag == "SubTree":
                 element.set("ID", self.tree(node, slot))
             return element
-        written = slots_of(node)  # a decorator of the user's may have children of its own beside those of the file
+        written = slots_of(node)  # a decorator of the user may have more children than in the file
         if slot.source is not None and not isinstance(node, XmlNode):
             written = [child for child in written if type(child.node) is Branch]
         element.extend([self.element(child) for child in written])
         return element
 
     def _of_py_trees(self, slot: Slot) -> tuple[str, dict[str, str]]:
-        """Return the tag and the attributes of what did not come from a file."""
+        """Return tag and attributes of a behaviour that is not from a file."""
         node, maker = slot.node, type(slot.node)
         is_empty = maker in (Sequence, Selector) and not node.children
         is_same = maker in (*_SAME, *_IDIOMS) and not is_empty
@@ -163,7 +163,7 @@ class _Writer:
         return tag, _said(leaf, maker)
 
     def _check_arguments(self, leaf: Behaviour) -> None:
-        """Raise unless all that the constructor takes is written, or handed in by the registry."""
+        """Raise if the constructor has parameters that are neither written nor bound in the registry."""
         known = {"name", "behaviour_class_name", *({"kb"} if self._registry is None else self._registry.bound)}
         known |= {name for name in _NAMES if hasattr(leaf, name)} if isinstance(leaf, ActionBehaviour) else set()
         if not ports_of(leaf)[0].keys() <= known:
@@ -185,7 +185,7 @@ def slot_of(behaviour: Behaviour) -> Slot:
 
 
 def slots_of(node: Behaviour) -> list[Slot]:
-    """Return the places of a node's children."""
+    """Return the slots of the children of a node."""
     return node.slots if isinstance(node, XmlNode) else [slot_of(child) for child in node.children]
 
 
@@ -195,7 +195,7 @@ def _tag_of(node: Behaviour) -> str:
 
 
 def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
-    """Return what Groot2 shows of a registered behaviour; what a function makes is an action unless it was seen."""
+    """Return the model of a registered behaviour for Groot2; `is_condition` is None if no leaf of it was written."""
     most = entry.children()[1]
     if is_condition is None and entry.made is not None:
         is_condition = is_plain(entry.made)
@@ -210,19 +210,19 @@ def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
 
 
 class NumberedTree:
-    """A tree as other programs watch it: as XML in which each node has a number; made anew when it has changed.
+    """A tree as XML with numbered nodes, for programs that watch it; make a new one when the tree has changed.
 
     Args:
-        root: of any tree of py_trees.
+        root: the root of any tree of py_trees.
 
     Attributes:
-        xml: the text. Each node has its number as `_uid`; each tree in a tree is a `BehaviorTree` of its own, whose
-            place is its `_fullpath`.
-        numbers: by behaviour, from 1, in the order in which they are written.
-        subtrees: by the name under which their blackboards are asked for; None for a tree that was not read from XML.
+        xml: the text. The number of a node is its attribute `_uid`; each subtree is a `BehaviorTree` element of its
+            own, with its place in `_fullpath`.
+        numbers: the numbers by behaviour, from 1, in the order of the text.
+        subtrees: the subtrees by the name of their blackboard; None for a tree that was not read from XML.
 
     Raises:
-        ExportError: it has more nodes than there are numbers.
+        ExportError: the tree has more than 65,535 nodes.
     """
 
     def __init__(self, root: Behaviour) -> None:
@@ -241,7 +241,7 @@ class NumberedTree:
         self.xml: Final = tostring(self._whole, encoding="unicode")
 
     def shows(self, root: Behaviour) -> bool:
-        """Tell whether it still shows the tree below that root: no child has come, gone or moved."""
+        """Tell whether it still shows the tree below `root`: no child was added, removed or moved."""
         return root is self._root and all(node.children == children for node, children in self._children)
 
     def _tree(self, tree: str, path: str, slot: Slot, subtree: SubTree | None) -> None:
@@ -251,7 +251,7 @@ class NumberedTree:
     def _element(self, slot: Slot, path: str) -> Element:
         node = slot.node
         if type(node) is Branch:
-            return self._element(node.child, path)  # it is there for py_trees only
+            return self._element(node.child, path)  # not in the file
         tag, attributes = slot.source or (_tag_of(node), _said(node, type(node)))
         number = self.numbers.setdefault(node, len(self.numbers) + 1)
         if number > MOST_NODES:
