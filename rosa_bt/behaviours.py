@@ -410,7 +410,7 @@ class Measurement(KbBehaviour):
     ) -> None:
         super().__init__(name, kb)
         if operator not in OPERATORS:
-            raise ValueError(f"{operator!r} compares nothing; an operator is one of {', '.join(OPERATORS)}")
+            raise ValueError(f"{operator!r} is not an operator; use one of {', '.join(OPERATORS)}")
         self.attribute, self.operator, self.value = kb.attributes[attribute], operator, float(value)
         self._unknown = unknown
 

@@ -25,7 +25,7 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
     if not isinstance(task, RosaAction):
         if not during:
             return task
-        raise TreeChangeError(f"{task.name!r} is no RosaAction; say within it how long its actions take")
+        raise TreeChangeError(f"{task.name!r} is not a RosaAction; give `during` to the actions in it instead")
     condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
 
@@ -118,7 +118,7 @@ def _switched(
 ) -> Behaviour:
     parent = task.parent
     if parent is not None and not isinstance(parent, composites.Composite | Decorator):
-        raise TreeChangeError(f"{parent.name!r} is neither a composite nor a decorator; its children are its own")
+        raise TreeChangeError(f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition")
     task.parent = None
     switch = SafeSwitch(f"switch to {task.action}" if needed else f"note {task.action}", task, needed, posture)
     if parent is None:

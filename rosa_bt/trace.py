@@ -295,7 +295,7 @@ def read_trace(path: str | Path) -> Trace:
                 continue
             version, model = line["rosa_bt_trace"], str(line["model"])
         except Exception as error:  # a wrong line may raise anything
-            raise TraceError(f"{path}:{number}: no line of a trace ({type(error).__name__}: {error})") from None
+            raise TraceError(f"{path}:{number}: not a line of a trace ({type(error).__name__}: {error})") from None
         if version != _VERSION:
             how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
             raise TraceError(f"{path} has version {version}; {how}")

@@ -128,7 +128,7 @@ class Entry:
     def read(self, text: str) -> Any:  # noqa: ANN401  # of the type that is declared
         """Return a text of a script converted to the declared type; unchanged if none is declared."""
         if self.declared is Status:
-            raise ScriptError(f"a script writes no outcome, as {text!r} would be")
+            raise ScriptError(f"a script cannot write {text!r} to an entry for an outcome")
         return converted(text, self.declared)
 
     def take(self, value: Any, *, is_port: bool = False) -> None:  # noqa: ANN401  # whatever is written

@@ -75,7 +75,7 @@ class Timed(OneChild):
     def prepare(self) -> None:
         (port,) = self.PORTS
         if port in self.ports.literals and self.ports.get(port) < 0:
-            raise PortError(f"the port {port!r} takes no negative number, as {self.ports.get(port)} is")
+            raise PortError(f"the port {port!r} takes no negative number such as {self.ports.get(port)}")
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""

@@ -280,7 +280,7 @@ class SetBlackboard(XmlLeaf):
             board.make(key, given.declared).put(given.value)
         elif isinstance(given.value, str) and entry.declared is None:
             if entry.is_emptied or entry.value is EMPTY:
-                raise NodeError(f"{key!r} has no declared type, so it cannot be said what {given.value!r} is")
+                raise NodeError(f"{key!r} has no declared type, so the type of {given.value!r} is unknown")
             entry.is_emptied = True
             entry.put(EMPTY)
         elif isinstance(given.value, str):

@@ -240,7 +240,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
         nonlocal depth
         depth += 1
         if depth > MAX_DEPTH + 3:  # the root, the tree and the contents of models are not nodes
-            raise XmlError(where(), f"more than {MAX_DEPTH} elements in each other; use SubTree")
+            raise XmlError(where(), f"more than {MAX_DEPTH} nested elements; use SubTree")
         builder.start(tag, attributes).where = where()  # type: ignore[attr-defined]  # made by its factory
 
     def end(tag: str) -> None:
@@ -323,7 +323,7 @@ def load_xml(
     builder = _Builder(document, registry, substitutes or {})
     made = builder.tree(document.main(tree), document.root, None, board)
     for pattern in builder.unused:
-        raise document.root.error(f"nothing is substituted by {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}")
+        raise document.root.error(f"no leaf matches {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}")
     return made
 
 
@@ -341,7 +341,7 @@ class _Builder:
     def tree(self, tree: str, asked_by: Element, name: str | None, board: Blackboard) -> SubTree:
         self._trees.append(tree)
         if tree in self._trees[:-1]:
-            raise asked_by.error(f"a tree is in itself: {' -> '.join(self._trees)}")
+            raise asked_by.error(f"a tree contains itself: {' -> '.join(self._trees)}")
         slot = self._slot(self._document.tree(tree, asked_by).children[0], board)
         self._trees.pop()
         return SubTree(name or tree, slot, board, tree, tuple(self._document.models.values()))
@@ -368,7 +368,7 @@ class _Builder:
         tag, name = element.node, element.get("name") or element.node
         entry = self._registry.entries.get(tag)
         if "ID" in element.attrib and element.tag not in _MODELS and (tag in _NODES or entry):
-            raise element.error(f"<{element.tag}> has an ID, which <Action ID=...> and its like have; write name=...")
+            raise element.error(f"<{element.tag}> has an ID, which only <Action ID=...> and such have; write name=...")
         if tag == "SubTree":
             return self._subtree(element, board), False
         if not element.children and (stand_in := self._stand_in(entry, element, name)) is not None:
@@ -406,7 +406,7 @@ class _Builder:
         what = self._substitutes[pattern]
         statuses = () if callable(what) else (what,) if isinstance(what, Status) else tuple(what)
         if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
-            raise element.error(f"{pattern!r} is substituted by py_trees statuses or by a function, not by {what!r}")
+            raise element.error(f"{pattern!r} is replaced by statuses of py_trees or by a function, not by {what!r}")
         leaf = what(name) if callable(what) else StatusQueue(name, list(statuses[:-1]), statuses[-1])
         original = (entry.made if entry else None) or (leaf if callable(what) else Behaviour)
         return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)

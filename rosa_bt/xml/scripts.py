@@ -75,7 +75,7 @@ def _joined(sign: str, one: Any, other: Any) -> Any:  # noqa: ANN401  # values o
         return float(left and right if sign == "&&" else left or right)
     if (all(texts) and sign == "+") or (sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2):
         return as_text(one) + as_text(other)
-    raise ScriptError(f"{sign!r} is not for {one!r} and {other!r}")
+    raise ScriptError(f"{sign!r} does not work with {one!r} and {other!r}")
 
 
 def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa: ANN401  # values of any kind
@@ -90,17 +90,17 @@ def _is_so(sign: str, one: Any, other: Any, board: Blackboard) -> bool:  # noqa:
 def _assign(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any kind
     target, sign, value = parts
     if not isinstance(target, _Name):
-        raise ScriptError("what is assigned to is no entry")
+        raise ScriptError("the left side of an assignment has to be a name")
     name = target.name
     if sign != ":=" and board.entry(name) is None:
         raise ScriptError(f"there is no {name!r} on the blackboard; `{name} := ...` makes it")
     entry, given = board.make(name), value(board)
     if given is EMPTY:
-        raise ScriptError(f"what is assigned to {name!r} has no value")
+        raise ScriptError(f"the value that is assigned to {name!r} is empty")
     held = entry.value
     if sign in ("+=", "-=", "*=", "/="):
         if held is EMPTY or isinstance(held, str) != isinstance(given, str) or (isinstance(held, str) and sign != "+="):
-            raise ScriptError(f"{sign!r} is not for {held!r} and {given!r}")
+            raise ScriptError(f"{sign!r} does not work with {held!r} and {given!r}")
         new = fit(entry, _joined(sign[0], held, given))
     elif isinstance(given, str) and not isinstance(held, str) and not (held is EMPTY and entry.declared is None):
         new = number_in(given, board) if entry.declared is None else entry.read(given)
@@ -141,7 +141,7 @@ def _prefixed(parts: _Parts, board: Blackboard) -> float:
     sign, operand = parts
     value = operand(board)
     if not is_number(value):
-        raise ScriptError(f"{sign!r} is not for {value!r}")
+        raise ScriptError(f"{sign!r} does not work with {value!r}")
     if sign == "~":  # of the whole part of a number
         return double(~whole(math.trunc(value) if math.isfinite(value) else value))
     return -double(value) if sign == "-" else float(not double(value))
@@ -191,7 +191,7 @@ def parse_script(code: str) -> ParsedScript:
 def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of lark, which is not typed
     """Return a function that evaluates a part of a script; an operator is returned as its text."""
     if depth > _MAX_NESTED:
-        raise ScriptError(f"a script has at most {_MAX_NESTED} signs in each other")
+        raise ScriptError(f"a script has at most {_MAX_NESTED} nested operators")
     if not isinstance(part, str):
         return partial(_DOES.get(part.data, _fold), [_made(one, depth + 1) for one in part.children])
     kind, text = getattr(part, "type", ""), str(part)

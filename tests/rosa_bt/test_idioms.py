@@ -186,7 +186,7 @@ def test_measurement_that_is_not_there_or_too_old_counts_as_the_author_says(cloc
 def test_what_a_measurement_condition_cannot_mean_is_found_at_construction(kb):
     with pytest.raises(UnknownName, match="did you mean 'energy'"):
         Measurement("x", kb, "enrgy", ">=", 0.25)
-    with pytest.raises(ValueError, match="'=' compares nothing; an operator is one of >="):
+    with pytest.raises(ValueError, match="'=' is not an operator; use one of >="):
         Measurement("x", kb, "energy", "=", 0.25)
 
 

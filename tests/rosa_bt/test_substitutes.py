@@ -79,9 +79,9 @@ def test_function_makes_the_substitute():
 @pytest.mark.parametrize(
     ("substitutes", "problem"),
     [
-        ({"lst": S}, "nothing is substituted by 'lst'; leaves: Main/Sub/a, Main/Sub/b2, Main/c, Main/last"),
-        ({"last": []}, r"'last' is substituted by py_trees statuses or by a function, not by \[\]"),
-        ({"last": "SUCCESS"}, "'last' is substituted by py_trees statuses or by a function, not by 'SUCCESS'"),
+        ({"lst": S}, "no leaf matches 'lst'; leaves: Main/Sub/a, Main/Sub/b2, Main/c, Main/last"),
+        ({"last": []}, r"'last' is replaced by statuses of py_trees or by a function, not by \[\]"),
+        ({"last": "SUCCESS"}, "'last' is replaced by statuses of py_trees or by a function, not by 'SUCCESS'"),
     ],
 )
 def test_substitute_that_cannot_be_is_refused(substitutes, problem):

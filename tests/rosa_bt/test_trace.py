@@ -227,11 +227,11 @@ EVENT = '{"number":1,"time":0.0,"verb":"cancel_action","arguments":["search"]}'
     ("text", "message"),
     [
         ("", "is empty"),
-        ("nonsense\n", r":1: no line of a trace .JSONDecodeError: Expecting value: line 1 column 1"),
-        ("[]\n", r":1: no line of a trace"),
+        ("nonsense\n", r":1: not a line of a trace .JSONDecodeError: Expecting value: line 1 column 1"),
+        ("[]\n", r":1: not a line of a trace"),
         ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
-        (HEAD + '{"tick":0}\n', r":2: no line of a trace"),
-        (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: no line of a trace"),
+        (HEAD + '{"tick":0}\n', r":2: not a line of a trace"),
+        (HEAD + '{"tick":0,"time":0.0,"visited":[[1]]}\n', r":2: not a line of a trace"),
         (
             HEAD + '{"tick":0,"time":0.0,"tree":[[0,"A","a"]],"visited":[[1,"RUNNING",""]]}\n',
             ":2: .*of no behaviour of the",
@@ -241,10 +241,10 @@ EVENT = '{"number":1,"time":0.0,"verb":"cancel_action","arguments":["search"]}'
             ":2: .*no status of py_trees",
         ),
         (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},"x"]]}}\n', ":2: .*the place of an event is"),
-        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},null]]}}\n', ":2: no line of a trace"),
-        (HEAD + '"tick"\n', r":2: no line of a trace"),
-        (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: no line of a trace"),
-        pytest.param("[" * 100_000, r":1: no line of a trace \(RecursionError", id="deep"),
+        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},null]]}}\n', ":2: not a line of a trace"),
+        (HEAD + '"tick"\n', r":2: not a line of a trace"),
+        (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: not a line of a trace"),
+        pytest.param("[" * 100_000, r":1: not a line of a trace \(RecursionError", id="deep"),
     ],
 )
 def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message):

@@ -449,7 +449,7 @@ def test_literal_wins_over_the_default_of_the_constructor():
         ('<HasStatus element="scan" status="tired"/>', "never 'tired'"),
         ('<HasStatus element="scan"/>', "'status' is missing; write status=..."),
         ('<Measurement attribute="lihgt" operator=">=" value="1"/>', "did you mean 'light'"),
-        ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' compares nothing"),
+        ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
         ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
         ('<fixed action="{a}"/>', "says already that 'action' is 'scan', so '{a}' would never be read"),
         ('<fixed action="drive"/>', "leave action=... out"),

@@ -40,7 +40,7 @@ REFUSED = {
     "<SubTree ID='Othr'/>": "no tree has the ID 'Othr'; did you mean 'Other'?",
     "<SubTree/>": "<SubTree> has no ID",
     "<Action/>": "<Action> has no ID",
-    "<SubTree ID='Main'/>": "a tree is in itself: Main -> Main",
+    "<SubTree ID='Main'/>": "a tree contains itself: Main -> Main",
     "<SubTree ID='Other' _autoremap='maybe'/>": "_autoremap is true or false, not 'maybe'",
     "<Repeat><a/></Repeat>": "the port 'num_cycles' is missing",
     "<Repeat num_cycle='2'><a/></Repeat>": "it has no port 'num_cycle'; did you mean 'num_cycles'?",
@@ -52,7 +52,7 @@ REFUSED = {
     "<Script code='1 % 2'/>": "cannot be read at '%'",
     "<Script code='x = &quot;a&quot;'/>": "texts stand in single quotes",
     "<Script code='  '/>": "the script is empty",
-    "<a ID='b'/>": "<a> has an ID, which <Action ID=...> and its like have",
+    "<a ID='b'/>": "<a> has an ID, which only <Action ID=...>",
     "<Sequence><SubTree ID='Other' name='n'/><SubTree ID='Other' name='n'/></Sequence>": "two SubTrees of one tree are",
     "<Script code='(((x'/>": "cannot be read at 'the end'",
     "<Precondition if='x'/>": "it takes 1",
@@ -102,7 +102,7 @@ NO_FILES = {
     '<!DOCTYPE root [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]>\n<root>&b;</root>': "a document type or entity is not read",
     '<!DOCTYPE root SYSTEM "file:///etc/passwd"><root/>': "a document type or entity is not read",
     "<root>" + " " * MAX_SIZE + "</root>": f"it has more than {MAX_SIZE} bytes",
-    "<root>" + "<a>" * 3000: f"more than {MAX_DEPTH} elements in each other",
+    "<root>" + "<a>" * 3000: f"more than {MAX_DEPTH} nested elements",
 }
 
 
@@ -139,7 +139,7 @@ def test_deepest_tree_that_is_read_runs():
 
 
 def test_script_that_is_nested_too_deep_is_refused():
-    with pytest.raises(XmlError, match="at most 50 signs in each other"):
+    with pytest.raises(XmlError, match="at most 50 nested operators"):
         load(wrapped(f'<Script code="{"!" * 2000}x"/>'))
     load(wrapped(f'<Script code="x := {"(" * 2000}1{")" * 2000}"/>')).tick_once()
 
