@@ -97,7 +97,7 @@ def test_first_task_that_can_be_finished_is_done(kb):
     tree = first_feasible("one", [Act(kb, "inspect"), Act(kb, "charge")], during=20.0)
     tree.tick_once()
     assert doing(kb) == ["charge"]
-    with pytest.raises(TreeChangeError, match="no RosaAction"):
+    with pytest.raises(TreeChangeError, match="not a RosaAction"):
         first_feasible("one", [Success("work")], during=20.0)
 
 
