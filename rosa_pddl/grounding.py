@@ -171,13 +171,13 @@ class Grounded:
 
     def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
         """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
-        fitted, frozen = self._fitted(problem)
+        start, goal, rules, frozen = self._fitted(problem)
         mentioned = tuple([self._usage.known(text, numbers) if text in numbers else None for text in self._mentioned])
         weights = frozenset(problem.weights.items())
-        graph, task, scales = self._graph(fitted._replace(start=_NO_STATE), frozen, mentioned, weights)
+        graph, task, scales = self._graph(goal, rules, frozen, mentioned, weights)
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        task = task._replace(start=fitted.start, limits=limits)
+        task = Task(start, goal, task.operations, limits, task.rules)
         if problem.until:
             task = self._timed(task, problem, numbers)
             graph = TaskGraph(task)
@@ -209,18 +209,17 @@ class Grounded:
             changes = [Change(_ALWAYS, place, True, ("-", 0, takes_s)) for place in places.values()]
             changes += [Change(given, places[atom], False, _FOR_EVER) for given, atom in made if atom in places]
             changes.append(Change(_ALWAYS, first, False, 0))
-            needed = one.condition._replace(tests=(*one.condition.tests, *tests))
-            operations.append(one._replace(condition=needed, changes=(*one.changes, *changes)))
-        start = task.start._replace(numbers=(*task.start.numbers, *left))
-        return task._replace(start=start, operations=tuple(operations))
+            operations.append(one.extended(tests, changes))
+        start = SearchState(task.start.atoms, (*task.start.numbers, *left))
+        return Task(start, task.goal, tuple(operations), task.limits, task.rules)
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
 
         Last comes by how much each step costs less there at most: costs may have to be rounded down.
         """
-        task, frozen = self._fitted(problem)
-        if self._is_numeric or any(one.tests for one in (task.goal, *(rule.condition for rule in task.rules))):
+        start, goal, made, frozen = self._fitted(problem)
+        if self._is_numeric or any(one.tests for one in (goal, *(rule.condition for rule in made))):
             raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
         ready = self._weighed(frozen, problem.weights)
         exact = self._values_of([one.cost for one in ready], "costs", numbers)
@@ -228,9 +227,9 @@ class Grounded:
         dearest, lost = max(costs, default=0), Fraction()
         if dearest > _MOST_COST:
             costs, lost = [cost * _MOST_COST // dearest for cost in costs], Fraction(max(exact)) / _MOST_COST
-        if not (task.goal.needs or task.goal.denies):
+        if not (goal.needs or goal.denies):
             return None
-        rules = self._rules_of(task, frozen)
+        rules = self._rules_of(made, frozen)
         layers = {rule.atom: rule.layer for rule in rules}
         index = {atom: number for number, atom in enumerate(dict.fromkeys((*self._index, *layers)))}
         # unit costs are written as costs of 1
@@ -238,8 +237,8 @@ class Grounded:
         for atom, number in index.items():
             values = f"2\nAtom v{number}\nNegatedAtom v{number}\n"
             text.append(f"begin_variable\nvar{number}\n{layers.get(atom, -1)}\n{values}end_variable\n")
-        text += ["0\nbegin_state\n", *("01"[atom not in task.start.atoms] + "\n" for atom in index), "end_state\n"]
-        text += [f"begin_goal\n{_facts(task.goal, index)}\nend_goal\n{len(ready)}\n"]
+        text += ["0\nbegin_state\n", *("01"[atom not in start.atoms] + "\n" for atom in index), "end_state\n"]
+        text += [f"begin_goal\n{_facts(goal, index)}\nend_goal\n{len(ready)}\n"]
         text += [
             f"{self._text(one.operation.number)}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)
         ]
@@ -319,8 +318,8 @@ class Grounded:
 
     def _operator(self, number: int, one: "_Instance") -> _Ready:
         taken = self._rules.taken
-        condition = taken(one.others)
-        needs, denies = condition.needs | (one.needs & self._changing), condition.denies | one.denies
+        others = taken(one.others)
+        needs, denies = others.needs | (one.needs & self._changing), others.denies | one.denies
         deletes, adds, effects, changes = set[str](), set[str](), list[tuple[Condition, str, bool]](), list[Change]()
         for given, kind, text, amount in one.effects:
             if kind not in _TRUTHS:
@@ -331,7 +330,7 @@ class Grounded:
                 (adds if kind == "add" else deletes).add(text)
             else:
                 effects.append((taken(given), text, kind == "add"))
-        condition = condition._replace(needs=needs, denies=denies)
+        condition = Condition(needs, denies, others.tests)
         done = frozenset(deletes), frozenset(adds), tuple(effects), tuple(changes)
         amounts = () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
         operation, lasting = Operation(number, condition, *done), one.needs - self._changing
@@ -350,8 +349,8 @@ class Grounded:
             return (self._known if known is None else known).get(parts[0])
         return head, *(self._number(part, known) for part in parts)
 
-    def _fitted(self, problem: Problem) -> tuple[Task, State]:
-        """Return a task with a state and a goal put in, without operations, and what holds of what nothing changes."""
+    def _fitted(self, problem: Problem) -> tuple[SearchState, Condition, tuple[Rule, ...], State]:
+        """Return the start of the search, its goal with the rules that derive it, and the frozen facts that hold."""
         state, known = problem.state, numbers_in(problem.state)
         wanted = self._bound(self._wanted(problem.wanted), (), state)
         if wanted is False:
@@ -361,14 +360,19 @@ class Grounded:
         if goal.needs & goal.denies:
             raise UnreachableGoalError("facts of the goal exclude one another")
         start = SearchState(state & self._changing, tuple([known.get(text) for text in self._numbers]))
-        return Task(start, goal, (), (), tuple(rules.rules)), state & self._frozen_atoms
+        return start, goal, tuple(rules.rules), state & self._frozen_atoms
 
     def _compiled_goal(self, goals: tuple[UpThing, ...]) -> Node:
         with lock_of(self.domain):
             return joined(True, [compiled(self.domain, goal, {}) for goal in goals])
 
     def _graph_of(
-        self, task: Task, frozen: State, mentioned: Sequence[Exact | None], weights: frozenset[tuple[Step, int]]
+        self,
+        goal: Condition,
+        rules: tuple[Rule, ...],
+        frozen: State,
+        mentioned: Sequence[Exact | None],
+        weights: frozenset[tuple[Step, int]],
     ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
         """Return a task without its start and limits, and what the amounts of each resource were scaled by.
 
@@ -385,17 +389,17 @@ class Grounded:
         columns, (scale, *scales) = zip(*map(whole, amounts), strict=True)
         more = [number and ("*", scale, self._number(number, numbers)) for number in varying]
         operations = [
-            one.operation._replace(cost=cost, uses=tuple(uses), more=varied)
+            one.operation.priced(cost, tuple(uses), varied)
             for one, varied, (cost, *uses) in zip(ready, more, zip(*columns, strict=True), strict=True)
         ]
-        rules, limits = self._rules_of(task, frozen), (0,) * len(scales)
-        task = task._replace(operations=tuple(operations), limits=limits, rules=rules)
+        limits = (0,) * len(scales)
+        task = Task(_NO_STATE, goal, tuple(operations), limits, self._rules_of(rules, frozen))
         return TaskGraph(task), task, tuple(scales)
 
-    def _rules_of(self, task: Task, frozen: State) -> tuple[Rule, ...]:
+    def _rules_of(self, rules: Iterable[Rule], frozen: State) -> tuple[Rule, ...]:
         own = [one for one in self._axioms if one.lasting <= frozen]
         made = [Rule(one.layer, one.operation.condition, atom) for one in own for atom in one.operation.adds]
-        return tuple(sorted((*self._rules.rules, *made, *task.rules), key=lambda rule: rule.layer))
+        return tuple(sorted((*self._rules.rules, *made, *rules), key=lambda rule: rule.layer))
 
     def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
         amounts = [self._usage.value(one, numbers) for one in made_of]

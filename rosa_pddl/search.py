@@ -223,6 +223,14 @@ class Operation(NamedTuple):
     uses: tuple[int, ...] = ()
     more: Number = 0
 
+    def priced(self, cost: int, uses: tuple[int, ...], more: Number) -> "Operation":
+        return self._replace(cost=cost, uses=uses, more=more)
+
+    def extended(self, tests: Sequence[Test], changes: Sequence[Change]) -> "Operation":
+        """Return the operation with further comparisons in its condition, and further changes."""
+        needs, denies, before = self.condition
+        return self._replace(condition=Condition(needs, denies, (*before, *tests)), changes=(*self.changes, *changes))
+
 
 class Rule(NamedTuple):
     """An axiom: it makes an atom true that is false otherwise; low layers come first."""
