@@ -413,7 +413,9 @@ class Grounded:
     def _weighed(self, frozen: State, weights: Mapping[Step, int]) -> list[_Ready]:
         """Return the operators that what nothing changes allows, less those that count for nothing."""
         possible = [one for one in self._operators if one.lasting <= frozen]
-        left = [one for one in possible if weights.get(one.step, 1)] if weights else possible
+        if not weights:
+            return possible
+        left = [one for one in possible if weights.get(one.step, 1)]
         return [replace(one, cost=("*", weights[one.step], one.cost)) if one.step in weights else one for one in left]
 
 

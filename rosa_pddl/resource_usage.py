@@ -1,6 +1,5 @@
 """What the numbers of a domain are for, and what steps cost and use up, exactly, by the values that they have."""
 
-from collections import ChainMap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -146,7 +145,7 @@ class ResourceUsage:
     def numbers(self, given: Numbers, state: State = frozenset()) -> Numbers:
         """Return the values of numeric facts: what is part of a state or given, or else those of the problem file."""
         in_state: dict[str, float | Exact] = {**numbers_in(state)} if self._domain.computed else {}
-        return ChainMap(in_state, dict(given), self._in_file)
+        return {**self._in_file, **given, **in_state}
 
     def known(self, key: str, numbers: Numbers) -> Exact:
         """Return the value of a numeric fact, by its text."""
@@ -161,6 +160,8 @@ class ResourceUsage:
             raise UnsupportedPddlError(f"{message} problem ({known})", self._domain.problem_file) from error
 
     def value(self, amount: Number, numbers: Numbers) -> Exact:
+        if isinstance(amount, tuple) and amount[0] == "n":
+            return self.known(amount[1], numbers)  # as most are, which is quicker
         value: Exact | None = value_of(amount, {key: self.known(key, numbers) for key in numeric_facts(amount)})
         if value is None:
             message = f"a cost is divided by nothing: {', '.join(numeric_facts(amount))}; state another number"
@@ -171,11 +172,12 @@ class ResourceUsage:
         self, given: Numbers, state: State, steps: Iterable[Step], begun: int = 0
     ) -> Iterator[tuple[Step, Numbers]]:
         """Yield steps, of which so many have begun, with the numbers as they are when it is their turn."""
-        domain = self._domain
+        domain, numbers = self._domain, self.numbers(given, state)
         for number, step in enumerate(steps):
-            yield step, self.numbers(given, state)
+            yield step, numbers
             if domain.computed:
                 state = ended(domain, step, state if number < begun else started(domain, step, state))
+                numbers = self.numbers(given, state)
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         found = []

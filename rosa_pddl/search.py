@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import reduce
 from heapq import heapify, heappop, heappush
-from itertools import groupby
+from itertools import chain, groupby
 from math import inf
 from operator import add, gt, le
 from typing import Any, Generic, NamedTuple, Protocol, TypeAlias, TypeVar
@@ -224,7 +224,7 @@ class Operation(NamedTuple):
     more: Number = 0
 
     def priced(self, cost: int, uses: tuple[int, ...], more: Number) -> "Operation":
-        return self._replace(cost=cost, uses=uses, more=more)
+        return Operation(*self[:6], cost, uses, more)
 
     def extended(self, tests: Sequence[Test], changes: Sequence[Change]) -> "Operation":
         """Return the operation with further comparisons in its condition, and further changes."""
@@ -383,6 +383,8 @@ def _directions(task: Task) -> dict[int, int]:
     By their place: 1 if less is as good or better, -1 if more is, 0 if nothing asks for it.
     """
     changes = [change for operation in task.operations for change in operation.changes]
+    if not changes:
+        return {}
     signs: dict[int, set[int]] = {change.place: set() for change in changes}
     for operation in task.operations:
         _note_signs(operation.more, 1, signs)
@@ -420,9 +422,9 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
 def _by_need(task: Task) -> dict[str | None, list[tuple[int, Operation]]]:
     """Return the operations with their rank by the atom that they need and fewest others do."""
     found: dict[str | None, list[tuple[int, Operation]]] = {}
-    needed = Counter(atom for operation in task.operations for atom in operation.condition.needs)
+    needed = Counter(chain.from_iterable(operation.condition.needs for operation in task.operations))
     for rank, operation in enumerate(task.operations):
-        rarest = min(sorted(operation.condition.needs), key=needed.__getitem__, default=None)
+        rarest = min(operation.condition.needs, key=needed.__getitem__, default=None)
         found.setdefault(rarest, []).append((rank, operation))
     return found
 
@@ -433,8 +435,11 @@ def _arcs(task: Task, amounts: Sequence[float], derived: frozenset[str]) -> list
     for one, takes in zip(task.operations, amounts, strict=True):
         needs = one.condition.needs - derived
         before = min(needs & one.deletes or needs, default=None)
-        made = (*one.adds, *(atom for _, atom, truth in one.effects if truth))
-        found += [(before, after, takes) for after in made]
+        for after in one.adds:
+            found.append((before, after, takes))
+        for _, after, truth in one.effects:
+            if truth:
+                found.append((before, after, takes))
     return found
 
 
