@@ -310,8 +310,10 @@ class TaskGraph:
         return least
 
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
-        candidates = [one for atom in (None, *state.atoms) for one in self._by_need.get(atom, ())]
-        for _, operation in sorted([one for one in candidates if _holds(one[1].condition, state)]):
+        operations = self._task.operations
+        candidates = [rank for atom in (None, *state.atoms) for rank in self._by_need.get(atom, ())]
+        for rank in sorted([rank for rank in candidates if _holds(operations[rank].condition, state)]):
+            operation = operations[rank]
             deletes, adds = operation.deletes, operation.adds
             if operation.effects:
                 made = [(atom, truth) for condition, atom, truth in operation.effects if _holds(condition, state)]
@@ -419,13 +421,13 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
             _note_signs(part, kept, signs)
 
 
-def _by_need(task: Task) -> dict[str | None, list[tuple[int, Operation]]]:
-    """Return the operations with their rank by the atom that they need and fewest others do."""
-    found: dict[str | None, list[tuple[int, Operation]]] = {}
+def _by_need(task: Task) -> dict[str | None, list[int]]:
+    """Return the ranks of the operations by the atom that they need and fewest others do."""
+    found: dict[str | None, list[int]] = {}
     needed = Counter(chain.from_iterable(operation.condition.needs for operation in task.operations))
     for rank, operation in enumerate(task.operations):
         rarest = min(operation.condition.needs, key=needed.__getitem__, default=None)
-        found.setdefault(rarest, []).append((rank, operation))
+        found.setdefault(rarest, []).append(rank)
     return found
 
 
