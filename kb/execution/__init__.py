@@ -264,14 +264,15 @@ class StagedExecutor:
         plan = open_plans[-1]
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
-        stops = [name for name, one in _running(kb, parameters).items() if one.element.stops_to_configure]
+            stops = [name for name, one in _running(state, parameters).items() if one.element.stops_to_configure]
         self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
-        yield self._commands(kb, plan, "deactivate", [*deactivated, *self._paused])
-        started = [*activated, *self._paused]
+        started, stopped = [*activated, *self._paused], [*deactivated, *self._paused]
+        if stopped:
+            yield self._commands(kb, plan, "deactivate", stopped)
         if self._budgets.most:
             yield from self._configured_within_budgets(kb, plan, parameters, started)
             parameters = []
-        yield self._commands(kb, plan, "configure", [*_running(kb, parameters), *started])
+        yield self._commands(kb, plan, "configure", started, parameters)
         if started:
             yield self._commands(kb, plan, "activate", started)
         if self._failed:
@@ -284,7 +285,8 @@ class StagedExecutor:
 
         What might exceed a budget, because something has failed, is neither configured nor started.
         """
-        running = _running(kb, parameters)
+        with kb.reading() as state:
+            running = _running(state, parameters)
         eased = [name for name in running if self._budgets.are_eased(kb, name, self._failed)]
         for name in (*eased, *(one for one in running if one not in eased)):
             if name in eased or self._budgets.allow(kb, started, self._failed):
@@ -298,11 +300,16 @@ class StagedExecutor:
             self._failed.update(started)
 
     def _commands(
-        self, kb: KnowledgeBase, plan: ReconfigurationPlan, operation: str, names: Sequence[str]
+        self,
+        kb: KnowledgeBase,
+        plan: ReconfigurationPlan,
+        operation: str,
+        names: Iterable[str],
+        configurations: Iterable[str] = (),
     ) -> list["_Command"]:
-        """Return the commands to components; what has failed is only stopped."""
+        """Return the commands to components, and to those of configurations that run; what failed is only stopped."""
         with kb.reading() as state:
-            known = _known(state, names)
+            known = _known(state, [*_running(state, configurations), *names])
             chosen = [part for one in known.values() for part in one.parts if state.selected[part.index]]
         selected = {part.wholes[0].name: part.element for part in chosen} if operation == "configure" else {}
         commands = []
@@ -480,9 +487,8 @@ def _known(state: State, names: Iterable[str]) -> dict[str, Node]:
     return {name: components[name] for name in names if name in components}
 
 
-def _running(kb: KnowledgeBase, configurations: Iterable[str]) -> dict[str, Node]:
+def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
     """Return the components of configurations that are in the model and active."""
-    with kb.reading() as state:
-        known = state.network.configurations
-        components = [known[name].wholes[0] for name in configurations if name in known]
-        return {one.name: one for one in components if state.active[one.index]}
+    known = state.network.configurations
+    components = [known[name].wholes[0] for name in configurations if name in known]
+    return {one.name: one for one in components if state.active[one.index]}

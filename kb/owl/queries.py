@@ -2,7 +2,7 @@
 
 A query cannot be interrupted, so this runs as a process of its own, which is ended with the query's time. It imports
 nothing of ours. Its input is a line of JSON, `[query, timeout]`, and then the world that is asked, as N-Triples; its
-output is a line of JSON for each row, and in the end null, or `{"error": class, "given": arguments}`.
+output is a line of JSON for some rows at a time, and in the end null, or `{"error": class, "given": arguments}`.
 """
 
 import json
@@ -11,6 +11,7 @@ import resource
 import signal
 import sys
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -27,6 +28,7 @@ PREFIXES: Final = {
 }
 _MEMORY: Final = 4 << 30  # that may be used at most [bytes]
 _MOST_ROWS: Final = 1_000_000
+_AT_ONCE: Final = 500  # rows in a line; to read a longer one would keep the threads of the asking program waiting
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
@@ -48,8 +50,9 @@ def main() -> None:
     world.load(path=METAMODEL, format=RdfFormat.RDF_XML)
     world.load(sys.stdin.buffer, format=RdfFormat.N_TRIPLES)
     try:
-        for row in _rows(world, query):
-            print(json.dumps(row))
+        rows = _rows(world, query)
+        while some := list(islice(rows, _AT_ONCE)):
+            print(json.dumps(some))
     except _Refused as refused:
         end = {"error": refused.args[0], "given": refused.args[1:]}
     print(json.dumps(end))

@@ -75,6 +75,7 @@ _RECORDS: Final[Mapping[str, str]] = {
 _UNSAID: Final = frozenset({"plan", "plain", "cause", "serial"})
 """The fields of records that are no values."""
 _LONGEST: Final = 1_000_000  # query [characters]
+_LONGEST_WAIT: Final = 1_000_000.0  # for an answer [s]; more is too much for the system
 _SLICE: Final = 1000  # events of the store that are read at a time
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName, KnowledgeBaseError)}
@@ -93,19 +94,20 @@ def answers(
     if not isinstance(sparql, str) or len(sparql) > _LONGEST:
         what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
         raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
+    timeout = min(timeout, _LONGEST_WAIT)
     left, world = partial(_left, time.monotonic() + timeout), BytesIO()
     world.write(json.dumps([sparql, timeout]).encode() + b"\n")
     try:
         for line in _triples(_individuals(known, store, keep, reading, left)):
             left()
             world.write(line)
-        *rows, end = _answered(world, left())
+        *parts, end = _answered(world, left())
     except (TimeoutError, subprocess.TimeoutExpired):
         much = "ask for less, or allow it a longer timeout"
         raise KnowledgeBaseError(f"the query was stopped after {timeout:g} s; {much}") from None
     if end is not None:
         raise _ERRORS[end["error"]](*end["given"])
-    return [tuple(row) for row in rows]
+    return [tuple(row) for rows in parts for row in rows]
 
 
 def _left(deadline: float) -> float:
@@ -117,7 +119,7 @@ def _left(deadline: float) -> float:
 def _answered(world: BytesIO, timeout: float) -> list[Any]:
     """Have the query at the head of a world answered by a process; the last one is None, or what is wrong with it."""
     done = subprocess.run(
-        [sys.executable, "-P", Path(__file__).with_name("queries.py")],
+        [sys.executable, "-PS", Path(__file__).with_name("queries.py")],
         input=world.getbuffer(),
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,

@@ -376,6 +376,13 @@ def test_timeout_is_a_time(timeout):
         KnowledgeBase(Model("x")).query("SELECT ?x { ?x a :Action }", timeout=timeout)
 
 
+def test_timeout_may_be_as_long_as_one_likes_and_an_answer_too():
+    kb = KnowledgeBase(robot())
+    assert kb.query("ASK { ?x a :Action }", timeout=1e300) == [(True,)]
+    product = "SELECT ?s ?o { ?s ?p ?o . ?t ?q ?u } LIMIT 1234"
+    assert len(kb.query(product)) == 1234
+
+
 def test_two_bases_do_not_see_each_other():
     one, other = KnowledgeBase(robot()), KnowledgeBase(Model("other"))
     one.component_failed("camera")
