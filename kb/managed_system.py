@@ -10,39 +10,39 @@ from kb.knowledge_base import KnowledgeBase
 
 
 class Operation(Protocol):
-    """Something under way; a `concurrent.futures.Future` is one."""
+    """A command that takes time; a `concurrent.futures.Future` is one."""
 
     def done(self) -> bool:
-        """Tell, at once, whether it has ended."""
+        """Return at once whether it has ended."""
 
     def exception(self) -> BaseException | None:
-        """Return what went wrong, or None; asked only after it has ended."""
+        """Return the error, or None; called only after it has ended."""
 
 
 class ManagedSystem(Protocol):
-    """What can be commanded to switch components and set their parameters.
+    """The robot's components, which can be commanded to start, to stop and to take parameters.
 
-    Each call returns at once: None if it is done already, an operation if it takes time. What cannot be done raises,
-    now or as the operation's exception.
+    Each call returns at once: None if the command is done, an operation if it takes time. A command that cannot be
+    done raises, or its operation has an exception.
 
-    A system that can tell whether a component is running has a method `is_active(component)` too, which returns at once
-    True, False, or None where it cannot tell; what is said to be done is then believed only when that agrees, and what
-    has stopped by itself is noticed. An operation may have a method `cancel()`, which is called when nobody waits for
-    it any longer.
+    A system that knows whether a component runs has a method `is_active(component)` too, which returns at once True,
+    False, or None if it does not know. A switch then counts as done only when that agrees, and a component that stops
+    by itself is noticed. An operation may have a method `cancel()`, which is called when it takes too long or is no
+    longer needed.
     """
 
     def activate(self, component: str, /) -> Operation | None:
-        """Make a component run; its parameters were set before."""
+        """Start a component; its parameters were set before."""
 
     def deactivate(self, component: str, /) -> Operation | None:
-        """Make a component stop."""
+        """Stop a component."""
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
-        """Give a component its parameters; a stopped one keeps them for when it is activated."""
+        """Set the parameters of a component; a stopped one keeps them until it is activated."""
 
 
 def is_active(managed: ManagedSystem, component: str) -> bool | None:
-    """Return what a managed system says of a component, None if it cannot tell."""
+    """Return whether a component runs; None if the managed system does not know."""
     answer = getattr(managed, "is_active", lambda _: None)(component)
     if answer is None or isinstance(answer, bool):
         return answer
@@ -50,7 +50,7 @@ def is_active(managed: ManagedSystem, component: str) -> bool | None:
 
 
 def look(managed: ManagedSystem, component: str) -> tuple[bool | None, str]:
-    """Return what `is_active` does at this moment, and what went wrong with that, in words; empty if nothing did."""
+    """Return what `is_active` returns, and "", or None and the error that it raised, in words."""
     try:
         return is_active(managed, component), ""
     except ProtocolError:
@@ -64,27 +64,27 @@ def words_of(error: BaseException) -> str:
 
 
 def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
-    """Return what a command was answered with if it can be followed."""
+    """Return the answer to a command if it is None or an operation; else raise `ProtocolError`."""
     if answer is None or (callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))):
-        return answer  # type: ignore[return-value]  # it was looked at
+        return answer  # type: ignore[return-value]  # checked by the condition
     raise wrong_answer(call, managed, answer, "None if it is done, or an operation with done() and exception()")
 
 
 def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
-    """Return the error for an answer that means nothing; a coroutine is closed, for nobody awaits it."""
+    """Return the error for a value that a protocol does not allow; a coroutine is closed, as nobody awaits it."""
     if iscoroutine(answer):
         answer.close()
     return ProtocolError(f"{call} of {type(given).__name__} returned {answer!r:.80}; it is to return {expected}")
 
 
 def check_methods(what: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
-    """Raise `ProtocolError` unless an object has the methods of a protocol, to be called as the protocol has them.
+    """Raise `ProtocolError` unless an object has the methods of a protocol, with the same arguments.
 
     Args:
-        what: what it is given as, in words.
+        what: the role of the object, in words, such as "a planner".
         given: the object.
-        protocol: whose public functions it has to have.
-        optional: calls of methods that it may have besides, such as "choose(kb)".
+        protocol: the class whose public methods the object must have.
+        optional: calls of further methods that are checked if the object has them, such as "choose(kb)".
     """
     if isinstance(given, type):
         raise ProtocolError(f"{what} is an object; {given.__name__} is a class: write {given.__name__}(...)")
@@ -96,7 +96,7 @@ def check_methods(what: str, given: object, protocol: type, optional: tuple[str,
             raise ProtocolError(f"{what} has a method {call}; {given!r:.80} has none")
         if any(is_late(method) for is_late in (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)):
             raise ProtocolError(f"{call} of {type(given).__name__} is async or a generator; {what} answers at once")
-        with suppress(ValueError):  # one that was not written in Python may not say how it is called
+        with suppress(ValueError):  # a method in C may have no signature
             try:
                 signature(method).bind(*arguments)
             except TypeError as error:
@@ -104,11 +104,11 @@ def check_methods(what: str, given: object, protocol: type, optional: tuple[str,
 
 
 class ActivityMonitor:
-    """A monitor that asks after each component that is believed to be active, while no plan is being carried out.
+    """A monitor that asks the managed system whether components run as the knowledge base has it, between plans.
 
-    One that was started by the last command to it, and is not running, has failed. Any other belief that is wrong is
-    only put right: a component may have been stopped while the program was not there to see it. What has failed is
-    asked after too: a start that nobody waited for any longer may have come true.
+    A component that was started by the last command to it, and does not run, has failed. In any other case only
+    `component_active` is corrected, since the component may have stopped while this program was not running. Failed
+    components are asked about too, because a start may succeed after its time-out.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
@@ -144,15 +144,15 @@ class ActivityMonitor:
             return name not in self._unmanaged and is_active(self._managed, name) is active
         except ProtocolError:
             raise
-        except UnknownName:  # it is not this system that manages it
+        except UnknownName:  # another system manages it
             self._unmanaged.add(name)
         except Exception:
-            return False  # nobody can tell at this moment
+            return False  # not known at this moment
         return False
 
 
 def _was_started(kb: KnowledgeBase, component: str) -> bool:
-    """Tell whether the last command that switched a component has started it."""
+    """Return whether the last command that switched a component started it."""
     switches = (one for one in reversed(kb.history.attempts) if one.component == component)
     last = next((one for one in switches if one.operation != "configure"), None)
     return last is not None and (last.operation, last.result) == ("activate", "completed")

@@ -1,7 +1,7 @@
-"""The adaptation loop: monitor, analyse, plan, execute; its stages talk only through the knowledge base.
+"""The adaptation loop: monitor, analyse, plan, execute; its stages share data only through the knowledge base.
 
-Analysing is inference, which the knowledge base does by itself. The other stages are small protocols: give the manager
-your own monitor, planner or executor and the rest stays as it is.
+The knowledge base does the analysis by itself, by inference. The other stages are small protocols: a manager that is
+given another monitor, planner or executor works with it in the same way.
 """
 
 import logging
@@ -23,48 +23,48 @@ class Monitor(Protocol):
     """Looks at the robot or its surroundings and tells the knowledge base."""
 
     def observe(self, kb: KnowledgeBase) -> None:
-        """Tell what there is to tell now, without waiting."""
+        """Tell the knowledge base what is observed now; does not wait."""
 
 
 class Planner(Protocol):
     """Decides which designs and configurations to select.
 
-    One that can be tried in a dry run has a method `choose(kb)` too: it returns the `Choice` that `plan` would select,
-    or None, and changes nothing, neither in the knowledge base nor in itself. One that may choose anew because time
-    has passed has an attribute `is_waiting`: while it is true, `plan` is called at every update.
+    For dry runs a planner may have a method `choose(kb)`: it returns the `Choice` that `plan` would select, or None,
+    and changes neither the knowledge base nor the planner. A planner whose choice depends on the time has an attribute
+    `is_waiting`: while it is true, `plan` is called at every update.
     """
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Ask what is adaptable, choose, and return what `kb.select` answers, without waiting."""
+        """Choose for what is adaptable, and return the result of `kb.select`, or None for no choice; does not wait."""
 
 
 class Executor(Protocol):
     """Carries out the pending plan."""
 
     def execute(self, kb: KnowledgeBase) -> None:
-        """Do what can be done of `kb.pending_plan` without waiting; end it with `kb.finish_plan`."""
+        """Do what is possible of `kb.pending_plan` without waiting; end the plan with `kb.finish_plan`."""
 
 
 class PriorityPlanner:
-    """Chooses what is selectable with the lowest priority number; no priority comes last, ties go by name."""
+    """Chooses what is not unfeasible with the lowest priority number; no priority comes last, ties go by name."""
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Choose for every adaptable function, then for every component that is adaptable given those choices."""
+        """Choose a design for each adaptable function, then a configuration for each component adaptable with these."""
         with kb.reading() as state:
             return choice_by_priority(state)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select what is preferred by priority; None if there is nothing to choose."""
+        """Select by priority and return the plan; None if there is nothing to choose."""
         choice = self.choose(kb)
         return None if choice is None else kb.select(*choice)
 
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]
-"""Is shown a plan, with its reason; answers None or True to let it pass, False or the reason to forbid it."""
+"""Called with a plan, which has its reason; returns None or True to allow it, False or a reason to forbid it."""
 
 
 class VetoGate:
-    """Asks about every plan before it is executed, and takes back what a forbidden one had selected."""
+    """Asks the veto about each plan before it is executed, and undoes the selection of a forbidden plan."""
 
     def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
         if not callable(veto):
@@ -73,7 +73,7 @@ class VetoGate:
         self._veto = veto
 
     def check(self) -> bool:
-        """Ask about the plans that were not asked about yet, and tell whether one was forbidden: it is abandoned."""
+        """Ask about the plans not yet asked about; abandon the forbidden ones, and return whether there was one."""
         kb, is_vetoed = self._kb, False
         while (plan := kb.pending_plan) is not None and all(one.plan is not plan for one in kb.history.answers):
             objection = self._objection(plan)
@@ -100,28 +100,28 @@ class VetoGate:
         return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
 
     def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
-        """Undo what the plan's event has selected, and nothing else: what is not executed is not in force."""
+        """Undo exactly the selection that the event of the plan made, because it is not carried out."""
         made = (event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
         for kind, name, is_selected in next(made, ()):
-            with suppress(UnknownName):  # it has left the model
+            with suppress(UnknownName):  # it was removed from the model
                 self._kb.assert_selected((kind, name), not is_selected, reason if is_selected else "")
 
 
 class ConfigurationManager:
-    """Keeps a managed system configured for what the mission is doing.
+    """Adapts the configuration of a managed system to what the mission requires.
 
     Args:
         kb: the knowledge base that all stages talk through.
-        managed: the system whose components are switched and configured; if it can tell what runs, it is asked.
-        planner: decides what to select; by priority when none is given.
-        executor: carries out plans; in three stages on `managed`, within the budgets of the planner if it has some,
-            when none is given.
-        monitors: asked first at each turn.
-        veto: is shown each plan, with its reason, before it is executed, whoever made it. It answers None or True to
-            let it pass; False, or the reason in words, to forbid it. What it raises forbids too.
+        managed: the system whose components are switched and configured; if it has `is_active`, the manager monitors
+            with it which components run.
+        planner: decides what to select; a `PriorityPlanner` by default.
+        executor: carries out plans; by default a `StagedExecutor` on `managed`, within the planner's budgets if any.
+        monitors: called first at each update.
+        veto: called with each plan, whoever made it, before it is executed. It returns None or True to allow the plan,
+            False or a reason in words to forbid it; an exception forbids it too.
 
     Raises:
-        ProtocolError: one of them lacks a method, or has one that cannot be called as it is going to be.
+        ProtocolError: one of them lacks a method, or has a method with other arguments than the protocol's.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class ConfigurationManager:
         self._planned_at = -1
 
     def dry_run(self) -> ReconfigurationPlan | None:
-        """Return the plan that the planner would make now, None for none; nothing is selected, told or executed.
+        """Return the plan that the planner would make now, or None; nothing is selected, told or executed.
 
         Raises:
             InvalidValue: the planner has no method `choose`.
@@ -166,16 +166,16 @@ class ConfigurationManager:
     def update(self) -> ReconfigurationPlan | None:
         """Take one turn of the loop, without waiting.
 
-        A new plan is made only when something changed since the last one, and not before that one has ended: a plan
-        leads from the state the components are in, which is known for sure only then. One that fails or is vetoed is
-        made again when there is news.
+        A new plan is made only after a change, and only when the last plan has ended, because a plan starts from the
+        state of the components, which is certain only then. After a failed or vetoed plan, the next change leads to a
+        new one.
 
         Returns:
-            The plan that was made in this turn, if any; a vetoed one has ended already.
+            The plan that was made in this turn, or None; a vetoed plan has already ended.
 
         Raises:
-            ProtocolError: the planner or the managed system returned what means nothing.
-            InvalidValue, UnknownName: the planner selects what is unfeasible, or is not there; nothing is selected.
+            ProtocolError: the planner or the managed system returned a value that its protocol does not allow.
+            InvalidValue, UnknownName: the planner selects what is unfeasible or unknown; nothing is selected.
         """
         kb, gate = self._kb, self._gate
         for monitor in self._monitors:
@@ -194,7 +194,7 @@ class ConfigurationManager:
         return plan
 
     def _planned(self, revision: int) -> ReconfigurationPlan | None:
-        """Have the planner plan; what it chose may be unfeasible or removed by now, which is no slip of its own."""
+        """Call the planner; if a change meanwhile made its choice impossible, there is no plan, and no error."""
         try:
             plan = self._planner.plan(self._kb)
         except (Unselectable, UnknownName):

@@ -1,4 +1,4 @@
-"""Reconfiguration plans: from what is selected now to what shall be, and what has to be switched on the way."""
+"""Computes reconfiguration plans: which components to switch and to configure when another choice is selected."""
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
@@ -13,7 +13,7 @@ from kb.state import State
 
 
 class Obsolete(NamedTuple):
-    """Names of what nothing required needs any more: active components, selected designs and configurations."""
+    """Names of active components and selected designs and configurations that nothing required needs any more."""
 
     components: tuple[str, ...]
     designs: tuple[str, ...]
@@ -24,7 +24,7 @@ class Obsolete(NamedTuple):
 
 
 class Selection(NamedTuple):
-    """What has to be done to the managed system after a selection, by name; and what is selected now or no longer."""
+    """What the managed system has to do after a selection, by name, and the nodes whose selection changed."""
 
     activate: tuple[str, ...]
     deactivate: tuple[str, ...]
@@ -44,7 +44,7 @@ def obsolete(state: State) -> Obsolete:
 
 
 def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Node]) -> Selection:
-    """Mark the given designs and configurations selected instead of their rivals, and unselect what is obsolete."""
+    """Select designs and configurations instead of the present ones, and unselect what is obsolete."""
     replaced, changed = _choose(state, designs)
     _, newly_configured = _choose(state, configurations)
     changes = propagate(state, [*changed, *newly_configured])
@@ -84,7 +84,7 @@ def planned(
 
 
 def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node]]:
-    """Select each chosen node and unselect its rivals; return those unselected, and all that changed."""
+    """Select each node and unselect the others of its whole; return what was unselected, and all that changed."""
     replaced, changed = [], []
     for node in chosen:
         for rival in node.wholes[0].parts:

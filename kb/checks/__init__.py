@@ -1,4 +1,4 @@
-"""Checks of a model: its names, what is used, what no measurement makes possible, and what is never chosen."""
+"""Checks of a model: unknown and unused names, what can never be feasible, and what is never selected."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,17 +19,17 @@ from kb.network import Network, Node
 from kb.status import Status
 
 QUICK: Final = 4
-"""How many alternatives suffice to see that most elements are possible; all are looked at only for the others."""
+"""How many alternatives are kept in a first, quick look; only elements that fail it are looked at thoroughly."""
 MOST_ACTIONS: Final = 4
 PREFERRED: Final = 32
-"""How many of the alternatives that are preferred to one are compared with it."""
+"""The most preferred alternatives with which each one is compared."""
 
 Bounds = Mapping[str, Interval]
 _Names = dict[Node, dict[str, None]]
 
 
 class Severity(StrEnum):
-    """How bad something is: an error can never work, a warning is likely a slip."""
+    """How bad a finding is: an error can never work, a warning is likely a mistake."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -37,7 +37,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One thing that is looked for: how bad it is, what it is, in general, and what to do about it."""
+    """One check: the severity of its findings, what they mean in general, and what to do about them."""
 
     severity: Severity
     meaning: str
@@ -49,10 +49,10 @@ class Finding:
     """Something about a model that its author should look at.
 
     Attributes:
-        code: a word for what is found, one of `rules()`.
+        code: the word for the rule, one of `rules()`.
         severity: how bad it is.
-        element: kind and name, e.g. "function see"; of what is not in the model, the name that was given.
-        message: what is found, and where.
+        element: kind and name, e.g. "function see"; for something that is not in the model, the given name.
+        message: what was found, and where.
         advice: what to do about it.
         place: where the element stands, as file:line:column; empty if it comes from no file.
     """
@@ -66,7 +66,7 @@ class Finding:
 
     @property
     def where_and_what(self) -> str:
-        """The message, behind the place it is about if that is known."""
+        """The message, after its place if that is known."""
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
@@ -75,8 +75,8 @@ class Finding:
 
 @cache
 def rules() -> Mapping[str, Rule]:
-    """Return what is looked for, by code: errors first."""
-    import tomllib  # it takes a while to import
+    """Return all rules by code, errors first."""
+    import tomllib  # slow to import
 
     read = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
     made = {code: Rule(Severity(one["severity"]), one["meaning"], one["advice"]) for code, one in read.items()}
@@ -89,7 +89,7 @@ def found(code: str, element: object, message: str) -> Finding:
 
 
 def listing(names: Iterable[str], most: int = 4) -> str:
-    """Write names as a list of which only the first few are named, e.g. "a, b and c" or "a, b, c and 7 more"."""
+    """Write names as a list with a limit, e.g. "a, b and c" or "a, b, c and 7 more"."""
     known = list(names)
     if len(known) > most:
         known = [*known[: most - 1], f"{len(known) - most + 1} more"]
@@ -100,7 +100,7 @@ def listing(names: Iterable[str], most: int = 4) -> str:
 
 
 def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-    """Check a model; see `Model.check`. Errors come first, and each rule goes through a model in order."""
+    """Check a model; see `Model.check`. Errors come first; the findings of a rule are in the order of the model."""
     network = Network(model)
     findings = [
         *(() if names is None else _mismatches(model.actions, listed("names", names))),
@@ -156,7 +156,7 @@ def _unused(model: Contents, network: Network) -> Iterator[Finding]:
 
 
 def _out_of_range(model: Contents) -> Iterator[Finding]:
-    """Yield the constraints that the range of their attribute decides, whatever is measured."""
+    """Yield the constraints that the range of their attribute decides for every measurement."""
     for one in model.constraints:
         attribute = model.attributes[one.attribute]
         if attribute.low == -inf and attribute.high == inf:
@@ -175,9 +175,9 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
 
 
 def _contradictions(network: Network) -> Iterator[Finding]:
-    """Yield what can never be feasible once its attributes are measured, but for mere consequences of that.
+    """Yield the elements that can never be feasible once their attributes are measured, but only the roots.
 
-    So only the root is reported, with the actions that it makes impossible, and not each element between the two.
+    A finding names the actions that its root makes impossible; the elements between the two have no findings.
     """
     quick, thorough = Requirements(limit=QUICK), Requirements()
     impossible: dict[Node, None] = {}
@@ -192,7 +192,7 @@ def _contradictions(network: Network) -> Iterator[Finding]:
 
 
 def _roots(node: Node, impossible: Collection[Node], requirements: Requirements) -> Iterator[tuple[str, str]]:
-    """Yield code and message of each reason for which an element is impossible that is no reason of another one."""
+    """Yield code and message of each reason why an element is impossible, except consequences of its parts."""
     if node.kind == "function":
         if not node.parts:
             yield "function-without-designs", f"{node} has no design"
@@ -207,7 +207,7 @@ def _roots(node: Node, impossible: Collection[Node], requirements: Requirements)
 
 
 def _contradiction(node: Node, attribute: str) -> str:
-    """Name two constraints that exclude one another; one suffices if no number satisfies it."""
+    """Name two constraints that exclude one another, or one that no number satisfies."""
     own = [one.constraint for one in node.constraints if one.constraint.attribute == attribute]
     for one in own:
         if Interval.of(one).is_empty:
@@ -229,7 +229,7 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
 
 
 def _conflict(node: Node, requirements: Requirements) -> str:
-    """Name two needs that exclude one another, and what each comes to if that is one thing; else all of them."""
+    """Name two needs that exclude one another, with their intervals if there is only one way; else all needs."""
     needs = {f"its own constraint {one.name}": requirements.of(one).boxes for one in node.constraints}
     if node.kind == "component":
         needs["each of its configurations"] = tuple(box for part in node.parts for box in requirements.of(part).boxes)
@@ -260,7 +260,7 @@ def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
             continue
         yield from _ties(whole)
         by_part = {part: estimated.get(part, {}) for part in whole.parts}
-        if not any(by_part.values()):  # a preference may choose what priority never would
+        if not any(by_part.values()):  # a preference may select what priority never would
             yield from _dominated(whole)
         yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
     requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
@@ -276,7 +276,7 @@ def _priority(node: Node) -> float:
 
 
 def _bounds_in_use(part: Node) -> dict[str, Interval]:
-    """Return the values that a design or configuration leaves together with its components."""
+    """Return the intervals that satisfy a design or configuration and its components, by attribute."""
     components = part.wholes if part.kind == "configuration" else part.parts
     return bounds(part, *components)
 
@@ -293,7 +293,7 @@ def _ties(whole: Node) -> Iterator[Finding]:
 
 
 def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
-    """Tell whether there is an attribute that allows one of them at a time, so that a tie does not matter."""
+    """Return whether an attribute allows only one of them at a time, so that a tie does not matter."""
     for attribute in alternatives[0]:
         known = sorted(one[attribute] for one in alternatives if attribute in one)
         if len(known) == len(alternatives) and all(one.meet(after).is_empty for one, after in pairwise(known)):
@@ -321,14 +321,14 @@ def _is_contradictory(values: Bounds) -> bool:
 
 
 def _dominated(whole: Node) -> Iterator[Finding]:
-    """Yield the parts for which one that is preferred is feasible whenever they are."""
+    """Yield the parts that are never selected: a preferred one is feasible whenever they are."""
     ranked = sorted(whole.parts, key=_priority)
     offered = [(part, bounds(part)) for part in ranked[:PREFERRED]]
     for part in ranked:
         needed = _bounds_in_use(part)
         if _is_contradictory(needed):
             continue
-        for one, own in offered:  # no failure tells them apart if all that one is made of is in the other too
+        for one, own in offered:  # else a failure may rule out only the preferred one
             is_within = part.kind == "configuration" or set(one.parts) <= set(part.parts)
             easier = all(name in needed and interval.covers(needed[name]) for name, interval in own.items())
             if _priority(one) < _priority(part) and is_within and easier:
@@ -338,7 +338,7 @@ def _dominated(whole: Node) -> Iterator[Finding]:
 
 
 def _estimated(model: Contents, network: Network) -> tuple[_Names, _Names]:
-    """Return which attributes are estimated for which elements, and for which with all that they are made of."""
+    """Return the attributes estimated for each element, alone and together with its parts."""
     directly: _Names = {}
     for one in model.estimations:
         directly.setdefault(network.find(one.causer), {})[one.attribute] = None

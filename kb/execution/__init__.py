@@ -1,4 +1,4 @@
-"""Carrying out a reconfiguration plan on the managed system, a bounded slice at each turn."""
+"""Carries out reconfiguration plans on the managed system; each turn does what it can without waiting."""
 
 import logging
 import math
@@ -21,7 +21,7 @@ _log = logging.getLogger(__name__)
 
 
 class RetryPolicy(NamedTuple):
-    """How often a command is given, how long an attempt may take [s] and how long it is put off after a failure [s]."""
+    """How many attempts a command has, how long each may take [s], and the pause after the first failure [s]."""
 
     attempts: int
     timeout: float
@@ -29,7 +29,7 @@ class RetryPolicy(NamedTuple):
 
 
 class Budgets:
-    """What all that is chosen and runs may be estimated to use while a plan is carried out, by name of attribute."""
+    """The most that what is selected and active may use by estimation, by name of attribute, also during a plan."""
 
     def __init__(self, most: Mapping[str, float] | None) -> None:
         if not isinstance(most, Mapping | None):
@@ -37,15 +37,15 @@ class Budgets:
         self.most = {name: finite_number(limit) for name, limit in (most or {}).items()}
 
     def allow(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> bool:
-        """Tell whether all that is selected keeps within the budgets once it is carried out.
+        """Return whether the budgets hold once the selection is carried out.
 
-        That is when the components `started` run too, and those that `failed` are as they were.
+        Then the components `started` are active too, and those that `failed` keep their old parameters.
         """
         loads = self._loads(kb, started, failed)
         return all(load <= Decimal(repr(limit)) for load, limit in zip(loads, self.most.values(), strict=True))
 
     def are_eased(self, kb: KnowledgeBase, component: str, failed: Collection[str]) -> bool:
-        """Tell whether a component that runs uses no more with its new parameters than with those that it has."""
+        """Return whether an active component uses no more with its new parameters than with its present ones."""
         after, before = self._loads(kb, (), failed), self._loads(kb, (), {*failed, component})
         return all(new <= old for new, old in zip(after, before, strict=True))
 
@@ -61,7 +61,7 @@ class Budgets:
 
 
 def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[str], failed: Collection[str]) -> bool:
-    """Tell whether what an estimation is of is in force: a design is selected, a component runs, and with what."""
+    """Return whether an estimation counts: its design is selected, or its component is active and so configured."""
     if causer.kind == "function design":
         return state.selected[causer.index]
     component = causer if causer.kind == "component" else causer.wholes[0]
@@ -75,10 +75,10 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
 
 
 class Quarantine:
-    """The configurations that count as unfeasible, by an asserted status that lapses by itself after a hold [s].
+    """Configurations that failed; an asserted status makes each of them unfeasible until a hold [s] is over.
 
     Attributes:
-        held: the component of each that is in quarantine now, by name; up to date after `review`.
+        held: configurations in quarantine and the component of each, by name; up to date after `review`.
     """
 
     def __init__(self, hold: float) -> None:
@@ -89,7 +89,7 @@ class Quarantine:
         self._failed: set[str] = set()
 
     def put(self, kb: KnowledgeBase, configuration: str, reason: str) -> None:
-        """Have a configuration count as unfeasible from now on, and no longer as selected: it is not in force."""
+        """Assert that a configuration is unfeasible, and unselect it, because it is not in force."""
         view = kb.configurations[configuration]
         kb.assert_selected(view, False)
         with suppress(InvalidValue):  # the hold is over already
@@ -97,13 +97,13 @@ class Quarantine:
         self.held[configuration] = view.component
 
     def adopt(self, kb: KnowledgeBase) -> None:
-        """Take up what was in quarantine before the knowledge base was opened again."""
+        """Find what was in quarantine when the knowledge base was last closed."""
         last = {one.configuration: one for one in kb.history.attempts if one.configuration is not None}
         self.held |= {name: one.component for name, one in last.items() if one.result == "failed"}
         self.review(kb)
 
     def review(self, kb: KnowledgeBase) -> None:
-        """Release those whose component has recovered from a failure, and forget those released otherwise."""
+        """Release the configurations whose component has recovered; forget those that are asserted no longer."""
         with kb.reading() as state:
             components, known, asserted = state.network.components, state.network.configurations, state.asserted
             stand = {name for name in self.held if name in known and asserted[known[name].index] is Status.UNFEASIBLE}
@@ -118,26 +118,26 @@ class Quarantine:
 class StagedExecutor:
     """Carries out plans in three stages: deactivate, set parameters, activate.
 
-    The commands of a stage are given together, and the next stage begins when all have ended, so a component gets its
-    parameters before it starts. A command that fails, or takes too long, is given again later; so is one that was
-    said to be done when the managed system can tell that it is not. When it fails for good, the plan ends as failed
-    after the other components got what was meant for them, and the next best is chosen: a configuration whose
-    parameters cannot be set is put in quarantine, a component that cannot be switched is reported failed. What the plan
-    started for a function that cannot be had any more is stopped again.
+    The commands of a stage are given together, and the next stage begins when all of them have ended. So a component
+    gets its parameters before it starts. A command that fails or takes too long is repeated later; so is one that is
+    reported done although the managed system says that it is not. When the last attempt fails, the commands to other
+    components are still carried out, and the plan ends as failed. A configuration whose parameters cannot be set goes
+    into quarantine, a component that cannot be switched is reported failed; so the planner chooses the next best. The
+    executor stops again what the plan started for a function that has become unfeasible.
 
-    After an interrupt, such as Ctrl-C within a call, the next turn puts on record that the commands whose answer
-    nobody knows were abandoned, and begins the plan's stages again: a command may be given once more.
+    After an interrupt, such as Ctrl-C within a call, the next turn records commands without a known answer as
+    abandoned, and begins the plan's stages again; a command may then be given a second time.
 
     Args:
-        managed: what is commanded; plain components are never switched, only booked.
-        attempts: how often a command is given before it counts as failed.
+        managed: what is commanded; a plain component is not switched, only recorded as active or not.
+        attempts: how many attempts a command has before it counts as failed.
         timeout: how long an attempt may take, in the time of the knowledge base's clock [s].
-        timeout_by_component: the same for single components.
-        back_off: how long after a failure the command is given again [s]; twice as long after each further one.
+        timeout_by_component: the same for single components, by name [s].
+        back_off: the pause after a failed attempt [s]; it doubles after each further failure.
         hold: how long a configuration that could not be set counts as unfeasible [s].
-        budgets: the most that all that is chosen and runs may be estimated to use, by name of attribute, also on the
-            way: what runs gets its parameters one after the other, and a plan that might exceed one, because something
-            failed, is not carried out further.
+        budgets: the most that what is selected and active may use by estimation, by name of attribute, also during a
+            plan: active components get their parameters one after the other, and the rest of a plan is not carried out
+            if it might exceed a budget because something failed.
     """
 
     def __init__(
@@ -179,8 +179,8 @@ class StagedExecutor:
         Raises:
             UnknownName: a time-out was given for a component, or a budget for an attribute, that the model does not
                 have; at the first turn only.
-            ProtocolError: a method of the managed system or of an operation returned what means nothing; the command
-                is abandoned, and given again at the next turn.
+            ProtocolError: a method of the managed system or of an operation returned a value that the protocol does
+                not allow; the command is abandoned, and given again at the next turn.
         """
         if self._is_under_way and self._plan is not None:
             self._begin_again(kb)
@@ -189,7 +189,7 @@ class StagedExecutor:
         self._is_under_way = False
 
     def _begin_again(self, kb: KnowledgeBase) -> None:
-        """Settle what was interrupted: what nobody knows the answer of, and the stages, which may have been cut off."""
+        """Abandon the attempts without a known answer after an interrupt, and begin the stages of the plan again."""
         known = [command.attempt for command in self._stage if command.is_answered]
         for attempt in kb.history.attempts:
             if attempt.end is None and attempt not in known and self._plan in (attempt.plan, None):
@@ -229,7 +229,7 @@ class StagedExecutor:
         self._plan = None
 
     def _drop_removed(self, kb: KnowledgeBase) -> None:
-        """Abandon commands to what is no longer in the model, or with what is not."""
+        """Abandon the commands whose component or configuration is no longer in the model."""
         for command in tuple(self._stage):
             known = command.configuration is None or command.configuration.name in kb.configurations
             if not known or command.component not in kb.components:
@@ -237,7 +237,7 @@ class StagedExecutor:
                 self._stage.remove(command)
 
     def _has_ended(self, kb: KnowledgeBase, command: "_Command", now: float) -> bool:
-        """Go on with a command and tell whether it has ended, one way or the other; the knowledge base is told how."""
+        """Advance a command and return whether it has ended; if so, tell the knowledge base the result."""
         result = command.advance(now)
         if result is None:
             return False
@@ -260,7 +260,7 @@ class StagedExecutor:
             self._quarantine.put(kb, command.configuration.name, reason)
 
     def _staged(self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]) -> Iterator[list["_Command"]]:
-        """Yield the stages of the latest of the open plans, each decided when it begins."""
+        """Yield the stages of the latest open plan; the commands of each are decided when it begins."""
         plan = open_plans[-1]
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
@@ -281,9 +281,9 @@ class StagedExecutor:
     def _configured_within_budgets(
         self, kb: KnowledgeBase, plan: ReconfigurationPlan, parameters: Sequence[str], started: Sequence[str]
     ) -> Iterator[list["_Command"]]:
-        """Configure what runs, one after the other: first what uses no more of a budget than before.
+        """Configure active components one after the other, first those that use no more of a budget than before.
 
-        What might exceed a budget, because something has failed, is neither configured nor started.
+        A component that might exceed a budget, because another one has failed, is neither configured nor started.
         """
         with kb.reading() as state:
             running = _running(state, parameters)
@@ -307,7 +307,7 @@ class StagedExecutor:
         names: Iterable[str],
         configurations: Iterable[str] = (),
     ) -> list["_Command"]:
-        """Return the commands to components, and to those of configurations that run; what failed is only stopped."""
+        """Return commands to components and to active ones of configurations; a failed one is only deactivated."""
         with kb.reading() as state:
             known = _known(state, [*_running(state, configurations), *names])
             chosen = [part for one in known.values() for part in one.parts if state.selected[part.index]]
@@ -324,7 +324,7 @@ class StagedExecutor:
         return commands
 
     def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
-        """Undo what was begun for functions that cannot be had: else it would run on, and be started at each plan."""
+        """Stop and unselect what was started for functions that are unfeasible now: each plan would start it again."""
         given = [one for one in kb.history.attempts if one.plan is plan and one.operation == "activate"]
         commanded = self._failed.intersection(one.component for one in given)
         unsure = [name for name in started if name in commanded and look(self._managed, name)[0] is not False]
@@ -342,12 +342,12 @@ class StagedExecutor:
 
 @dataclass(slots=True, eq=False)
 class _Command:
-    """What one component is to do for a plan: given until it is carried out or given up, each attempt on record."""
+    """A command to one component: repeated until it is done or has failed for good; each attempt is recorded."""
 
     kb: KnowledgeBase
     plan: ReconfigurationPlan
     policy: RetryPolicy
-    managed: ManagedSystem | None  # None if it is a matter of bookkeeping only
+    managed: ManagedSystem | None  # None for a plain component: nothing is commanded
     component: str
     operation: str  # activate, deactivate or configure
     configuration: Configuration | None  # None for a switch
@@ -360,13 +360,13 @@ class _Command:
 
     @property
     def reason(self) -> str:
-        """How often it was tried, and what came of the last attempt."""
+        """The number of attempts and the result of the last one, in words."""
         assert self.attempt is not None
         tried = {1: "once", 2: "twice"}.get(self._count, f"{self._count} times")
         return f"tried {tried}: {self.attempt.reason}"
 
     def begin(self, now: float) -> None:
-        """Give the command if it is time for that and it is not under way."""
+        """Give the command if its pause is over and no attempt is under way."""
         if self.managed is None or now < self._due or (self.attempt is not None and self.attempt.end is None):
             return
         chosen, number = self.configuration, self._count + 1
@@ -391,7 +391,7 @@ class _Command:
         return operation_of(switch(self.component), f"{self.operation}({self.component!r})", managed)
 
     def advance(self, now: float) -> str | None:
-        """Return how it has ended, "completed" or "failed", or None as long as it has not."""
+        """Return "completed" or "failed" once the command has ended, None before."""
         if self.managed is None:
             return "completed"
         while True:
@@ -417,7 +417,7 @@ class _Command:
             self.kb.finish_attempt(self.attempt, "abandoned", reason)
 
     def _outcome(self, managed: ManagedSystem, lasts: float) -> tuple[str, str] | None:
-        """Return result and reason of the attempt under way, None while there is neither."""
+        """Return the result of the attempt and its reason, or None while it is under way."""
         ended, error = self._progress()
         is_late = lasts >= self.policy.timeout
         if error is not None:
@@ -425,7 +425,7 @@ class _Command:
         if not ended and not is_late:
             return None
         is_reached, doubt = None, f"{self.component} was not found so"
-        if self.configuration is None:  # else nobody can tell
+        if self.configuration is None:  # whether parameters are in force cannot be asked
             active, trouble = look(managed, self.component)
             is_reached = None if active is None else active is (self.operation == "activate")
             if trouble:
@@ -442,7 +442,7 @@ class _Command:
         return "failed", f"it was not done within {self.policy.timeout:g} s"
 
     def _progress(self) -> tuple[bool, BaseException | None]:
-        """Return whether what is under way has ended, and with which error; asking a cancelled future raises."""
+        """Return whether the operation has ended, and its error; a cancelled future raises when it is asked."""
         operation = self._under_way
         try:
             if operation is None:
@@ -458,7 +458,7 @@ class _Command:
         raise wrong_answer("exception()", operation, error, "what went wrong, as an exception, or None")
 
     def _cancel(self) -> None:
-        """Cancel what can be cancelled, so that it does not come true when nobody expects it any more."""
+        """Cancel the operation if it can be cancelled, so that it does not take effect later."""
         try:
             getattr(self._under_way, "cancel", lambda: None)()
         except Exception as error:
@@ -468,9 +468,9 @@ class _Command:
 def _steps(
     state: State, open_plans: Sequence[ReconfigurationPlan]
 ) -> tuple[Sequence[str], Sequence[str], Sequence[str]]:
-    """Return what to activate, deactivate and configure: the latest plan's steps, and what older ones still have to do.
+    """Return what to activate, to deactivate and to configure: the latest plan's steps, and what older plans left open.
 
-    Those are abandoned when the latest completes, so what of them is still wanted is done with it.
+    The older plans are abandoned when the latest completes, so it also does their steps that are still needed.
     """
     plan, known = open_plans[-1], state.network.configurations
     activated, deactivated, parameters = list(plan.activate), list(plan.deactivate), list(plan.parameters)

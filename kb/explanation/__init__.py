@@ -1,4 +1,4 @@
-"""Why an element has the status it has: a chain from the status down to the facts, as data and as a sentence."""
+"""Explains why an element has its status: a chain from the status down to the facts, as data and as a sentence."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +14,7 @@ from kb.state import Reason, State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 _MOST: Final = 4
-"""How many causes of one status a sentence names before it only counts the rest."""
+"""The most causes of one status that a sentence names; it only counts the others."""
 _MOST_REMEDIES: Final = 3
 _IN: Final = (Status.FAILURE, Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
 _ERRORS: Final = (Status.CONFIGURATION_ERROR, Status.IMPLICIT_CONFIGURATION_ERROR)
@@ -32,13 +32,13 @@ class Comparison:
     """What a constraint compares.
 
     Attributes:
-        attribute: name of what is measured.
+        attribute: name of the measured attribute.
         operator: one of `>=`, `>`, `<=`, `<`.
-        threshold: what it is compared with, in the attribute's unit.
+        threshold: the value it is compared with, in the attribute's unit.
         value: the latest measurement, None before the first.
-        time: when that was measured [s]; None before, and where the value is only supposed.
-        is_stale: it is older than it may be, and so not compared.
-        unit: of threshold and value; may be empty.
+        time: when it was measured [s]; None before the first, and where the value is only supposed.
+        is_stale: the measurement is too old, so it is not compared.
+        unit: the unit of threshold and value; may be empty.
     """
 
     attribute: str
@@ -52,21 +52,21 @@ class Comparison:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """A status and what it follows from.
+    """A status and its causes.
 
     Attributes:
         kind: the element's kind, e.g. "action".
         name: the element's name.
         status: the status explained; None for an attribute, which has none.
-        fact: why, in words; the sentence ends with it even where there are causes.
-        reasons: each suffices for the status by itself (or for a worse one); the causes within one count together.
-        measurement: of a constraint, what it compares.
-        possible_only: it explains that the element is not unfeasible, and not which status it has instead.
-        remedies: of an element that is unfeasible or in failure, the smallest sets of facts that would make it
-            feasible; only of the one that was asked about, not of its causes.
-        has_all_remedies: the remedies are all there are.
-        reason: why, in the words of whoever asserted the status or reported the failure; may be empty.
-        choice: of a design or configuration that is selected, why, in the words of whoever selected it; may be empty.
+        fact: why, in words; the sentence ends with it, instead of the causes, if it is not empty.
+        reasons: each alone suffices for the status (or for a worse one); the causes in one count together.
+        measurement: for a constraint, what it compares.
+        possible_only: it explains only that the element is not unfeasible, not which status it has.
+        remedies: for an element that is unfeasible or in failure, the smallest sets of facts that would make it
+            feasible; given only for the element that was asked about, not for its causes.
+        has_all_remedies: there are no other remedies.
+        reason: why, in the words given with the asserted status or the reported failure; may be empty.
+        choice: for a selected design or configuration, why, in the words given with the selection; may be empty.
     """
 
     kind: str
@@ -83,12 +83,12 @@ class Explanation:
 
     @property
     def causes(self) -> tuple["Explanation", ...]:
-        """All that the status follows from, each explained in turn down to the facts."""
+        """All causes of the status, each with its own explanation down to the facts."""
         return tuple(cause for reason in self.reasons for cause in reason)
 
     @property
     def sentence(self) -> str:
-        """Why, in short: too many causes are only counted, and remedies are left out."""
+        """Why, in short: only a few causes are named, and remedies are left out."""
         return self.text(self.name)
 
     def __str__(self) -> str:
@@ -103,7 +103,7 @@ class Explanation:
         return f"{unfolding(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
 
     def text(self, subject: str) -> str:
-        """Return the sentence about the element, called as one likes."""
+        """Return the sentence, with the given words for the element."""
         if self.kind in ("constraint", "attribute"):
             return self.fact
         if self.status is Status.FAILURE and not self.fact:
@@ -144,7 +144,7 @@ Reasons = tuple[tuple[Explanation, ...], ...]
 
 
 def explain(state: State, node: Node, now: float) -> Explanation:
-    """Explain the status of one element in one state; now [s] is for the age of measurements."""
+    """Explain the status of one element in a state; `now` [s] gives the age of measurements."""
     explained = _Explainer(state, now).status(node)
     if explained.status not in IMPOSSIBLE:
         return explained
@@ -153,12 +153,12 @@ def explain(state: State, node: Node, now: float) -> Explanation:
 
 
 def why(state: State, node: Node, now: float) -> str:
-    """Say in a sentence why an element has its status, without what would change it; see `explain`."""
+    """Return one sentence on why an element has its status, without remedies; see `explain`."""
     return _Explainer(state, now).status(node).sentence
 
 
 class _Explainer:
-    """Explains the elements of one state; what several share is explained once."""
+    """Explains elements of one state; a cause that several share is explained once."""
 
     def __init__(self, state: State, now: float) -> None:
         self._state = state
@@ -229,10 +229,10 @@ class _Explainer:
             return "" if selected else without, self._all(selected)
         if status is Status.UNSOLVED:
             return "", self._each(part for part in node.parts if not self._is(part, Status.SOLVED))
-        return "", ()  # a failure says it all
+        return "", ()  # a failure needs no further reason
 
     def _why_none(self, node: Node) -> Reason:
-        """Return what was said of nothing being selected: by whoever took it back, or whoever was to choose."""
+        """Return why nothing is selected: the reason given when it was unselected, or when nothing could be chosen."""
         taken_back = self._state.reason("unselected", node)
         return taken_back if taken_back.text else self._state.reason("selected", node)
 
@@ -292,7 +292,7 @@ def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -
 
 
 def _hold(value: float, node: Node, verdict: Status) -> str:
-    """Say how long a steady constraint stays as it is although the latest measurement says otherwise."""
+    """Say how long a constraint with hysteresis, dwell or agreement keeps its status against the measurement."""
     constraint, attribute = node.constraint, node.attribute
     turn = turning_point(constraint, verdict)
     beyond = f"{constraint.operator} {attribute.amount(exact(turn))}"
@@ -322,7 +322,7 @@ def reading(value: float, thresholds: Iterable[float], attribute: Node) -> str:
 
 
 def shortest(value: float, thresholds: Iterable[float]) -> str:
-    """Write a number with as few digits as leave it on its side of every threshold; hardly beside one, in words."""
+    """Write a number with few digits, but on its side of every threshold; very close to one, in words."""
     bounds = tuple(thresholds)
     for digits in (3, 6, 9):
         text = f"{value:.{digits}g}"
@@ -339,9 +339,9 @@ def _age(time: float | None, now: float) -> str:
 
 
 def staleness(time: float | None, attribute: Node, now: float) -> str:
-    """Say that a measurement counts no longer, and why."""
+    """Say that a measurement is stale, and why."""
     most = attribute.element.max_age
-    is_over = time is not None and now - time > most  # else somebody has told so
+    is_over = time is not None and now - time > most  # otherwise it was told to be stale
     return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
 
 
@@ -350,9 +350,9 @@ def _votes(attribute: Attribute) -> str:
 
 
 def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
-    """Say why designs and configurations are about to be selected in a state.
+    """Return, in words, why designs and configurations are about to be selected in a state.
 
-    That is what is said by whoever selects them, if anything is; also which requests have ended, and why, in words.
+    `said` is the reason given with the selection, if any; `ended` are sentences about requests that have ended.
     """
     users: dict[Node, list[Node]] = {}
     for design in chosen:
@@ -377,7 +377,7 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
 
 
 def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) -> list[str]:
-    """Say why components of designs that stay selected are to be activated: all, or those that a reason is known of."""
+    """Return why components of designs that stay selected must be activated; all, or only those with a known reason."""
     anew = {node.wholes[0] for node in chosen} if state.lacking else set()
     sentences, others = [], []
     for component in state.lacking.nodes():
@@ -397,7 +397,7 @@ def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) 
 
 
 def _needed_by(state: State, node: Node, about: Iterable[Node]) -> str:
-    """Name the required actions for which a function or component is wanted, now or by designs about to be chosen."""
+    """Name the required actions that need a function or component, now or through designs about to be selected."""
     functions: Iterable[Node] = (node,)
     if node.kind == "component":
         functions = (design.wholes[0] for design in chain(state.users[node.index], about))

@@ -1,4 +1,4 @@
-"""Why this design or configuration and not that one."""
+"""Explains why one design or configuration is selected and not another one."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,18 +12,18 @@ from kb.status import Status
 
 _PARTS: Final = {"function": "design", "component": "configuration"}
 _NOTED: Final = "selected"
-"""Of a design or configuration, why it is selected; of a function or component, why nothing is."""
+"""The reason for the selection of a design or configuration, or for none of a function or component."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alternative:
-    """A design or configuration that is not the one chosen.
+    """A design or configuration that is not chosen.
 
     Attributes:
         name: its name.
         status: its status.
         priority: the lowest number is preferred; None comes last.
-        reason: why it is not the one, in words.
+        reason: why it is not chosen, in words.
     """
 
     name: str
@@ -34,13 +34,13 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True)
 class ChoiceExplanation:
-    """What is chosen for a function or a component, and why nothing else is.
+    """What is chosen for a function or a component, and why not the others.
 
     Attributes:
         kind: "function" or "component".
-        name: what it is chosen for.
-        chosen: name of the design or configuration that is selected, else of the one that would be; None if none can.
-        is_selected: it is selected; otherwise it only would be.
+        name: the name of the function or component.
+        chosen: name of the design or configuration that is selected, else that would be; None if none can be.
+        is_selected: whether `chosen` is selected, or only would be.
         reason: why it is this one, in words.
         alternatives: the others, in order of declaration.
     """
@@ -67,15 +67,15 @@ class ChoiceExplanation:
 
 
 def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
-    """Explain what is selected for a function or component, or would be, and why no other one is.
+    """Explain what is selected for a function or component, or would be, and why not the others.
 
-    What was selected with a reason is explained by that, else by priority.
+    The reason is the one given with the selection, else the priority.
     """
     return _Choosing(state, node, now).explanation()
 
 
 def note_nothing(state: State, reason: str) -> None:
-    """Note why nothing can be selected for what is required, in words; empty if something can."""
+    """Keep the reason why nothing can be selected for what is required, in words; empty if something can."""
     required = [node for node in state.network.functions.values() if state.required[node.index]]
     concerned = {*required, *(part for node in required for design in node.parts for part in design.parts)}
     for node in (*state.network.functions.values(), *state.network.components.values()):
@@ -83,7 +83,7 @@ def note_nothing(state: State, reason: str) -> None:
 
 
 class _Choosing:
-    """One choice: what it is, and the sentences about it."""
+    """The choice for one function or component, and the sentences about it."""
 
     def __init__(self, state: State, node: Node, now: float) -> None:
         self.state, self.node, self.now = state, node, now
@@ -92,7 +92,7 @@ class _Choosing:
         self.selected = next((part for part in node.parts if state.selected[part.index]), None)
         self.said = state.reason("selected", self.selected).text if self.selected else ""
         preferred = self.possible[:1] if not self.said else [one for one in self.possible if one is self.selected]
-        self.first = next(iter(() if self.nothing else preferred), None)  # only whoever gave a reason knows another
+        self.first = next(iter(() if self.nothing else preferred), None)  # with a reason, priority does not count
         self.chosen = self.selected or self.first
 
     def explanation(self) -> ChoiceExplanation:
@@ -136,7 +136,7 @@ class _Choosing:
             return self._why_not_yet(part)
         if self.said:
             return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
-        assert self.first is not None  # something is possible, so something is preferred
+        assert self.first is not None  # `part` is possible and not the first
         mine, best = part.element.priority, self.first.element.priority
         if mine == best:
             return f"it has {_in_words(mine)} too, and comes after {self.first.name} by name"

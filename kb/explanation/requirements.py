@@ -1,8 +1,8 @@
-"""What an element needs to be possible, and the smallest sets of facts that would have to be others for that.
+"""Computes what an element needs to be feasible, and the smallest sets of facts that have to change for that.
 
-The status tables make an and/or structure of a model: an action needs all its functions, a function one of its
-designs, a design all its components, a component one of its configurations, and each of them its own constraints.
-Each way through it is a box: an interval for every attribute that matters, and what has to be repaired besides.
+By the status tables a model is an and/or structure: an action needs all its functions, a function one of its designs,
+a design all its components, a component one of its configurations, and each of them its own constraints. Each way
+through this structure is a box: an interval for every attribute that matters, and the repairs that are needed.
 """
 
 import math
@@ -18,23 +18,23 @@ from kb.state import State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 LIMIT: Final = 64
-"""How many boxes are kept for one element."""
+"""The most boxes that are kept for one element."""
 WORK: Final = 20_000
-"""How many pairs of boxes are looked at for one element before fewer are kept on the way."""
+"""The most pairs of boxes to combine for one element; for more, fewer boxes are kept in between."""
 MOST_REMEDIES: Final = 16
-"""How many remedies are given at most."""
+"""The most remedies that are given."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Interval:
-    """Values between two bounds: each is a number and 0, or 1 for what is just above it, or -1 for just below."""
+    """Values between two bounds: each is a number and 0, or 1 for just above the number, or -1 for just below."""
 
     low: tuple[float, int] = (-math.inf, 0)
     high: tuple[float, int] = (math.inf, 0)
 
     @classmethod
     def of(cls, constraint: Constraint, turn: float | None = None) -> "Interval":
-        """Return the values that satisfy a constraint; it may turn elsewhere than at its threshold."""
+        """Return the values that satisfy a constraint, or those beyond `turn` instead of its threshold."""
         bound = constraint.value if turn is None else turn, {">": 1, "<": -1}.get(constraint.operator, 0)
         return cls(low=bound) if constraint.operator in (">=", ">") else cls(high=bound)
 
@@ -43,7 +43,7 @@ class Interval:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no finite number lies in it."""
+        """Whether it contains no finite number."""
         least, greatest = (math.nextafter(end, side * math.inf) if side else end for end, side in (self.low, self.high))
         return max(least, -sys.float_info.max) > min(greatest, sys.float_info.max)
 
@@ -61,7 +61,7 @@ class Interval:
 
 
 def bounds(*nodes: Node) -> dict[str, Interval]:
-    """Return the values that elements' own constraints leave together, by attribute; some may be empty."""
+    """Return the interval that satisfies all own constraints of elements, by attribute; it may be empty."""
     intervals: dict[str, Interval] = {}
     for constraint in (one.constraint for node in nodes for one in node.constraints):
         interval, known = Interval.of(constraint), intervals.get(constraint.attribute)
@@ -77,12 +77,12 @@ _REPAIRS: Final = {
 
 
 class Repair(NamedTuple):
-    """A fact that has to change and is no measurement.
+    """A change of a fact that is no measurement.
 
     Attributes:
-        what: a component is "recovered", an asserted status "retracted", or a function that the model has no design for
-            "designed".
-        element: of the model, which this is about.
+        what: "recovered" for a component, "retracted" for an asserted status, "designed" for a function without a
+            design in the model.
+        element: the element of the model.
     """
 
     what: str
@@ -95,7 +95,7 @@ class Repair(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """One way in which an element is possible: the values of each attribute that matters, and what is repaired."""
+    """One way to make an element feasible: an interval for each attribute that matters, and the repairs."""
 
     intervals: Mapping[str, Interval] = field(default_factory=dict)
     repairs: frozenset[Repair] = frozenset()
@@ -118,7 +118,7 @@ class Box:
 
 
 class Alternatives(NamedTuple):
-    """The ways in which an element is possible, none that another one covers, and whether these are all."""
+    """The boxes of an element, none of which covers another one, and whether these are all."""
 
     boxes: tuple[Box, ...]
     complete: bool
@@ -129,13 +129,13 @@ NOTHING: Final = Alternatives((), True)
 
 
 class Requirements:
-    """What the elements of one network need; what is found out about one is kept for the others.
+    """What the elements of one network need; each result is kept, because other elements need it too.
 
     Args:
-        state: the facts to start from; an attribute that they do not know or that violates nothing restricts nothing,
-            and repairs are asked for. None asks what is possible at all: every constraint counts, nothing has failed
-            and a function without a design is impossible.
-        limit: how many boxes are kept for each element.
+        state: the present facts; an attribute that is not measured or violates nothing puts no restriction, and repairs
+            are counted. With None, the question is what is possible at all: every constraint counts, nothing has
+            failed, and a function without a design is impossible.
+        limit: the most boxes that are kept for each element.
     """
 
     def __init__(self, state: State | None = None, limit: int = LIMIT) -> None:
@@ -208,7 +208,7 @@ class Requirements:
         return together
 
     def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
-        """Keep the boxes that no other covers, those that change the least first, and as many as the limit allows."""
+        """Keep the boxes that no other covers, up to the limit; those with the fewest changes come first."""
         kept: list[Box] = []
         for box in sorted(boxes, key=self._changes):
             if any(other.covers(box) for other in kept):
@@ -237,7 +237,7 @@ def _is_counted_violated(state: State, attribute: Node) -> bool:
 
 
 def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
-    """Tell whether an attribute has to be measured anew to be within an interval."""
+    """Return whether an attribute needs a new measurement to be within an interval."""
     value = state.value[attribute.index]
     if _is_counted_violated(state, attribute) or (value is not None and value not in interval):
         return True
@@ -270,14 +270,14 @@ def _meetings(ones: tuple[Box, ...], others: tuple[Box, ...]) -> Iterator[Box]:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """An attribute is measured with a value in an interval.
+    """A measurement that is needed: an attribute with a value in an interval.
 
     Attributes:
-        attribute: its name.
-        interval: in its unit.
-        again: what is known of it is too old.
-        longer: it was measured so already, but not for as long or as often as a steady constraint asks for.
-        unit: of the attribute; may be empty.
+        attribute: the name of the attribute.
+        interval: the interval, in the unit of the attribute.
+        again: the latest measurement is stale.
+        longer: the value is in the interval already, but not for as long or as often as dwell or agreement ask for.
+        unit: the unit of the attribute; may be empty.
     """
 
     attribute: str
@@ -302,11 +302,11 @@ class Remedy:
 
     @property
     def subjects(self) -> frozenset[str | Repair]:
-        """What has to change, whatever to."""
+        """The attributes and repairs that have to change, without the values."""
         return frozenset(fact.attribute if isinstance(fact, Measured) else fact for fact in self.facts)
 
     def covers(self, other: "Remedy") -> bool:
-        """Tell whether the other one asks for more: other facts too, or the same in narrower intervals."""
+        """Return whether the other remedy asks for more: further facts, or the same facts in narrower intervals."""
         if self.subjects != other.subjects:
             return self.subjects < other.subjects
         mine, theirs = ([one.interval for one in each.facts if isinstance(one, Measured)] for each in (self, other))
@@ -314,9 +314,9 @@ class Remedy:
 
 
 def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
-    """Return what would make an element feasible that is not, the smallest first, and whether these are all.
+    """Return what would make an unfeasible or failed element feasible, smallest first, and whether these are all.
 
-    If they are all, no fewer facts than those of one would do, whatever their values.
+    If these are all, no subset of the facts of one of them is enough, whatever their values.
     """
     if node.kind == "constraint" or state.status[node.index] not in IMPOSSIBLE:
         return (), True
@@ -326,7 +326,7 @@ def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
 
 
 def _remedy(state: State, box: Box) -> Remedy:
-    """Return what of a box is not so already."""
+    """Return the part of a box that does not hold yet."""
     measured = []
     for name, interval in sorted(box.intervals.items(), key=lambda one: one[0]):
         attribute = state.network.attributes[name]

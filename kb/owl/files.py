@@ -1,7 +1,7 @@
-"""Models in OWL files in RDF/XML, and HermiT through owlready2, which looks for contradictions in them; imported late.
+"""Reads and writes models as OWL files (RDF/XML), and looks for contradictions with HermiT, through owlready2.
 
-A file holds the words of `rosa.owl`, and the individuals of the model in them, so that any reader of OWL understands it
-without a second file.
+A file holds the classes and properties of `rosa.owl` and the individuals of the model, so that any reader of OWL
+understands it without a second file. This module is imported late.
 """
 
 import re
@@ -39,7 +39,7 @@ _UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]
 _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
-_RELATIVE: Final = "http://rosa-taca/file"  # what names that a file leaves relative begin with
+_RELATIVE: Final = "http://rosa-taca/file"  # the base of relative names in a file
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Term = NamedNode | Literal
@@ -67,7 +67,7 @@ def owl_text(model: Contents) -> str:
 
 
 def terms_of(one: Individual, base: str, text: Callable[[str], str]) -> Iterator[tuple[NamedNode, Term]]:
-    """Yield the properties of an individual and their values; a text as a function writes it."""
+    """Yield the properties of an individual and their values; `text` escapes texts."""
     for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
         yield _TYPE, NamedNode(f"{ROSA}{kind}")
     order = "; ".join(
@@ -83,7 +83,7 @@ def terms_of(one: Individual, base: str, text: Callable[[str], str]) -> Iterator
 
 
 def _fit(text: str) -> str:
-    """Write what XML has no characters for so that `plain_text` reads it."""
+    """Escape characters that XML cannot hold; `plain_text` reads them back."""
     return _UNFIT.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
@@ -92,7 +92,7 @@ def plain_text(text: str) -> str:
 
 
 def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | None) -> ModelT:
-    """Read a model from OWL files in RDF/XML, as they are taken together; see `Model.load`."""
+    """Read one model from one or more OWL files in RDF/XML; see `Model.load`."""
     said_of: dict[str, dict[str, list[Value]]] = {}
     for path in paths:
         read = list(_triples(path))
@@ -112,12 +112,12 @@ def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | No
 
 
 def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
-    """Yield subject, predicate and value of all that a file says."""
+    """Yield subject, predicate and value of each triple of a file."""
     content = read_text(path)
     if not content.strip():
         raise ModelFileError("the file is empty", str(path))
     try:
-        expat.ParserCreate().Parse(content, True)  # says where it is no XML, and expands no entity without end
+        expat.ParserCreate().Parse(content, True)  # says where an error is, and refuses endless entities
         for one in parse(content.encode(), format=RdfFormat.RDF_XML, base_iri=_RELATIVE):
             about = one.subject.value if isinstance(one.subject, NamedNode) else str(one.subject)
             value = value_of(one.object) if isinstance(one.object, Literal) else Ref(str(answer_of(one.object)))
@@ -147,7 +147,7 @@ def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual
 
 
 def _ordered(values: Sequence[Value], places: Sequence[str]) -> tuple[Value, ...]:
-    """Return values in the order that is stated, with repetitions; what is not in it comes last."""
+    """Return values in the stated order, with repetitions; other values come last."""
     by_place: dict[str, Value] = {one.id.rpartition("#")[2]: one for one in values if isinstance(one, Ref)}
     known = [by_place[place] for place in places if place in by_place]
     return (*known, *sorted((one for one in values if one not in known), key=str))

@@ -1,8 +1,8 @@
-"""A model as individuals and back: plain values that can be written anywhere, and read as the same model.
+"""Describes a model as individuals, which are plain values, and makes the same model of them again.
 
-An individual has a kind, an id and the values of its properties. Kinds and properties are those of
-`rosa.owl`. What a class of element or fact makes of its fields is one table below; nested values, such as
-the parameters of a configuration, are individuals too.
+An individual has a kind, an id and the values of its properties. Kinds and properties are those of `rosa.owl`. The
+tables below give the kind of each class of element or fact, and the property of each field; nested values, such as the
+parameters of a configuration, are individuals too.
 """
 
 import json
@@ -31,14 +31,14 @@ Values = dict[str, tuple[Value, ...]]
 
 
 class Individual(NamedTuple):
-    """Something in a model."""
+    """One thing in a model: its kind, its id and the values of its properties by name."""
 
     kind: str
     id: str
     values: Mapping[str, tuple[Value, ...]]
 
 
-BASE: Final = "http://rosa-taca/model/"  # what the names of individuals begin with; the id of the model and `#` follow
+BASE: Final = "http://rosa-taca/model/"  # the prefix of all individuals; the id of the model and `#` follow
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
 CLASSES: Final[Mapping[type, str]] = {cls: word.title().replace(" ", "") for cls, word in facts.ROSA.items()}
@@ -50,10 +50,10 @@ SPECIAL: Final[Mapping[tuple[type, str], str]] = {
     (elements.Component, "process"): "ProcessComponent",
     (elements.Component, "lifecycle"): "LifecycleComponent",
 }
-"""The special kind of elements of a class by their own `kind`, where they have one."""
+"""The special kind of an element, by its class and its field `kind`."""
 
 GENERAL: Final[Mapping[str, str]] = {special: CLASSES[cls] for (cls, _), special in SPECIAL.items()}
-"""The kind of which another is a special one."""
+"""The general kind of each special kind."""
 
 _PROPERTIES: Final[Mapping[tuple[type | None, str], str]] = {
     (elements.Action, "functions"): "requires",
@@ -76,7 +76,7 @@ _PROPERTIES: Final[Mapping[tuple[type | None, str], str]] = {
     (None, "parameters"): "setsParametersOf",
     (None, "configuration"): "setsParametersOf",
 }
-"""What a field of a class, or of any other class, is called, where that is not its own name."""
+"""The property of a field of a class (None: of any class), where it does not have the name of the field."""
 
 _NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell", "low", "high"})
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
@@ -90,7 +90,7 @@ def property_of(cls: type, field: str) -> str:
 
 
 class Serials(dict[elements.Changeable, int]):
-    """Numbers for what has no name; one that was given stays, whatever else is removed from the model."""
+    """Numbers for elements without a name; a number stays the same when other elements are removed."""
 
     @classmethod
     def of(cls, model: facts.Contents) -> Self:
@@ -111,9 +111,9 @@ def element_id(element: elements.Changeable, serials: Serials) -> str:
 
 
 def individuals(model: facts.Contents, serials: Serials | None = None) -> Iterator[Individual]:
-    """Describe all that is in a model now, whatever is changed before that is read.
+    """Describe all that is in a model now; later changes of the model do not matter.
 
-    It comes in an order in which it can be declared; what the model states to be so comes last.
+    Elements come in an order in which they can be declared; the facts of the model come last.
     """
     own = Individual(MODEL, f"{MODEL}.{_escaped(model.name)}", {"name": (model.name,)})
     tables = [tuple(table.values()) for table in model.tables.values()]
@@ -124,7 +124,7 @@ def individuals(model: facts.Contents, serials: Serials | None = None) -> Iterat
 
 
 def individual(element: elements.Changeable, serials: Serials) -> tuple[Individual, ...]:
-    """Return one element of a model, with what is nested in it; the element comes last."""
+    """Return the individuals of one element: first those nested in it, then its own."""
     return tuple(_described(element, element_id(element, serials), 0, serials))
 
 
@@ -157,7 +157,7 @@ def from_json(given: Iterable[Any]) -> list[Individual]:
 def described(
     kind: str, own: str, said: Mapping[str, object], serials: Serials, cls: type = object
 ) -> Iterator[Individual]:
-    """Yield what is nested in something of a class, and then itself, with what its fields say."""
+    """Yield the nested individuals of an object of a class, and then its own, from the values of its fields."""
     values: Values = {}
     for field, value in said.items():
         given = {value: 1.0} if field == "preference" and isinstance(value, str) else value
@@ -179,7 +179,7 @@ def _described(
     kind = SPECIAL.get((type(one), str(getattr(one, "kind", ""))), CLASSES[type(one)])
     unsaid = (
         {"model"} if isinstance(one, elements.Estimation) else {"model", "kind"}
-    )  # its own kind is the individual's
+    )  # the kind of the individual says it
     said = {field.name: getattr(one, field.name) for field in fields(one) if field.name not in unsaid}
     return described(kind, own, {"position": position, **said}, serials, type(one))
 
@@ -205,7 +205,7 @@ def named_id(cls: type, name: str) -> str:
 
 
 def _escaped(name: str) -> str:
-    """Write a name so that no two names look the same, with nothing in it that means something elsewhere."""
+    """Escape a name for an IRI and an id; different names stay different."""
     return _UNSAFE.sub(lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name)
 
 
@@ -214,11 +214,11 @@ def _escaped(name: str) -> str:
 _BY_KIND: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
 _LISTS: Final = frozenset({"functions", "components", "constrained", "activate", "deactivate", "parameters"})
-_UNSAID: Final = frozenset({"position", "prefersNothing"})  # the latter in files of before
+_UNSAID: Final = frozenset({"position", "prefersNothing"})  # the latter is in files of earlier versions
 
 
 class Declarer:
-    """Declares individuals in a model, of which they may refer to the elements that are known, by id."""
+    """Declares individuals in a model; they may refer to each other and to known elements, by id."""
 
     def __init__(self, model: facts.Contents, known: Mapping[str, elements.Changeable] | None = None) -> None:
         self.model = model
@@ -226,10 +226,10 @@ class Declarer:
         self.nested: dict[str, Individual] = {}
 
     def declare(self, given: Iterable[Individual]) -> None:
-        """Declare individuals, each after those that it can refer to, and those of a kind in order.
+        """Declare individuals, each after those that it refers to, and those of one kind by position.
 
         Raises:
-            ModelError: the model refuses one; the message says which.
+            ModelError: the model refuses one; the message begins with its id.
         """
         listed = list(given)
         self.nested = {one.id: one for one in listed}
@@ -242,7 +242,7 @@ class Declarer:
                 self.known[one.id] = made
 
     def values(self, cls: type, one: Individual) -> dict[str, Any]:
-        """Return the fields that an individual gives to an element or fact."""
+        """Return the fields of an element or fact, by name, as an individual has them."""
         own = {property_of(cls, field.name): field for field in fields(cls)}
         for name in one.values:
             if name not in own and name not in _UNSAID:

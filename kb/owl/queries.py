@@ -1,8 +1,8 @@
-"""The program that answers one query in SPARQL 1.1, by pyoxigraph; and its terms as plain values.
+"""The program that answers one query in SPARQL 1.1 with pyoxigraph; and RDF terms as plain values.
 
-A query cannot be interrupted, so this runs as a process of its own, which is ended with the query's time. It imports
-nothing of ours. Its input is a line of JSON, `[query, timeout]`, and then the world that is asked, as N-Triples; its
-output is a line of JSON for some rows at a time, and in the end null, or `{"error": class, "given": arguments}`.
+pyoxigraph cannot be interrupted, so this runs as a process of its own, which is killed at the time-out. It imports
+nothing of ours. It reads a line of JSON, `[query, timeout]`, and then the world as N-Triples. It writes lines of JSON,
+each a list of rows, and a last line: null, or `{"error": class, "given": arguments}`.
 """
 
 import json
@@ -17,7 +17,7 @@ from typing import Final
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, RdfFormat, Store, Triple
 
-ROSA: Final = "http://rosa-taca/rosa#"  # what the names of classes and properties begin with
+ROSA: Final = "http://rosa-taca/rosa#"  # the prefix of all classes and properties
 METAMODEL: Final = Path(__file__).with_name("rosa.owl")
 XSD: Final = "http://www.w3.org/2001/XMLSchema#"
 PREFIXES: Final = {
@@ -26,9 +26,9 @@ PREFIXES: Final = {
     "rdf": "http://www.w3.org/1999/02/22-rdf-syntax-ns#",
     "rdfs": "http://www.w3.org/2000/01/rdf-schema#",
 }
-_MEMORY: Final = 4 << 30  # that may be used at most [bytes]
+_MEMORY: Final = 4 << 30  # the most that the process may use [bytes]
 _MOST_ROWS: Final = 1_000_000
-_AT_ONCE: Final = 500  # rows in a line; to read a longer one would keep the threads of the asking program waiting
+_AT_ONCE: Final = 500  # rows in a line; reading a longer one would stop the other threads of the asking program
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
@@ -39,13 +39,13 @@ _SENTENCE: Final = re.compile(r"(The [A-Z]+ .*?|Prefix not found)(?:,|$)")
 
 
 class _Refused(Exception):
-    """Says which class of error the query deserves, and with what it is made."""
+    """A query that is refused, with the name of the class of the error and its arguments."""
 
 
 def main() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     query, timeout = json.loads(sys.stdin.buffer.readline())
-    signal.setitimer(signal.ITIMER_REAL, 2.0 * timeout + 5.0)  # should nobody be there to kill it
+    signal.setitimer(signal.ITIMER_REAL, 2.0 * timeout + 5.0)  # in case the asking program is no more
     world, end = Store(), None
     world.load(path=METAMODEL, format=RdfFormat.RDF_XML)
     world.load(sys.stdin.buffer, format=RdfFormat.N_TRIPLES)
@@ -59,7 +59,7 @@ def main() -> None:
 
 
 def _rows(world: Store, query: str) -> Iterator[list[str | bool | int | float | None]]:
-    """Yield the answers: to ASK one row, to CONSTRUCT and DESCRIBE triples."""
+    """Yield rows: one for ASK, a triple each for CONSTRUCT and DESCRIBE."""
     _check(world, query)
     try:
         found = world.query(query, prefixes={**PREFIXES, "rosa": ROSA, "xsd": XSD})
@@ -76,7 +76,7 @@ def _rows(world: Store, query: str) -> Iterator[list[str | bool | int | float | 
 
 
 def _check(world: Store, query: str) -> None:
-    """Refuse what only asks elsewhere or changes something, and words that ROSA does not have."""
+    """Refuse queries that change something or ask another server, and words that ROSA does not have."""
     begin = _BEGIN.match(query)
     if begin is None or begin[1].upper() not in _VERBS:
         word = f"not with {begin[1]}" if begin and begin[1] else "after its prefixes; there is none"
@@ -93,7 +93,7 @@ def _check(world: Store, query: str) -> None:
 
 
 def _complaint(query: str, message: str) -> str:
-    """Say what is wrong with a query, and where, without all that could have stood there."""
+    """Return what is wrong with a query and where, without the list of all that the grammar allows there."""
     place, said = _PLACE.match(message), _SENTENCE.search(" ".join(message.split()))
     if place is None:
         return f"the query cannot be answered: {message}"
@@ -105,7 +105,7 @@ def _complaint(query: str, message: str) -> str:
 
 
 def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> str | bool | int | float | None:
-    """Return a term as a plain value; an individual is its IRI."""
+    """Return a term as a plain value; an individual becomes its IRI."""
     if isinstance(term, NamedNode):
         return term.value
     return value_of(term) if isinstance(term, Literal) else None if term is None else str(term)

@@ -1,7 +1,7 @@
-"""A world made from the state and the log of a knowledge base, so that all of it can be asked in SPARQL.
+"""Answers SPARQL queries: describes the state and the log of a knowledge base as individuals in a process of its own.
 
-It is made for each query, from copies: nobody who tells waits for who asks. What is so for a time is one individual,
-which has an end once it is over.
+The description is made anew for each query, from copies, so a query does not delay `measure` and the like. Something
+that holds for a time, such as a failure, is one individual with a start, and with an end once it is over.
 """
 
 import json
@@ -50,7 +50,7 @@ _PRESENT: Final[Mapping[str, str]] = {
     "AssertedStatus": "asserted",
     "AssertedRequirement": "asserted_required",
 }
-"""What can be so now, by the facts of the state that say so."""
+"""The kinds of individuals that hold now, and the column of the state that says so."""
 _STATED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "component_failed": ("Failure", ("reason",)),
     "component_active": ("Activity", ("is_so",)),
@@ -61,9 +61,9 @@ _STATED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "assert_required": ("AssertedRequirement", ("is_so",)),
     "assert_selected": ("Selection", ("is_so", "reason")),
 }
-"""What is so, or no longer, by the verb that says it of its first argument, and what its others are."""
+"""By verb of an event: the kind that begins or ends for its first argument, and the names of the other arguments."""
 Period = tuple[str, str, Mapping[str, Any]]
-"""What is so for a time: its kind, what it is about, and what else is known of it."""
+"""Something that holds for a time: its kind, the id of what it is about, and its other values."""
 _RECORDS: Final[Mapping[str, str]] = {
     "plans": "ReconfigurationPlan",
     "requests": "RequiredAction",
@@ -71,12 +71,12 @@ _RECORDS: Final[Mapping[str, str]] = {
     "attempts": "Attempt",
     "answers": "VetoAnswer",
 }
-"""What is made of each table of the records: plans first, for others belong to them."""
+"""The kind of individual for each table of the records; plans first, because others refer to them."""
 _UNSAID: Final = frozenset({"plan", "plain", "cause", "serial"})
-"""The fields of records that are no values."""
+"""The fields of records that are not described."""
 _LONGEST: Final = 1_000_000  # query [characters]
-_LONGEST_WAIT: Final = 1_000_000.0  # for an answer [s]; more is too much for the system
-_SLICE: Final = 1000  # events of the store that are read at a time
+_LONGEST_WAIT: Final = 1_000_000.0  # for an answer [s]; the system takes no longer time-outs
+_SLICE: Final = 1000  # number of events that are read from the store at once
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName, KnowledgeBaseError)}
 _ENDED: Final = "the process that answers the query has ended; if it needed more than 4 GB of memory, ask for less"
@@ -90,7 +90,7 @@ def answers(
     keep: int,
     reading: AbstractContextManager[State],
 ) -> list[tuple[Answer, ...]]:
-    """Answer a query over all that is known, of measurements the newest to keep; see `KnowledgeBase.query`."""
+    """Answer a query over all that is known, with the newest `keep` measurements; see `KnowledgeBase.query`."""
     if not isinstance(sparql, str) or len(sparql) > _LONGEST:
         what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
         raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
@@ -117,7 +117,7 @@ def _left(deadline: float) -> float:
 
 
 def _answered(world: BytesIO, timeout: float) -> list[Any]:
-    """Have the query at the head of a world answered by a process; the last one is None, or what is wrong with it."""
+    """Run the process on a query and the world after it; return lists of rows, and last None or the error."""
     done = subprocess.run(
         [sys.executable, "-PS", Path(__file__).with_name("queries.py")],
         input=world.getbuffer(),
@@ -133,8 +133,8 @@ def _answered(world: BytesIO, timeout: float) -> list[Any]:
 
 
 def _triples(given: Iterable[Individual]) -> Iterator[bytes]:
-    """Yield individuals as N-Triples, one at a time; the first is the model."""
-    from kb.owl.files import terms_of  # it takes a while to import
+    """Yield individuals as N-Triples, one at a time; the first individual is the model."""
+    from kb.owl.files import terms_of  # slow to import
 
     base = ""
     for one in given:
@@ -144,7 +144,7 @@ def _triples(given: Iterable[Individual]) -> Iterator[bytes]:
 
 
 def _whole(text: str) -> str:
-    """Write a text without halves of characters."""
+    """Escape lone surrogates, which UTF-8 cannot write."""
     return text.encode("utf-8", "backslashreplace").decode()
 
 
@@ -155,7 +155,7 @@ def _individuals(
     reading: AbstractContextManager[State],
     left: Callable[[], float],
 ) -> Iterator[Individual]:
-    """Yield all that is known: the model, what is inferred, and what was told; its past comes from the store first."""
+    """Yield the model, the inferred statuses, and what was told; older events come from the store."""
     past: list[Event] = []
     while store is not None and (some := store.events(past[-1].number if past else 0, _SLICE, measurements=False)):
         left()
@@ -168,7 +168,7 @@ def _individuals(
         model = individuals(known.model, known.serials)
         inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
     yield (own := next(model))
-    yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # what it states to be so is told
+    yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
     yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
     if past:
         yield Individual("", own.id, {"historyBegins": (float(past[0].time),)})
@@ -188,7 +188,7 @@ def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]
 
 
 def _recorded(records: Records) -> dict[str, list[tuple[int, Any]]]:
-    """Return what is on record, by table; what has not ended yet as it is now."""
+    """Return the records by table; those that have not ended are copied."""
     return {
         name: [(number, one if getattr(one, "end", 0.0) is not None else copy(one)) for number, one in table.items()]
         for name, table in ((name, getattr(records, name)) for name in _RECORDS)
@@ -196,7 +196,7 @@ def _recorded(records: Records) -> dict[str, list[tuple[int, Any]]]:
 
 
 class _Chronicle:
-    """Makes individuals of events and records; what has ended later is given its end."""
+    """Makes individuals of events and records; an event that ends something adds the end to its individual."""
 
     def __init__(self, known: Knowledge) -> None:
         self._known = known
@@ -209,7 +209,7 @@ class _Chronicle:
         return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
 
     def of_state(self, state: State) -> list[Period]:
-        """Return what is so now."""
+        """Return what holds now."""
         found: list[Period] = []
         for node in state.network.present():
             for word, column in _PRESENT.items():
@@ -221,12 +221,12 @@ class _Chronicle:
         return [*found, *(("ParametersInForce", self._about(name), {"parameters": values}) for name, values in given)]
 
     def older(self, present: Iterable[Period]) -> Iterator[Individual]:
-        """Yield what is so now and began before the events that are known: it has no start."""
+        """Yield what holds now but began before the oldest known event; it has no start."""
         for word, about, values in present:
             if (word, about) not in self._open:
                 yield from self._began(word, about, None, **values)
 
-    # ---------------------------------------------------------------- what was so for a time
+    # ---------------------------------------------------------------- what holds for a time
 
     def of_event(self, event: Event) -> Iterator[Individual]:
         time = event.time
@@ -254,7 +254,7 @@ class _Chronicle:
             case verb, (ref, *said) if verb in _STATED:
                 word, names = _STATED[verb]
                 values = dict(zip(names, said, strict=False))
-                is_so = bool(values.pop("is_so", names))  # of what is only over nothing more is said
+                is_so = bool(values.pop("is_so", names))  # verbs without further arguments only end something
                 yield from self._is_so(word, self._about(ref), time, is_so, **values)
 
     def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
@@ -295,7 +295,7 @@ class _Chronicle:
             return named_id(_CLASSES[kind], name)
         try:
             return self._id(self._known.network.referred(ref).element)
-        except UnknownName:  # it went, and took its number with it
+        except UnknownName:  # it was removed, and its number with it
             return f"Constraint.{kind}.{name}.{position[0]}"
 
     def _id(self, element: Changeable) -> str:

@@ -1,4 +1,4 @@
-"""A choice of designs and configurations: what makes one better than another, how good one is, and that by priority."""
+"""Choices of designs and configurations: by priority, and the criterion and result of the best choice."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ from kb.views import ConfigurationView, DesignView
 
 
 class Choice(NamedTuple):
-    """A design for each function and a configuration for each component that has some, by name; and why these."""
+    """The chosen design of each function and configuration of each component, by name; and the reason."""
 
     designs: Mapping[str, str]
     configurations: Mapping[str, str]
@@ -27,13 +27,13 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """What makes one choice better than another, and what no choice may exceed.
+    """What makes one choice better than another, and the budgets that no choice may exceed.
 
     Attributes:
         weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is better.
-        switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
-            for all or by name of the component; in the unit of what is gained.
-        budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
+        switching_cost: the cost of activating or deactivating a component or changing its configuration, the same for
+            all or by name of the component; in the unit of value times weight.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by name of attribute.
     """
 
     weights: Mapping[str, float]
@@ -54,7 +54,7 @@ class Criterion:
         return costs.get(component, 0.0) if isinstance(costs, Mapping) else costs
 
     def check(self, network: Network) -> None:
-        """Raise `UnknownName` unless a model has all that is named."""
+        """Raise `UnknownName` if a named attribute or component is not in the model."""
         for name in (*self.weights, *self.budgets):
             network.attributes[name]
         for name in self.switching_cost if isinstance(self.switching_cost, Mapping) else ():
@@ -62,7 +62,7 @@ class Criterion:
 
     @property
     def goal(self) -> str:
-        """What is preferred, in words, e.g. "accuracy - 0.03 power"; empty if nothing is."""
+        """The weights in words, e.g. "accuracy - 0.03 power"; empty if there are none."""
         weights = {name: weight for name, weight in self.weights.items() if weight}
         if list(weights.values()) == [-1.0]:
             return f"little {next(iter(weights))}"
@@ -74,21 +74,21 @@ class Criterion:
 
     @property
     def limits(self) -> str:
-        """What the budgets are, in words, e.g. "power 40"; empty if there are none."""
+        """The budgets in words, e.g. "power 40"; empty if there are none."""
         return " and ".join(f"{name} {number(limit)}" for name, limit in self.budgets.items())
 
 
 @dataclass(frozen=True, slots=True)
 class Optimum:
-    """The best joint choice, or the best that was found with the effort allowed.
+    """The best joint choice, or the best one that was found within the effort.
 
     Attributes:
         choice: what to select; None if no choice keeps within the budgets, or none was found.
-        value: what the choice is worth by its criterion, switching costs taken off; None without a choice.
-        switching: the costs that are taken off: value + switching is what is estimated; None without a choice.
-        bound: what no choice can be worth more than; None without a choice.
-        resolution: two choices that differ by no more than this were taken for equally good; 0 where all was exact.
-        is_proven: no choice is better by more than the resolution, and none that is as good comes first.
+        value: the worth of the choice by its criterion, without switching costs; None without a choice.
+        switching: the switching costs, so that value + switching is what is estimated; None without a choice.
+        bound: an upper bound of the value of any choice; None without a choice.
+        resolution: choices whose values differ by no more than this count as equally good; 0 if all is exact.
+        is_proven: no choice is better by more than the resolution, and no equally good one comes first in order.
         reason: how sure that is, or why there is no choice, in words.
     """
 
@@ -102,12 +102,12 @@ class Optimum:
 
     @property
     def gap(self) -> float | None:
-        """How much better an unknown choice can be at most; None without a choice."""
+        """How much better another choice can be at most; None without a choice."""
         return None if self.value is None or self.bound is None else self.bound - self.value
 
     @property
     def worth(self) -> str:
-        """What the choice is worth, in words, with and without what switching costs; empty without a choice."""
+        """The worth of the choice in words, with and without switching costs; empty without a choice."""
         if self.value is None or self.switching is None:
             return ""
         worth = number(self.value)
@@ -117,12 +117,12 @@ class Optimum:
 
 
 def number(value: float) -> str:
-    """Write a number that comes from few decimals with these."""
+    """Write a number with at most 12 significant digits."""
     return f"{value:.12g}"
 
 
 def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:
-    """Return how much a unit of each attribute is worth to all who prefer one, or weigh several."""
+    """Return the sum of all weights by attribute; a preference for one attribute has the weight 1."""
     weights: dict[str, float] = {}
     for preference in preferences:
         weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
@@ -132,20 +132,20 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
 
 
 def by_priority(candidate: FunctionDesign | Configuration | DesignView | ConfigurationView) -> tuple[bool, float, str]:
-    """Return the key that sorts: the lowest priority number first, no priority last, ties by name."""
+    """Return a key for sorting: the lowest priority number first, no priority last, ties by name."""
     return candidate.priority is None, candidate.priority or 0, candidate.name
 
 
 def ranked(state: State, whole: Node) -> list[Node]:
-    """Return what can be chosen for a function or component, the first by priority first."""
+    """Return the parts of a function or component that are not unfeasible, sorted by priority."""
     possible = (part for part in whole.parts if state.status[part.index] is not Status.UNFEASIBLE)
     return sorted(possible, key=lambda part: by_priority(part.element))
 
 
 def choice_by_priority(state: State) -> Choice | None:
-    """Return what is chosen in a state: for each adaptable function, then for each component adaptable given that.
+    """Choose by priority for each adaptable function, then for each component that is adaptable with these designs.
 
-    None if there is nothing to be done; a choice of nothing has what is obsolete given up.
+    Returns None if there is nothing to do; an empty choice means that only what is obsolete is given up.
     """
     adaptable, is_obsolete = state.adaptable.nodes(), bool(state.obsolete)
     designs = firsts_by_priority(state, (node for node in adaptable if node.kind == "function"))
@@ -160,6 +160,6 @@ def choice_by_priority(state: State) -> Choice | None:
 
 
 def firsts_by_priority(state: State, wholes: Iterable[Node]) -> list[Node]:
-    """Return the first that can be chosen for each function or component that has some."""
+    """Return the first of `ranked` for each function or component that has any."""
     possible = (ranked(state, node) for node in wholes)
     return [parts[0] for parts in possible if parts]

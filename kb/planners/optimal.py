@@ -1,4 +1,4 @@
-"""The planner that chooses for all that is required at once, by what is estimated and preferred."""
+"""The planner that chooses jointly for all that is required, by estimations and preferences."""
 
 import logging
 from collections.abc import Mapping
@@ -14,22 +14,20 @@ _log = logging.getLogger(__name__)
 
 
 class OptimalPlanner:
-    """Chooses the best joint configuration of all that is required, or says how far from the best it may be.
+    """Chooses the best joint configuration of all that is required, or says how far it may be from the best.
 
-    When something is adaptable, or something else is preferred than at the last choice, everything required is chosen
-    for again. Without a preference that an estimation bears on, and without budgets, it chooses as `PriorityPlanner`
-    does.
+    It chooses again for all that is required when something is adaptable, or the preferences changed since the last
+    choice. Without budgets, and without estimations of a preferred attribute, it chooses as `PriorityPlanner` does.
 
     Args:
-        switching_cost: what it costs to activate or deactivate a component or to change its configuration, the same
-            for all or by name of the component; a gain smaller than that does not switch. To activate or deactivate a
-            plain component costs nothing, for nobody switches it.
-        budgets: the most that all estimations of what is chosen or active may sum up to, by name of attribute.
-        effort: how much work may be done at most for one choice, in CP-SAT's deterministic time; 0.3 is about a
-            second of a processor.
+        switching_cost: the cost of activating or deactivating a component or changing its configuration, the same for
+            all or by name of the component; for a smaller gain nothing is switched. Activating or deactivating a plain
+            component costs nothing, because it is not switched.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by name of attribute.
+        effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a second of processor time.
 
     Attributes:
-        latest: what was found last; None before, and when the choice was by priority.
+        latest: the latest result; None before the first, and after a choice by priority.
     """
 
     def __init__(
@@ -39,7 +37,7 @@ class OptimalPlanner:
         budgets: Mapping[str, float] | None = None,
         effort: float = 0.3,
     ) -> None:
-        import kb.planners.solver as solver  # it takes a while: not in a tick, nor for those without it
+        import kb.planners.solver as solver  # slow, so not in a tick; and OR-tools may be missing
 
         if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
@@ -49,26 +47,26 @@ class OptimalPlanner:
         self._given = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
         self._last = WeakKeyDictionary[KnowledgeBase, tuple[Mapping[str, float], str]]()
-        """By what weights was chosen for each, and why nothing could be; empty if something could."""
+        """By knowledge base: the weights of the last choice, and why there was none; empty if there was one."""
         self.latest: Optimum | None = None
 
     @property
     def budgets(self) -> Mapping[str, float]:
-        """The most that all that is chosen or active may sum up to, by name of attribute."""
+        """The most that the estimations of what is chosen or active may sum up to, by name of attribute."""
         return self._given.budgets
 
     def criterion(self, kb: KnowledgeBase) -> Criterion:
-        """Return what makes one choice better than another, given what is preferred now."""
+        """Return the criterion by the preferences of the actions that are required now."""
         weights = summed_weights(required.preference for required in kb.required_actions)
         return Criterion(weights, self._given.switching_cost, self._given.budgets)
 
     def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Return what `plan` would select if it had the answer now; None if there is nothing to be done."""
+        """Return what `plan` would select now; None if there is nothing to do."""
         return _choice(kb, self.optimum(kb) if self._is_due(kb) else None)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Choose for all that is required if something is adaptable or preferred anew; see `Planner`."""
-        if kb not in self._last:  # a name that is wrong is found at the first update
+        """Select for all that is required if something is adaptable or preferences changed; see `Planner`."""
+        if kb not in self._last:  # a wrong name is an error at the first update
             with kb.reading() as state:
                 self._given.check(state.network)
         found, weights = None, self.criterion(kb).weights
@@ -81,13 +79,13 @@ class OptimalPlanner:
                 _log.warning("nothing can be selected: %s", nothing)
         choice = _choice(kb, found)
         plan = None if choice is None else kb.select(*choice)
-        self._last[kb] = weights, nothing  # now: what was interrupted is chosen again
+        self._last[kb] = weights, nothing  # last, so that an interrupted choice is repeated
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
-        """Return the best choice for a knowledge base as it is; None if it is to be chosen by priority.
+        """Return the best choice for the present state of a knowledge base; None if priority is to decide.
 
-        That is so where nothing is estimated or limited, and where no choice at all was found with the effort allowed.
+        Priority decides where nothing is estimated or limited, and where no choice was found within the effort.
         """
         criterion = self.criterion(kb)
         with kb.reading() as state:
@@ -103,7 +101,7 @@ class OptimalPlanner:
 
 
 def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:
-    """Return what is to be selected; what nothing needs any more is given up even if nothing can be chosen."""
+    """Return what to select; an empty choice, which gives up what is obsolete, if nothing else can be chosen."""
     with kb.reading() as state:
         if found is None:
             return choice_by_priority(state)
@@ -114,5 +112,5 @@ def _choice(kb: KnowledgeBase, found: Optimum | None) -> Choice | None:
         chosen = [network.designs[name] for name in choice.designs.values()]
         chosen += [network.configurations[name] for name in choice.configurations.values()]
         if all(state.selected[node.index] for node in chosen):
-            return Choice({}, {})  # why something has to be done all the same, the knowledge base knows
+            return Choice({}, {})  # `kb.select` says why the plan is needed all the same
         return Choice(choice.designs, choice.configurations, found.reason)

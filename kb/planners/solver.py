@@ -1,11 +1,11 @@
 """The best joint choice of designs and configurations, proven by CP-SAT.
 
-The only file that imports OR-tools; import it late, as that takes a while. One worker, a fixed seed and an effort that
-is counted in work done instead of seconds make the answer the same on every machine.
+The only file that imports OR-tools; import it late, as that is slow. One worker, a fixed seed and an effort that is
+counted in work instead of seconds make the answer the same on every machine.
 
-What is left of a model is small: slots with options. A slot is a function, of which one design is chosen, or a
-component, of which one configuration is chosen if a chosen design needs it; what is estimated of what is chosen adds
-up. All numbers are whole, so that of two choices one is better or they are exactly as good.
+The problem is a list of slots with options. A slot is a function, for which one design is chosen, or a component, for
+which one configuration is chosen if a chosen design needs it; the estimations of what is chosen add up. All numbers
+are whole, so that comparing two choices is exact.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,9 +26,9 @@ except ImportError as error:
     raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[optimal]' brings it") from error
 
 EFFORT: Final = 0.3
-"""How much work is done by default at most, in CP-SAT's deterministic time: about a second of a processor."""
+"""The most work by default, in CP-SAT's deterministic time: about a second of processor time."""
 DIGITS: Final = 12
-"""All amounts of a kind together have no more digits than this as whole numbers; else they are rounded."""
+"""The most digits of the sum of all amounts of a kind as whole numbers; beyond that they are rounded."""
 
 _SETTINGS: Final = {
     "num_workers": 1,
@@ -41,33 +41,33 @@ _SETTINGS: Final = {
     "catch_sigint_signal": False,
 }
 
-Untyped = Any  # what OR-tools makes: a variable, an expression, a status
+Untyped = Any  # an object of OR-tools: a variable, an expression, a status
 
 
 class Estimated(NamedTuple):
-    """What one estimation adds if its causer is chosen."""
+    """The amounts that one estimation adds if its causer is chosen."""
 
     attribute: str
     gain: int
     is_level: bool  # it is absolute: only the worst of its attribute counts
-    loads: tuple[int, ...]  # to what each budget limits
+    loads: tuple[int, ...]  # one for each budget
 
 
 class Slot(NamedTuple):
-    """A function, or a component of some design, with the literal of each option; the first by priority comes first."""
+    """A function, or a component of a design, and a literal for each option, in order of priority."""
 
     node: Node
-    options: Mapping[Node | None, Untyped]  # None for a component that has nothing to be chosen
+    options: Mapping[Node | None, Untyped]  # the only option of a component without configurations is None
     idle: Node | None = None  # the configuration to select even if nothing needs the component, if any
 
 
 class Problem:
-    """What is to be chosen in a state for all that is required, from what runs and is selected now; solved once.
+    """The problem of choosing for all that is required in a state; solved once.
 
-    It notes what it needs of the state when it is made, which is quick; it is solved while that changes.
+    It copies what it needs from the state, which is quick; the state may change while the problem is solved.
 
     Attributes:
-        is_weighed: something is estimated of what takes part, or limited; else the choice is by priority.
+        is_weighed: an estimation or a budget concerns what takes part; if not, priority decides.
 
     Raises:
         UnknownName: the criterion names an attribute or a component that the model does not have.
@@ -112,7 +112,7 @@ class Problem:
         self._cost = cp_model.LinearExpr.sum(self._switching)
 
     def _estimate(self, network: Network) -> None:
-        """Find the units in which all amounts are whole, and what is estimated of each causer."""
+        """Find the units in which all amounts are whole, and the estimated amounts of each causer."""
         criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
@@ -121,7 +121,7 @@ class Problem:
         gains = [weights.get(one.attribute, 0) * value for one, value in zip(estimations, values, strict=True)]
         costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
         amounts = [*gains, *costs.values()]
-        self._unit, is_exact = _unit(amounts)  # what a gain of 1 stands for
+        self._unit, is_exact = _unit(amounts)  # the worth of a gain of 1
         self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
         loads = {name: [limit] for name, limit in limits.items()}
         for one, value in zip(estimations, values, strict=True):
@@ -138,11 +138,11 @@ class Problem:
             self._estimated.setdefault(network.find(one.causer), []).append(estimated)
 
     def _cost_to_switch(self, component: Node) -> int:
-        """Return what it costs to start or stop a component; a plain one is only booked."""
+        """Return the cost of starting or stopping a component; a plain one is not switched."""
         return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
 
     def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> None:
-        """Have what is estimated of nodes count where a literal is true, less a cost to switch."""
+        """Add the estimations of nodes, less a switching cost, to the sums that count where a literal is true."""
         estimated = [one for node in nodes for one in self._estimated.get(node, ())]
         for one in estimated:
             if one.is_level:
@@ -160,7 +160,7 @@ class Problem:
         return literal
 
     def _function(self, node: Node, designs: Sequence[Node]) -> Slot:
-        """Encode that one design is chosen, and note who needs which component."""
+        """Encode that exactly one design is chosen, and note which options need which component."""
         options: dict[Node | None, Untyped] = {one: self._literal(one, is_now=one in self._selected) for one in designs}
         self._model.add_exactly_one(options.values())
         for part in dict.fromkeys(part for one in designs for part in one.parts):
@@ -168,11 +168,11 @@ class Problem:
         return Slot(node, options)
 
     def _component(self, node: Node, nodes: Sequence[Node]) -> Slot:
-        """Encode that one configuration is chosen exactly if the component is needed."""
+        """Encode that one configuration is chosen if the component is needed, and none otherwise."""
         cost, to_switch = self._costs[node], self._cost_to_switch(node)
         active, asserted = node in self._active, node in self._asserted
         selected = [one for one in node.parts if one in self._selected]
-        # even if nothing needs it: a plan stops what it replaces, and what is obsolete
+        # a plan stops only what it replaces or what is obsolete; all else stays active
         stays = active and node not in self._given_up
         to_start = 0 if active else to_switch
         options: dict[Node | None, Untyped] = {
@@ -198,7 +198,7 @@ class Problem:
         return Slot(node, options, idle)
 
     def _worst(self, levels: Sequence[tuple[Untyped, int]]) -> Untyped:
-        """Return a number that is no better than any level that is chosen."""
+        """Return a variable that is at most the worst chosen level, or 0 if none is chosen."""
         low, high = min(0, *(level for _, level in levels)), max(0, *(level for _, level in levels))
         worst, unset = self._model.new_int_var(low, high, ""), self._model.new_bool_var("")
         for literal, level in levels:
@@ -210,10 +210,10 @@ class Problem:
     # ---------------------------------------------------------------- the search
 
     def solve(self, effort: float = EFFORT) -> Optimum:
-        """Return the best choice that an effort in CP-SAT's deterministic time finds; of equally good ones the first.
+        """Return the best choice found within an effort [CP-SAT's deterministic time]; of equally good ones the first.
 
-        That is the one with the first design by priority and name for the function declared first, and so on, and then
-        the same for the configurations of its components.
+        The order of choices is by priority and name of the design of the function declared first, then of the next
+        function, and so on, and then by the configurations of the components in the same way.
         """
         self._encode()
         model, limits = self._model, self._criterion.limits
@@ -247,7 +247,7 @@ class Problem:
         return status
 
     def _run_for_first(self, gain: int) -> Untyped:
-        """Look for the choice of that worth that comes first: the search goes in this order, unless it presolves."""
+        """Find the first choice of that gain; the search goes in the order of choices only without presolving."""
         self._model.add(self._gain >= gain)
         self._model.clear_objective()
         self._model.clear_hints()
@@ -268,7 +268,7 @@ class Problem:
         return Choice(designs, configurations)
 
     def _reason(self, found: Optimum) -> str:
-        """Say what makes it the best, what it is worth, and how sure that is."""
+        """Say why the choice is the best, what it is worth, and how sure that is."""
         criterion, effort = self._criterion, f"an effort of {self._effort:g}"
         within = f" within {criterion.limits}" if criterion.limits else ""
         best = f"the best for {criterion.goal}" if criterion.goal else "the first by priority"
@@ -288,7 +288,7 @@ class Problem:
         return f"this is {best}{within} that {effort} found{worth}; {left}"
 
     def _why_nothing_fits(self, unlimited: Untyped) -> str:
-        """Say which budget is too small for any choice, as far as the effort that is left allows."""
+        """Say which budgets are too small for any choice, as far as this is found within the effort that is left."""
         reasons = []
         for load, limit, (name, unit) in zip(self._loads, self._limits, self._load_units.items(), strict=True):
             unlimited.minimize(cp_model.LinearExpr.sum(load))
@@ -303,7 +303,7 @@ def _decimal(number: float) -> Decimal:
 
 
 def _unit(amounts: Iterable[Decimal]) -> tuple[Decimal, bool]:
-    """Return what 1 stands for when amounts are written as whole numbers, and whether they are exact so."""
+    """Return the unit in which amounts are written as whole numbers, and whether that is exact."""
     decimals, total = 0, Decimal()
     for amount in amounts:
         if amount:

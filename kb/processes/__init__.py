@@ -1,4 +1,4 @@
-"""Components that are processes of the operating system: what is run, the process as which it runs, and all of them."""
+"""Components that run as processes of the operating system: a managed system that starts, watches and ends them."""
 
 import atexit
 import json
@@ -35,32 +35,32 @@ PARAMETERS: Final = "KB_PARAMETERS"
 """The variable of the environment in which a process finds all its parameters, as a JSON object."""
 
 MOST: Final = 1 << 20
-"""How much is kept of what each component writes [bytes], in two files: what it writes now, and what was before."""
+"""How much output of each component is kept [bytes], in two files: the newest, and what came before it."""
 _CHUNK, _TAIL, _LINES, _WIDTH = 1 << 16, 2000, 3, 160
 
 _Report = tuple[str, tuple[Any, ...]]  # a method of the knowledge base, and its arguments: the component first
 _PLACE = re.compile(r"\{\{(\w+)\}\}|\{([^\W\d]\w*)\}")
 _TO_DIE_S: Final = 5.0
-"""How long what was killed may take to be gone, before one does without."""
+"""How long a killed process may take to be gone [s]; after that nobody waits for it."""
 _STEADY_S: Final = 60.0
-"""How long a process has to run for its ends no longer to count as in a row."""
+"""How long a process must run [s] until its earlier ends no longer count as in a row."""
 
 
 @dataclass(frozen=True, slots=True)
 class Program:
-    """What is run for a component, with what, and what happens when it ends by itself.
+    """The program of a component, its arguments and environment, and what happens when it ends by itself.
 
     Attributes:
         arguments: the executable and its arguments; no shell reads them. `{name}` in an argument, or in a value of the
             environment, stands for the parameter of that name; `{{name}}` stands for `{name}`.
         environment: variables in addition to those of this process.
         directory: where it is run; None for where this process is.
-        configure: called with the parameters, and with the number of the process or None if there is none, whenever
-            parameters are set; a program without it gets new parameters only when it starts.
+        configure: called with the parameters and the pid of the process (None if there is none) whenever parameters
+            are set; a program without it gets new parameters only when it starts.
         grace: how long it may take to end after SIGTERM [s]; then it is killed.
-        restarts: how often in a row, within a minute each, it may be started again after it ended by itself, before it
-            counts as failed.
-        back_off: how long it is not started again then [s]; twice as long after each further time in a row.
+        restarts: how often in a row it may be started again after it ended by itself before it counts as failed; a run
+            of a minute begins a new row.
+        back_off: the pause before it is started again [s]; it doubles after each further end in a row.
     """
 
     arguments: Sequence[str]
@@ -89,7 +89,7 @@ class Program:
                 raise InvalidValue(f"{what} is a finite number of seconds from 0, not {value!r}")
 
     def check(self) -> None:
-        """Raise if it cannot be run because something is missing on this machine."""
+        """Raise `InvalidValue` if the executable or the directory is missing on this machine."""
         directory, name = Path(self.directory or "."), self.arguments[0]
         if not directory.is_dir():
             raise InvalidValue(f"there is no working directory {str(directory)!r}; create it or name another")
@@ -122,16 +122,16 @@ def _placed(text: str, parameters: Parameters) -> str:
 
 
 class ProcessComponents:
-    """A managed system, and the monitor, of components that are processes.
+    """A managed system, and a monitor, of components that are processes.
 
-    Each runs in a process group of its own, without a shell. It is asked to end with SIGTERM; after its grace the whole
-    group is killed. Have the manager ask it at each turn (`monitors=[processes]`): so the knowledge base gets to know
-    what was started, has ended, or ended by itself; and, at the first time, that nothing runs that was started before
-    this was made. Close it, or use it in a `with` statement; nothing is left behind either way, even if this process is
-    killed.
+    Each process runs in a process group of its own, without a shell. It is asked to end with SIGTERM; after its grace
+    the whole group is killed. Give this to the manager as a monitor too (`monitors=[processes]`): so the knowledge base
+    is told what was started, what has ended, and what ended by itself; and, the first time, that nothing runs that was
+    started before. Close it, or use it in a `with` statement; no process is left behind either way, even if this
+    process is killed.
 
-    What a component writes to its standard output and error goes to a file of its own; of each the newest MB is kept.
-    When it ends by itself, the last lines are part of the reason.
+    The standard output and error of a component go to a file of its own, of which the newest MB is kept. When the
+    component ends by itself, its last lines are part of the reason.
 
     Args:
         programs: what to run, by name of the component.
@@ -171,7 +171,7 @@ class ProcessComponents:
         atexit.register(self.close)
 
     def activate(self, component: str) -> "_Switch":
-        """Start a component; one that is still ending, or ended by itself a moment ago, once somebody asks later."""
+        """Start a component; one that is still ending, or in its back-off, starts at a later call of `done()`."""
         handle = self._handle(component)
         with self._lock:
             if not self._is_open:
@@ -183,17 +183,17 @@ class ProcessComponents:
             return _Switch(handle, self._lock, self._mark)
 
     def deactivate(self, component: str) -> "_Switch":
-        """End a component: tell it to, and kill its process group after its grace."""
+        """End a component with SIGTERM; its process group is killed after its grace."""
         return _Switch(self._handle(component), self._lock)
 
     def set_parameters(self, component: str, parameters: Parameters) -> None:
-        """Give a component its parameters, for its next start if it has no way to take them while it runs."""
+        """Set the parameters of a component; without `configure` they count from its next start on."""
         handle = self._handle(component)
         with self._lock:
             handle.set_parameters(MappingProxyType(dict(parameters)))
 
     def is_active(self, component: str) -> bool:
-        """Tell whether the process of a component is there; one that ended by itself is until `observe` tells why."""
+        """Return whether a component runs; one that ended by itself counts as running until `observe` tells why."""
         handle = self._handle(component)
         with self._lock:
             handle.look()
@@ -201,14 +201,14 @@ class ProcessComponents:
             return handle.process is not None or ("component_active", component) in news
 
     def output(self, component: str) -> Path:
-        """Return the file that holds what a component writes; what it wrote before that is in FILE.1 beside it."""
+        """Return the file of a component's newest output; older output is in FILE.1 beside it."""
         return self._handle(component).output.path
 
     def observe(self, kb: KnowledgeBase) -> None:
         """Tell the knowledge base what started and ended since the last time.
 
-        One that is seen for the first time may have another past, e.g. of a program that was killed. It is told which
-        of its processes are no more, and what of them is there all the same is ended.
+        A knowledge base that is seen for the first time may have processes on record from an earlier program, e.g. one
+        that was killed. They are recorded as ended, and those that still run are ended.
 
         Raises:
             UnknownName: a program was given for a component that the model does not have; at the first time only.
@@ -221,12 +221,12 @@ class ProcessComponents:
         self._tell(kb)
 
     def close(self) -> None:
-        """End everything and wait for that, as long as the longest grace at most; nothing can be started any more.
+        """End all processes and wait, at most 5 s longer than the longest grace; nothing can be started any more.
 
-        The knowledge base that was observed last is told.
+        The knowledge base that was last given to `observe` is told.
         """
         with self._lock:
-            if not self._is_open or os.getpid() != self._owner:  # a fork owns none of the processes
+            if not self._is_open or os.getpid() != self._owner:  # a forked process owns none of them
                 return
             self._is_open = False
             atexit.unregister(self.close)
@@ -240,7 +240,7 @@ class ProcessComponents:
                 handle.output.catch_up()
             if self._private is not None:
                 shutil.rmtree(self._private, ignore_errors=True)
-        try:  # an end is never an error, also if it cannot be told any more
+        try:  # closing raises no error when the knowledge base can be told nothing any more
             if (kb := self._observed) is not None:
                 self._tell(kb)
                 for name in (one for one in self._handles if one in kb.components):
@@ -276,7 +276,7 @@ class ProcessComponents:
             kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
 
     def _tidy_up(self, component: str, pid: int) -> None:
-        """Have what another life started ended, if it lives on, and nothing started in its place before."""
+        """End a process that an earlier program left over; its component starts only after that."""
         mark = guardian.left_over(pid)
         if mark is None:
             return
@@ -284,7 +284,7 @@ class ProcessComponents:
             self._handles[component].predecessors[pid] = guardian.started(pid)
             if self._is_open and mark not in self._tidiers:
                 _log.warning("the process of %s, %d, was left over and is ended", component, pid)
-                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # nobody's number: it begins at once
+                self._tidiers[mark] = _guard(mark, self._grace, parent=0)  # it begins at once
 
     def _tell(self, kb: KnowledgeBase) -> None:
         with self._lock:
@@ -297,11 +297,11 @@ class ProcessComponents:
 
 
 class Output:
-    """Keeps what is written, in FILE, and what was written before that in FILE.1; nobody else may read them.
+    """Keeps the newest output in FILE and older output in FILE.1; other users cannot read them.
 
     Args:
-        path: FILE; it is made, never followed elsewhere nor written on.
-        most: how much is kept [bytes].
+        path: FILE; it is created anew, and never through a symbolic link.
+        most: how much is kept in both together [bytes].
     """
 
     def __init__(self, path: Path, most: int = MOST) -> None:
@@ -311,18 +311,18 @@ class Output:
         self._size, self._tail = 0, b""
 
     def follow(self, source: IO[bytes]) -> None:
-        """Read from a pipe until all who can write to it are gone, in a thread of its own; it is closed then."""
+        """Read from a pipe in a thread until all its writers have closed it; then close it."""
         os.set_blocking(source.fileno(), False)
         self._source, self._tail = source, b""
         Thread(target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True).start()
 
     def catch_up(self) -> None:
-        """Take in all that an ended process has written, which the pipe holds; others may write to it for ever."""
+        """Read what the pipe holds now, which is all that an ended process wrote; others may still write to it."""
         if self._source is not None:
             self._read(self._source)
 
     def last_lines(self) -> str:
-        """Return the last lines in one, all that an ended process has written; empty if nothing was."""
+        """Return the last lines of the output, joined by " | "; empty if there is none."""
         self.catch_up()
         text = self._tail.decode("utf-8", "replace")
         lines = ["".join(one for one in line if one.isprintable()).strip()[:_WIDTH] for line in text.splitlines()]
@@ -334,10 +334,10 @@ class Output:
         while self._read(source):
             written.poll()
         with self._reading:
-            source.close()  # by nobody else, for it is this thread that waits for it
+            source.close()  # only here, because this thread waits for it
 
     def _read(self, source: IO[bytes]) -> bool:
-        """Take in what is there, at most as much as a pipe holds; returns whether more may come."""
+        """Read what the pipe holds, at most 64 KiB; return whether more may come."""
         with self._reading:
             left = _CHUNK
             while left > 0 and not source.closed:
@@ -352,7 +352,7 @@ class Output:
         self._tail = (self._tail + data)[-_TAIL:]
         try:
             self._write(data)
-        except OSError as error:  # a full disk stops nobody
+        except OSError as error:  # e.g. a full disk, which must not stop a component
             _log.warning("what goes to %s is lost: %s", self.path, error.strerror)
 
     def _write(self, data: bytes) -> None:
@@ -370,15 +370,15 @@ def _opened(path: str, how: int) -> int:
 
 @dataclass(slots=True, eq=False)
 class _Handle:
-    """A component on its way to running, or to an end; each call does what can be done without waiting."""
+    """The process of a component as it starts, runs and ends; each call does what it can without waiting."""
 
     name: str
     program: Program
     reports: deque[_Report]
     output: Output
     process: subprocess.Popen[bytes] | None = None
-    crash: tuple[int, str] = (-1, "")  # number of the process that ended by itself last, and how, in words
-    predecessors: dict[int, int | None] = field(default_factory=dict)  # what has to be gone first, and since when it is
+    crash: tuple[int, str] = (-1, "")  # pid of the process that last ended by itself, and how, in words
+    predecessors: dict[int, int | None] = field(default_factory=dict)  # pid and start of what must end first
     _parameters: Parameters = field(default_factory=dict)
     _in_force: Parameters = field(default_factory=dict)
     _started: float = 0.0
@@ -401,7 +401,7 @@ class _Handle:
         self._parameters = parameters
 
     def start(self, mark: str) -> int | None:
-        """Go on towards running; returns the process number once it does."""
+        """Do the next step of a start; return the pid once the process runs."""
         self.look()
         left = {pid: began for pid, began in self.predecessors.items() if began is not None}
         self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
@@ -410,7 +410,7 @@ class _Handle:
         return None if self.process is None or self._kill_at is not None else self.process.pid
 
     def stop(self) -> bool:
-        """Go on towards an end; returns whether nothing is left."""
+        """Do the next step of an end; return whether the process has ended."""
         self.look()
         if self.process is None:
             self._crashes, self._not_before = 0, 0.0
@@ -457,7 +457,7 @@ class _Handle:
         self._report("component_started", self.process.pid)
 
     def _note_crash(self, process: subprocess.Popen[bytes]) -> None:
-        _signal_group(process.pid, signal.SIGKILL)  # what it leaves behind
+        _signal_group(process.pid, signal.SIGKILL)  # ends the rest of the group
         self._bury(process)
         code, signals = process.returncode, {one.value: one.name for one in signal.Signals}
         manner = f"exit status {code}" if code >= 0 else signals.get(-code, f"signal {-code}")
@@ -486,7 +486,7 @@ class _Handle:
 
 
 def _has_ended(pid: int) -> bool:
-    """Tell whether a child has ended, and leave it unburied, so that its number stays its own."""
+    """Return whether a child has ended; it is not reaped, so its pid is not used again."""
     try:
         return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
     except ChildProcessError:
@@ -494,13 +494,13 @@ def _has_ended(pid: int) -> bool:
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # it is gone, or has become somebody else's
+    with suppress(ProcessLookupError, PermissionError):  # it has ended, or belongs to another user now
         os.killpg(leader, number)
 
 
 @dataclass(slots=True)
 class _Switch:
-    """A component on its way to running, or without a mark to an end; see `Operation`."""
+    """The start of a component, or without a mark its end; see `Operation`."""
 
     handle: _Handle
     lock: RLock
@@ -508,7 +508,7 @@ class _Switch:
     pid: int | None = None
 
     def __post_init__(self) -> None:
-        self.done()  # so it has begun
+        self.done()  # does the first step
 
     def done(self) -> bool:
         with self.lock:
@@ -536,7 +536,7 @@ def _guard(mark: str, grace: float, parent: int) -> subprocess.Popen[bytes]:
 
 
 def _dismiss(one: subprocess.Popen[bytes], grace: float) -> None:
-    """Have a guardian end what has left its process group, and end itself."""
+    """Tell a guardian to end processes outside of their groups and then itself."""
     assert one.stdin is not None
     one.stdin.close()
     try:

@@ -1,11 +1,11 @@
-"""Processes by their mark: who carries it, and the program that ends those whose starter is no more.
+"""The guardian: a program that ends the processes of components when the process that started them is no more.
 
-The mark is in the environment of everything that a component starts: a random text, and the number and the start of the
-process that started it. A number alone says nothing, since it is given again to something else.
+It finds them by a mark in their environment, which everything that a component starts inherits: a random text, and the
+pid and the start time of the process that started the component. A pid alone is not enough, since it is used again.
 
-The guardian is a program of its own, so that it outlives whom it watches; it imports nothing of ours and is run
-without site packages: `python guardian.py MARK GRACE PARENT`. GRACE is how long who carries the mark may take to end
-[s]; PARENT is the number of the process that is watched. The end of its standard input counts as the parent's end.
+The guardian is a program of its own, so that it outlives the process that it watches; it imports nothing of ours and
+runs without site packages: `python guardian.py MARK GRACE PARENT`. GRACE is how long marked processes may take to end
+[s]; PARENT is the pid of the watched process. The end of the guardian's standard input counts as the parent's end.
 """
 
 import os
@@ -24,22 +24,22 @@ _PROC: Final = Path("/proc")
 _STATE, _GROUP, _STARTED = 0, 2, 19
 _ENDED: Final = (b"Z", b"X")
 _SURE_S: Final = 2.0
-"""Who was killed may have been about to start something: how long nothing must have turned up to be sure."""
+"""How long no marked process may appear before the guardian ends [s]: a killed parent may just have started one."""
 
 
 def new_mark() -> str:
-    """Return a mark for what this process starts; it tells who is who, and decides nothing."""
+    """Return a new mark for what this process starts."""
     return f"{os.urandom(16).hex()}.{os.getpid()}.{started(os.getpid())}"
 
 
 def started(pid: int) -> int | None:
-    """Return when a process was started [clock ticks since the system was], None if there is none or it has ended."""
+    """Return when a process was started [clock ticks since boot]; None if there is none or it has ended."""
     fields = _fields(pid)
     return None if not fields or fields[_STATE] in _ENDED else int(fields[_STARTED])
 
 
 def left_over(pid: int) -> str | None:
-    """Return the mark of a process whose starter is no more; None for any other one, which is not to be touched."""
+    """Return the mark of a process whose starter is no more; None for any other process, which must be left alone."""
     begin = f"{MARK}=".encode()
     marks = [entry.removeprefix(begin).decode() for entry in _environment(pid) if entry.startswith(begin)]
     if not marks or marks[0].count(".") != 2:
@@ -49,13 +49,13 @@ def left_over(pid: int) -> str | None:
 
 
 def has_others(leader: int) -> bool:
-    """Tell whether something else lives in the process group of a process."""
+    """Return whether the process group of a process has other living members."""
     others = (_fields(pid) for pid in _pids() if pid != leader)
     return any(one and int(one[_GROUP]) == leader and one[_STATE] not in _ENDED for one in others)
 
 
 def main(mark: str, grace: str, parent: str) -> None:
-    """Wait for the parent to be no more, then end what carries the mark."""
+    """Wait until the parent has ended, then end all processes with the mark."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     while os.getppid() == int(parent):
@@ -66,7 +66,7 @@ def main(mark: str, grace: str, parent: str) -> None:
 
 
 def _end(mark: str, grace: float, sure: float) -> None:
-    """End what carries a mark, by force after a grace [s], until nothing was seen of it for as long as is sure [s]."""
+    """End all processes with a mark, kill them after a grace [s]; return when none was seen for `sure` [s]."""
     deadline = time.monotonic() + grace
     _send(signal.SIGTERM, _carriers(mark))
     last_seen = time.monotonic()
@@ -98,12 +98,12 @@ def _environment(pid: int) -> list[bytes]:
 
 
 def _fields(pid: int) -> list[bytes]:
-    """Return what the system tells of a process, from its state on."""
+    """Return the fields of /proc/PID/stat from the state on; none if there is no such process."""
     return _read(pid, "stat").rpartition(b")")[2].split()
 
 
 def _read(pid: int, file: str) -> bytes:
-    """Return what is in a file of a process; nothing if it has ended, or is somebody else's."""
+    """Return a file of /proc/PID; empty if the process has ended or belongs to another user."""
     try:
         return (_PROC / str(pid) / file).read_bytes()
     except OSError:

@@ -1,4 +1,4 @@
-"""From the things that files describe to a model: elements in order, then what is so from the start."""
+"""Makes a model of the things in TypeQL files: first the elements, in order, then the facts from the start."""
 
 import ast
 import json
@@ -22,17 +22,17 @@ from kb.typeql.vocabulary import CLASSES, ROLES, SPECIAL, Vocabulary, seconds
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Stated = tuple[int, facts.Fact, Place]
-"""A fact, with the number of its statement, and where."""
+"""The number of a statement, its fact, and its place."""
 
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
 _STATED: Final = frozenset({"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
-"""The attributes of elements that say what is so from the start, its name, and those that ROSA does not have."""
+"""The attributes that are no fields of an element: facts, its name, and what ROSA does not have."""
 _FLAGS: Final[Mapping[str, Callable[[Any], facts.Fact]]] = {
     "required": facts.RequiredFact,
     "selected": facts.SelectedFact,
     "active": lambda component: facts.ActiveFact(component.name),
 }
-"""What is so of an element of which it is said that it is."""
+"""The fact that each flag of an element states."""
 _RESULTS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
     **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
@@ -41,7 +41,7 @@ _RESULTS: Final[Mapping[str, str]] = {
 
 
 def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
-    """Read a model from files, each of which may add to those before it; see `Model.load`."""
+    """Read one model from files; each may add to those before it. See `Model.load`."""
     parsed = [(str(file), query) for file in files for query in parse(read_text(file), str(file))]
     store = Store(Vocabulary((file, query) for file, query in parsed if isinstance(query, Define)))
     for file, query in parsed:
@@ -56,7 +56,7 @@ def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str |
 
 
 def _complete(store: Store) -> None:
-    """See that no relation lacks a part, and give a name to each design and configuration without one."""
+    """Refuse relations that lack a part, and name the designs and configurations without a name."""
     for kind, roles in ROLES.items():
         for thing in store.things[kind]:
             for role in roles:
@@ -72,12 +72,12 @@ def _complete(store: Store) -> None:
 
 
 def _only_states(thing: Thing) -> bool:
-    """Tell whether a constraint is only there to carry a status, whatever it compares."""
+    """Return whether a constraint only has a status and something constrained, so it need not compare anything."""
     return thing.kind == "constraint" and thing.own("status") is not None and bool(thing.players("constrained"))
 
 
 class _Reading:
-    """A model in the making."""
+    """Builds a model from the things of a store."""
 
     def __init__(self, model: Contents, store: Store) -> None:
         self.model, self.store = model, store
@@ -106,7 +106,7 @@ class _Reading:
         self.model.places[element] = str(thing.place)
 
     def _required_functions(self) -> dict[Thing, list[str]]:
-        """An action may stand in several requirements."""
+        """Return the functions that each action requires, which several relations may name."""
         required: dict[Thing, list[str]] = {}
         for relation in self.store.things["functional-requirement"]:
             for action in relation.players("action"):
@@ -185,11 +185,11 @@ class _Reading:
         if word in known:
             return facts.StatusFact(element, Status(word))
         unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
-        self.store.note(own.place, f"{unknown}; not asserted")  # others load such files as well
+        self.store.note(own.place, f"{unknown}; not asserted")  # no error: other programs read such files too
         return None
 
     def _measurements(self) -> Iterator[Stated]:
-        """Yield all measurements; where the files do not say which one is the latest, the newest, said last, is."""
+        """Yield all measurements; the latest of an attribute is as stated, else the newest, stated last."""
         measured: dict[str, list[Thing]] = {}
         for thing in self.store.things["measurement"]:
             for name in _names(thing, "measured-attribute"):
@@ -217,7 +217,7 @@ class _Reading:
         return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
 
     def _steps(self, whole: Thing, kind: str, role: str) -> tuple[str, ...]:
-        """Return the names of what a plan activates, deactivates or configures, in steps of a kind or directly."""
+        """Return what a plan activates, deactivates or configures, by name: in steps of a kind, or in a role."""
         names: list[str] = []
         for one in whole.parts:
             if one.thing.kind == "structural-adaptation":
@@ -271,7 +271,7 @@ def _period(thing: Thing) -> dict[str, Any]:
 
 
 def _preference(thing: Thing) -> dict[str, float] | None:
-    """Return the weight of each attribute that is preferred, 1 by default; an estimation stands for its attribute."""
+    """Return the weight of each preferred attribute, 1 by default; an estimation means its attribute."""
     names: list[str] = []
     for one in thing.players("preferred-attribute"):
         names += _names(one, "affected") if one.kind == "estimation" else [one.name]
@@ -328,7 +328,7 @@ _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
 
 
 def _items(value: Literal, word: str) -> list[object]:
-    """Return the items of a list, as Python or JSON write one; texts may be without quotes, and stay as written."""
+    """Return the items of a list in the form of Python or JSON; texts may be without quotes, and stay as written."""
     if not isinstance(value, str):
         return [value]
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):

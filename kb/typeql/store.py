@@ -1,6 +1,6 @@
-"""What files say, statement by statement: things with their attributes, and which play which role in which relation.
+"""The things that TypeQL files insert: entities and relations, their attributes, and who plays which role.
 
-That is what `insert` adds, and what `match` finds among the things inserted so far.
+`insert` adds to them, and `match` finds some among those that were inserted before.
 """
 
 import math
@@ -17,11 +17,11 @@ from kb.typeql.syntax import Has, Insert, Literal, Player, Statement, Word, plac
 from kb.typeql.vocabulary import ATTRIBUTES, VALUES, Field, Role, Type, Vocabulary, field_of
 
 _REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
-"""What may be said again later: facts, of which the last one stands."""
+"""The attributes that may be stated again: they are facts, and the last statement counts."""
 
 
 class Own(NamedTuple):
-    """A thing has an attribute; the name is empty if ROSA has none such, the order is that of the statement."""
+    """An attribute of a thing; the name is empty if ROSA does not have it, the order is that of its statement."""
 
     name: str
     label: str
@@ -31,7 +31,7 @@ class Own(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A thing plays a role in a relation; the role is None in a relation that ROSA does not know."""
+    """A role that a thing plays in a relation; the role is None in a relation that ROSA does not know."""
 
     role: Role | None
     thing: "Thing"
@@ -59,7 +59,7 @@ class Thing:
         return str(own.value) if own else ""
 
     def own(self, name: str) -> Own | None:
-        """Return the attribute of that name, the last one said."""
+        """Return the attribute of a name that was stated last."""
         return next((own for own in reversed(self.owns) if own.name == name), None)
 
     def value(self, name: str) -> Literal | None:
@@ -73,17 +73,17 @@ class Thing:
 T = TypeVar("T")
 
 MOST: Final = 100_000
-"""How many answers a `match` may have on the way; more are a slip, and would multiply without limit."""
+"""The most answers of a `match`, also in between; more are a mistake, and could fill the memory."""
 
 Bindings = Mapping[str, Thing]
-"""What variables stand for."""
+"""The thing that each variable stands for."""
 
 
 class Store:
-    """All that was said so far: things by kind, in order and by name; and notes of what was passed over.
+    """All things so far, by kind in order and by name; and notes of what was passed over.
 
     Attributes:
-        file: of the query that is being read.
+        file: the file of the query that is being read.
     """
 
     def __init__(self, vocabulary: Vocabulary) -> None:
@@ -120,13 +120,13 @@ class Store:
                 raise DuplicateInFile(message, *place)
 
     def read(self, query: Insert, file: str) -> None:
-        """Add what a query of a file says, for each answer to what it asks of all that was said before it."""
+        """Insert what a query says, once for each answer of its `match` among the things so far."""
         self.file = file
         for bindings in self._answers(query.patterns):
             self._insert(query.statements, bindings)
 
     def _insert(self, statements: Sequence[Statement], bindings: Bindings) -> None:
-        """Find what each variable is, then take in what is said of it, for it may be said before."""
+        """Find what each variable stands for, then read the statements, which may use it before its declaration."""
         things = dict(bindings)
         subjects = [self._declared(things, statement) for statement in statements]
         for statement, declared in zip(statements, subjects, strict=True):
@@ -139,7 +139,7 @@ class Store:
                 self._play(thing, role, self._thing(things, variable), self._place(role or variable))
 
     def _declared(self, things: dict[str, Thing], statement: Statement) -> Thing | None:
-        """Return the thing that a statement declares; None if it is declared elsewhere."""
+        """Return the thing that a statement declares; None if it declares none."""
         if statement.isa is None:
             return None
         name = statement.variable
@@ -171,9 +171,9 @@ class Store:
         return place_of(self.file, word)
 
     def _answers(self, patterns: Sequence[Statement]) -> list[Bindings]:
-        """Return what the variables can stand for; at least one answer.
+        """Return the answers of a `match`, at least one.
 
-        The most telling statements come first: those with a name, then relations.
+        Statements with a name are looked up first, then relations, because they leave the fewest answers.
 
         Raises:
             ModelFileError: nothing matches; the message says what was looked for and what there is.
@@ -202,7 +202,7 @@ class Store:
         return [thing for thing in [self.named[wanted.kind].get(name)] if thing]
 
     def _relating(self, known: Bindings, thing: Thing, players: Sequence[Player]) -> list[Bindings]:
-        """Let each player that is asked for stand for another part of the relation."""
+        """Return the answers in which each player of a pattern is a different part of a relation."""
         states: list[tuple[Bindings, frozenset[int]]] = [(known, frozenset())]
         for role, variable in players:
             name, place = str(variable), self._place(role or variable)
@@ -222,7 +222,7 @@ class Store:
         return None if one.isa is None else self.vocabulary.type(one.isa, self._place(one.isa))
 
     def _name(self, one: Statement) -> str | None:
-        """Return the name that is written in a statement that says the type."""
+        """Return the name in a statement that also has the type, or None."""
         wanted = self._type(one)
         fields = ((field_of(wanted.kind, has.label), has.value) for has in one.has) if wanted else ()
         return next((str(value) for field, value in fields if field and field.name == "name"), None)

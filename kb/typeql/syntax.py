@@ -1,6 +1,6 @@
-"""What stands in a TypeQL file, as written: queries, statements and their clauses, by the grammar in `grammar.lark`.
+"""Parses TypeQL files into queries, statements and clauses, by the grammar in `grammar.lark`.
 
-A `Word` is a piece of the text that knows its `line` and `column`, and as its `type` its terminal in the grammar.
+A `Word` is a piece of the text with its `line` and `column`; its `type` is its terminal in the grammar.
 """
 
 import re
@@ -20,7 +20,7 @@ Word = Token
 Literal = bool | int | float | str | datetime
 
 MAX_DEPTH: Final = 100
-"""How deep brackets may nest; what is deeper is no model, and would only fill the memory."""
+"""How deep brackets, and types below one another, may nest; no model needs more."""
 
 _ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
 _ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
@@ -34,7 +34,7 @@ _EXPECTED: Final = {
     **{"ANNOTATION": "`@key`", "COMMA": "`,`", "SEMICOLON": "`;`", "COLON": "`:`"},
     **{"OPEN": "`(`", "RPAR": "`)`", "BRACE": "`{`", "RBRACE": "`}`", "$END": "the end of the file"},
 }
-"""What each terminal is called in messages, in the order in which they are listed; others are not suggested."""
+"""The words for terminals in messages, in the order in which these list them; other terminals are not listed."""
 
 
 class Has(NamedTuple):
@@ -45,14 +45,14 @@ class Has(NamedTuple):
 
 
 class Player(NamedTuple):
-    """`role: $variable`, or a variable whose role is left to be found."""
+    """`role: $variable`, or a variable alone, whose role follows from its type."""
 
     role: Word | None
     variable: Word
 
 
 class Statement(NamedTuple):
-    """What is said of one variable, with its `$`, or of a relation without one; the word is its first variable."""
+    """A statement about one variable, with its `$`, or about a relation without one; the word is its first variable."""
 
     word: Word
     variable: str | None
@@ -62,7 +62,7 @@ class Statement(NamedTuple):
 
 
 class Define(NamedTuple):
-    """`define ...`: each type, and what it is declared a sort of; what else is said of it is passed over."""
+    """`define ...`: each type and its parents; other clauses are passed over."""
 
     definitions: tuple[tuple[Word, tuple[Word, ...]], ...]
 
@@ -85,7 +85,7 @@ def parse(text: str, file: str) -> list[Define | Insert]:
         ModelFileError: the text is no TypeQL, or changes or reads a database instead of describing a robot.
     """
     try:
-        return _parser().parse(text)  # type: ignore[return-value]  # what the shapes below make of it
+        return _parser().parse(text)  # type: ignore[return-value]  # made by the functions in _SHAPES
     except _Refused as refused:
         raise place_of(file, refused.word).error(str(refused)) from None
     except (UnexpectedToken, UnexpectedCharacters) as error:
@@ -93,7 +93,7 @@ def parse(text: str, file: str) -> list[Define | Insert]:
 
 
 class _Refused(Exception):
-    """Something that is understood, and is not for files of models."""
+    """A valid word of TypeQL that files of models may not use."""
 
     def __init__(self, word: Word, message: str) -> None:
         self.word = word
@@ -101,7 +101,7 @@ class _Refused(Exception):
 
 
 class _Refusal(PostLex):
-    """Stops at the first word that is not for files of models, before anything after it is looked at."""
+    """Raises at the first word that files of models may not use, before the parser reads what follows."""
 
     always_accept = ()
 
@@ -132,13 +132,13 @@ def _statement(first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Pl
 
 def _stated(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
     for value in (has.value for one in statements for has in one.has):
-        if isinstance(value, Word):  # only queries that read ask for values, and these are refused where they say so
+        if isinstance(value, Word):  # only reading queries have such variables, and they are refused elsewhere
             raise _Refused(value, f"`{value}` stands here; expected a value")
     return statements
 
 
 def _value(word: Word) -> Literal:
-    """Return what a written value stands for; a date without a zone is in UTC."""
+    """Return the value of a literal; a date without a zone is in UTC."""
     text = str(word)
     if word.type == "ASKED":
         return word
@@ -180,7 +180,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "players": lambda _, *players: players,
     "player": _player,
 }
-"""What becomes of each rule of the grammar."""
+"""The function that makes the result of each rule of the grammar."""
 
 
 @cache

@@ -1,6 +1,6 @@
-"""Which types, roles and attributes there are: ROSA's, from `vocabulary.toml`, and those that the files define.
+"""The types, roles and attributes of TypeQL files: ROSA's, from `vocabulary.toml`, and those that the files define.
 
-The kind of a thing is the ROSA type that it is a sort of, as `vocabulary.toml` spells it.
+The kind of a thing is the ROSA type that its type is or descends from, as `vocabulary.toml` spells it.
 """
 
 import tomllib
@@ -13,11 +13,11 @@ from typing import Any, Final, NamedTuple
 from kb import elements, facts
 from kb.exceptions import UnknownName
 from kb.files import Place
-from kb.typeql.syntax import Define, Word, place_of
+from kb.typeql.syntax import MAX_DEPTH, Define, Word, place_of
 
 _WORDS: Final[dict[str, Any]] = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text())
 EXTENSIONS: Final[Mapping[str, list[str]]] = _WORDS["extensions"]
-"""What ROSA's schema has no words for: the sort of value of each such attribute, and what has it."""
+"""Attributes that ROSA's schema does not have: the sort of their value, and the types that own them."""
 _QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
 _ROOTS: Final = frozenset({"entity", "relation", "attribute", "thing"})
 
@@ -28,7 +28,7 @@ SPECIAL: Final[Mapping[str, str]] = {
     elements.ComponentKind.PROCESS: "ROSNode",
     elements.ComponentKind.LIFECYCLE: "LifeCycleNode",
 }
-"""The type that says the kind of an attribute or component."""
+"""The type of things for each kind of attribute or component."""
 
 VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
     "text": ("a text in quotes", (str,)),
@@ -38,11 +38,11 @@ VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
     "time": ("a date and time such as 2024-05-01T12:30:00", (datetime,)),
     "any": ("a text, a number or true or false", (str, bool, int, float)),
 }
-"""What sorts of values attributes have: how messages call them, and how they are read."""
+"""The sorts of values of attributes: their words in messages, and their Python types."""
 
 
 class Field(NamedTuple):
-    """An attribute of a kind of thing: the field of an element or fact that it is, and how it is written."""
+    """An attribute of a kind of thing: the field of an element or fact, the sort of its value, and its spellings."""
 
     name: str
     value: str
@@ -51,9 +51,9 @@ class Field(NamedTuple):
 
 
 class Role(NamedTuple):
-    """A part that things of some kinds play in a relation, and which field of an element or fact they are there.
+    """A role in a relation: the field of an element or fact that it fills, and the kinds of things that play it.
 
-    The words are its spellings, without qualifiers and in the singular; a `most` of 0 is any number of players.
+    The words are its spellings, without qualifiers and in the singular; a `most` of 0 means any number of players.
     """
 
     name: str
@@ -82,7 +82,7 @@ ATTRIBUTES: Final[Mapping[str, tuple[Field, ...]]] = {
 CLASSES: Final[Mapping[type, str]] = {
     cls: kind for cls, word in facts.ROSA.items() if (kind := word.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
 }
-"""The kind of each class of elements and facts, each after those that it refers to."""
+"""The kind of each class of elements and facts; each comes after those that it refers to."""
 
 
 class Type(NamedTuple):
@@ -93,20 +93,21 @@ class Type(NamedTuple):
     parent: "Type | None" = None
 
     def lineage(self) -> Iterator["Type"]:
-        """Go from this type up through those it is a sort of."""
-        yield self
-        if self.parent is not None:
-            yield from self.parent.lineage()
+        """Yield this type, its parent, and so on."""
+        one: Type | None = self
+        while one is not None:
+            yield one
+            one = one.parent
 
 
 class Vocabulary:
-    """The types that files may use: ROSA's, and those that the files define, which add nothing to ROSA's own.
+    """The types that files may use: ROSA's, and those that the files define; ROSA's own types cannot be changed.
 
     Args:
-        defined: what each file defines.
+        defined: files and their `define` queries.
 
     Attributes:
-        attributes: the labels of those that the files define.
+        attributes: the labels of the attributes that the files define.
     """
 
     def __init__(self, defined: Iterable[tuple[str, Define]] = ()) -> None:
@@ -132,7 +133,7 @@ class Vocabulary:
         return found
 
     def role(self, of: Type, word: Word | None, player: Type, place: Place) -> Role:
-        """Return the role of a relation that a player of a type has, by what it is called, if that is not left out."""
+        """Return the role of a player of a type in a relation, by the word for the role; without one, by the type."""
         every = ROLES.get(of.kind, ())
         if not every:
             raise place.error(f"{of.label} is no relation; nothing plays a role in it")
@@ -159,13 +160,15 @@ class Vocabulary:
         raise place.error(f"{UnknownName(f'role of {of.label}', str(word), known)} (roles: {', '.join(known)})")
 
     def _link(self, label: str, below: list[str]) -> Type | None:
-        """Return a type, once it is known of what it is a sort; None for an attribute, which has no type."""
+        """Return a type by its label, made with its parents if need be; None for an attribute."""
         known = self._types.get(_plain(label))
         if known is not None or label not in self._parents or label in self.attributes:
             return known
         parent, place = self._parents[label]
         if label in below:
             raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
+        if len(below) > MAX_DEPTH:
+            raise place.error(f"more than {MAX_DEPTH} types follow one another; declare {parent} before {label}")
         above = None if parent in _ROOTS else self._link(parent, [*below, label])
         is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in ATTRIBUTES)
         if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):
@@ -184,7 +187,7 @@ def seconds(moment: datetime) -> float:
 
 @cache
 def field_of(kind: str, label: str) -> Field | None:
-    """Return the attribute of a kind of thing that is called so, or None if ROSA has none."""
+    """Return the attribute of a kind of thing that a label means, or None if ROSA has none."""
     name = f"-{_word(label)}"
     found = [(len(one), field) for field in ATTRIBUTES.get(kind, ()) for one in field.words if name.endswith(f"-{one}")]
     return max(found, key=lambda one: one[0])[1] if found else None

@@ -1,4 +1,4 @@
-"""A model as TypeQL: one `insert` in ROSA's words, with a `define` of what ROSA's schema has no words for."""
+"""Writes a model as TypeQL: one `insert`, after a `define` of the attributes that ROSA's schema does not have."""
 
 import json
 import re
@@ -27,7 +27,7 @@ _STEPS: Final = {
     "component-deactivation": ("component", "deactivate", Component),
     "parameter-adaptation": ("component-configuration", "parameters", Configuration),
 }
-"""The steps of a plan: the role in each, the field that lists who has it, and of which class they are."""
+"""The kinds of steps of a plan: the role in each, the field of the plan, and the class of the players."""
 _ELEMENTS: Final = {kind: cls for cls, kind in CLASSES.items()}
 _FLAGS: Final[Mapping[type, str]] = {RequiredFact: "is-required true", SelectedFact: "is-selected true"}
 _DEFAULTS: Final = {cls: {field.name: field.default for field in fields(cls)} for cls in CLASSES}
@@ -40,7 +40,7 @@ _ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\
 
 
 def typeql_text(model: Contents) -> str:
-    """Write a model so that it is read back as it is; see `Model.save`."""
+    """Write a model so that reading gives the same model; see `Model.save`."""
     statements = "\n".join(_Writer(model).lines())
     own = []
     for label, (value, *owners) in EXTENSIONS.items():
@@ -50,7 +50,7 @@ def typeql_text(model: Contents) -> str:
 
 
 class _Writer:
-    """The statements of a model; each element has a variable by which later ones speak of it."""
+    """Writes the statements of a model; each element has a variable that later statements use."""
 
     def __init__(self, model: Contents) -> None:
         self.model = model
@@ -58,7 +58,7 @@ class _Writer:
         self.taken: dict[str, int] = {}
 
     def lines(self) -> Iterator[str]:
-        """Everything, in an order in which it can be read without looking ahead."""
+        """Yield all statements; each uses only variables of earlier ones."""
         yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
         for cls, table in self.model.tables.items():
             statements = [line for one in table.values() for line in self._element(one)]
@@ -113,14 +113,14 @@ class _Writer:
         return self.variables[self.model.tables[cls][name]]
 
     def _fresh(self, prefix: str, name: str) -> str:
-        """Return a variable that no other has, and that still reads like the name."""
+        """Return a new variable that resembles the name."""
         stem = re.sub(r"[^A-Za-z0-9]+", "_", f"{prefix}_{name}").strip("_")[:60]
         number = self.taken[stem] = self.taken.get(stem, 0) + 1
         return f"${stem}" if number == 1 else f"${stem}-{number}"
 
 
 def quoted(text: str) -> str:
-    """Write a text so that it is read back as it is."""
+    """Write a text in quotes so that reading gives the same text."""
     return f'"{_UNSAFE.sub(_escaped, text)}"'
 
 
@@ -129,7 +129,7 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def written_time(time: float) -> str | None:
-    """Write a time [s since 1970-01-01 UTC] as a date, or return None where that would not say exactly the same."""
+    """Write a time [s since 1970-01-01 UTC] as a date; None if a date is not exact enough or does not reach so far."""
     try:
         moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(time * 1000))
     except (OverflowError, ValueError):
@@ -151,7 +151,7 @@ def _players(one: object, field: str) -> tuple[str, ...]:
 
 
 def _written(field: Field, one: object) -> str | None:
-    """Write an attribute of an element or fact; None if it has none, or what it is by default."""
+    """Write an attribute of an element or fact; None if it has no value or the default."""
     if field.name == "weights":
         preference = getattr(one, "preference", None)
         return None if preference is None else quoted(json.dumps(list(preference.values())))

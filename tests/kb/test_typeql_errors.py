@@ -107,6 +107,7 @@ MEANING = {
     "(action: $a, preference: $q) isa required-action, has preference-weights '[1, 2]';": "6:55: .*list of weights",
     "$c has pid " + "9" * 5000 + ";": "6:12: `9999.* is no value",
     "define x sub y; y sub x;": "x is declared a sort of itself|y is declared a sort of itself",
+    "define " + " ".join(f"t{n} sub t{n + 1};" for n in range(200)): "more than 100 types follow one another; declare",
     "define x sub nothing-known;": "6:14: unknown type 'nothing-known'",
     "match $x isa Component, has component-name 'moter'; insert $x has is-active true;": "6:7: `match` finds nothing: "
     "unknown component 'moter'; did you mean 'motor'",
