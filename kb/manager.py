@@ -75,7 +75,9 @@ class VetoGate:
     def check(self) -> bool:
         """Ask about the plans not yet asked about; abandon the forbidden ones, and return whether there was one."""
         kb, is_vetoed = self._kb, False
-        while (plan := kb.pending_plan) is not None and all(one.plan is not plan for one in kb.history.answers):
+        while (plan := kb.pending_plan) is not None and all(
+            one.plan is not plan for one in reversed(kb.history.answers)
+        ):
             objection = self._objection(plan)
             kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
             if not objection:

@@ -15,7 +15,7 @@ from typing import Any, Final, NamedTuple
 
 from kb.elements import ComponentKind, EstimationKind
 from kb.exceptions import KnowledgeBaseError
-from kb.network import Network, Node
+from kb.network import Node
 from kb.planners import Choice, Criterion, Optimum, number, ranked
 from kb.state import State
 
@@ -91,11 +91,12 @@ class Problem:
             node for node in parts if any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
         }
 
-        with localcontext(Context(prec=60)):
-            self._estimate(state.network)
+        names = {*criterion.budgets, *(name for name, weight in criterion.weights.items() if weight)}
+        estimations = (one for one in state.network.model.estimations if one.attribute in names)
+        self._causers = {one: state.network.find(one.causer) for one in estimations}
         possible = [design for designs in self._designs.values() for design in designs]
         concerned = {*self._parts, *(one for node in self._parts for one in node.parts), *self._kept, *possible}
-        self.is_weighed = bool(criterion.budgets) or not concerned.isdisjoint(self._estimated)
+        self.is_weighed = bool(criterion.budgets) or not concerned.isdisjoint(self._causers.values())
 
     # ---------------------------------------------------------------- the model
 
@@ -111,31 +112,30 @@ class Problem:
         self._gain = cp_model.LinearExpr.sum([*self._gains, *map(self._worst, self._levels.values())])
         self._cost = cp_model.LinearExpr.sum(self._switching)
 
-    def _estimate(self, network: Network) -> None:
+    def _estimate(self) -> None:
         """Find the units in which all amounts are whole, and the estimated amounts of each causer."""
         criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
-        estimations = [one for one in network.model.estimations if one.attribute in weights or one.attribute in limits]
-        values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in estimations]
-        gains = [weights.get(one.attribute, 0) * value for one, value in zip(estimations, values, strict=True)]
+        values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in self._causers]
+        gains = [weights.get(one.attribute, 0) * value for one, value in zip(self._causers, values, strict=True)]
         costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
         amounts = [*gains, *costs.values()]
         self._unit, is_exact = _unit(amounts)  # the worth of a gain of 1
         self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
         loads = {name: [limit] for name, limit in limits.items()}
-        for one, value in zip(estimations, values, strict=True):
+        for one, value in zip(self._causers, values, strict=True):
             loads.get(one.attribute, []).append(value)
         self._load_units = {name: _unit(amounts)[0] for name, amounts in loads.items()}
         self._limits = [_whole(limits[name], unit, ROUND_FLOOR) for name, unit in self._load_units.items()]
         self._costs = {node: _whole(cost, self._unit) for node, cost in costs.items()}
         self._estimated: dict[Node, list[Estimated]] = {}
-        for one, value, amount in zip(estimations, values, gains, strict=True):
+        for (one, causer), value, amount in zip(self._causers.items(), values, gains, strict=True):
             units = self._load_units.items()
             load = tuple(_whole(value, unit, ROUND_CEILING) if one.attribute == name else 0 for name, unit in units)
             is_level = one.kind is EstimationKind.ABSOLUTE and one.attribute in weights
             estimated = Estimated(one.attribute, _whole(amount, self._unit), is_level, load)
-            self._estimated.setdefault(network.find(one.causer), []).append(estimated)
+            self._estimated.setdefault(causer, []).append(estimated)
 
     def _cost_to_switch(self, component: Node) -> int:
         """Return the cost of starting or stopping a component; a plain one is not switched."""
@@ -215,6 +215,8 @@ class Problem:
         The order of choices is by priority and name of the design of the function declared first, then of the next
         function, and so on, and then by the configurations of the components in the same way.
         """
+        with localcontext(Context(prec=60)):
+            self._estimate()
         self._encode()
         model, limits = self._model, self._criterion.limits
         self._effort = self._left = effort
