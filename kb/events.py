@@ -210,7 +210,7 @@ class Log:
         """Yield the events after one, in order, with the measurements among them or without."""
         with self._lock:
             held = (self._measured, self._others) if measurements else (self._others,)
-            later = [one for events in held for one in takewhile(lambda one: one.number > number, reversed(events))]
+            later = [one for events in held for one in _newest(events, number)]
         return iter(sorted(later, key=_NUMBER))
 
     def __iter__(self) -> Iterator[Event]:
@@ -219,6 +219,14 @@ class Log:
 
     def __len__(self) -> int:
         return len(self._measured) + len(self._others)
+
+
+def _newest(events: deque[Event], number: int) -> list[Event]:
+    """Return the events after one, the newest first."""
+    try:
+        return list(takewhile(lambda one: one.number > number, reversed(events)))
+    except RuntimeError:  # a signal handler told an event meanwhile
+        return _newest(events, number)
 
 
 @dataclass(slots=True, eq=False)

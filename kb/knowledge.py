@@ -11,9 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
-from inspect import currentframe
-from itertools import islice
-from traceback import walk_stack
+from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, Literal
 
@@ -39,9 +37,7 @@ _ENDED: Final = 4
 """How many requests that have ended a plan names as its reason at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
-_EVENTFUL: Final = ("apply", "measure", "finish", "advance", "amended")
-"""What is at work while something is told, time passes, or the model changes."""
-_IN_THE_MIDST: Final = "what handles a signal can ask and tell nothing in the midst of an event; do that later"
+_IN_THE_MIDST: Final = "a signal handler or finalizer can ask and tell nothing in the midst of an event; do that later"
 
 _Pending = tuple[Event, Sequence[Put], bool, bool] | Literal["open"]
 """An event that is in; what is still to be put in place; whether the state has changed, and whether it matters to a
@@ -81,6 +77,7 @@ class Knowledge:
         self.in_words = False  # whether measurements are put in words, too
         self.heard: Callable[[], None] = lambda: None  # called after a change of the model, without the lock
         self.pending: _Pending | None = None  # an event that was interrupted; see `finish`
+        self.telling = Lock()  # held, with the other lock, from the checks of what is told until it is in place
         self._amended: facts.Amended | None = None
         self._before: Mapping[Node, Status] = {}
 
@@ -89,7 +86,7 @@ class Knowledge:
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
         """Make an event of what is said, and put it in place; None if it would change nothing."""
         if self.pending is not None:
-            self.settled()
+            self.finish()
         if verb not in RECORDS:
             self._open()
         event = Event(self.log.last + 1, time, verb, arguments, (), cause)
@@ -101,7 +98,7 @@ class Knowledge:
     def measure(self, node: Node, value: float, time: float) -> Event:
         """Make an event of a measurement; the quickest of all, for it is the most frequent."""
         if self.pending is not None:
-            self.settled()
+            self.finish()
         index, state, measurements = node.index, self.state, self.measurements
         before, was_stale = state.value[index], state.stale[index]
         thresholds = self.network.thresholds(node)
@@ -140,10 +137,12 @@ class Knowledge:
 
     def settle(self, now: float) -> None:
         """Put in place what was interrupted, and take in what time has done by now [s]."""
-        self.settled()
-        self.now = max(now, self.log.time)
-        if self.now >= self.measurements.alarms.next and not self._is_under_way():
-            self.advance(self.now)
+        self.refuse_in_the_midst()
+        with self.telling:
+            self.finish()
+            self.now = max(now, self.log.time)
+            if self.now >= self.measurements.alarms.next:
+                self.advance(self.now)
 
     def advance(self, now: float) -> None:
         """Make events of what time has done until now, each at its own instant."""
@@ -195,15 +194,15 @@ class Knowledge:
     def settled(self) -> State:
         """Return what is known once an event that was interrupted is in or out."""
         if self.pending is not None:
-            if self._is_under_way():
-                raise KnowledgeBaseError(_IN_THE_MIDST)
-            self.finish()
+            self.refuse_in_the_midst()
+            with self.telling:
+                self.finish()
         return self.state
 
-    def _is_under_way(self) -> bool:
-        """Tell whether this thread is in the midst of an event, below whoever asks this in order to do something."""
-        below = (frame for frame, _ in islice(walk_stack(currentframe()), 3, None))
-        return any(one.f_code.co_name in _EVENTFUL and one.f_locals.get("self") is self for one in below)
+    def refuse_in_the_midst(self) -> None:
+        """Raise KnowledgeBaseError if this thread, which holds the lock, is already putting an event in place."""
+        if self.telling.locked():
+            raise KnowledgeBaseError(_IN_THE_MIDST)
 
     def _put(
         self,
@@ -444,26 +443,35 @@ class Knowledge:
         with self._lock:
             self.settle(now)
 
+    def catch_up(self) -> None:
+        """Take in what time has done by now; who asks between two events of one call gets what is known so far."""
+        now = self.clock()
+        with self._lock:
+            if self.pending is not None or not self.telling.locked():
+                self.settle(now)
+
     def amended(self, change: facts.Amended) -> None:
         """Know what follows from a change of the model; nothing more if that is known already."""
         with self._lock:
-            self.settled()
-            if change is self._amended:
-                return
-            if self._is_under_way():
-                raise KnowledgeBaseError(_IN_THE_MIDST)
-            for element in change.elements if change.how == "removed" else ():
-                if isinstance(element, Action) and element.name in self.records.required:
-                    self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
-            self.state.kept = None
-            self._before = {node: self.state.status[node.index] for node in self.network.present()}
-            gone = [node for node in self._before if change.how == "removed" and node.element in change.elements]
-            named = [one for one in change.elements if not isinstance(one, Estimation)] or change.elements
-            names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
-            written = tuple(amendment(change.how, change.elements, self.serials))
-            event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
-            self.pending = event, (partial(self._renew, change, gone),), False, True
-            self.finish()
+            self.refuse_in_the_midst()
+            with self.telling:
+                self.finish()
+                if change is not self._amended:
+                    self._follow(change)
+
+    def _follow(self, change: facts.Amended) -> None:
+        for element in change.elements if change.how == "removed" else ():
+            if isinstance(element, Action) and element.name in self.records.required:
+                self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
+        self.state.kept = None
+        self._before = {node: self.state.status[node.index] for node in self.network.present()}
+        gone = [node for node in self._before if change.how == "removed" and node.element in change.elements]
+        named = [one for one in change.elements if not isinstance(one, Estimation)] or change.elements
+        names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
+        written = tuple(amendment(change.how, change.elements, self.serials))
+        event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
+        self.pending = event, (partial(self._renew, change, gone),), False, True
+        self.finish()
 
     def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:
         """Relate what is in the model now, and infer all anew; it may be done again."""

@@ -69,12 +69,13 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
         given = [_own(value) for value in args]
         caused = {name: _own(value) for name, value in kwargs.items()}
-        now, log = self._time(), self._knowledge.log
+        now, log, telling = self._time(), self._knowledge.log, self._knowledge.telling
         with self._lock:
             self._settle(now)
-            before = log.last
-            result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
-            told = log.last
+            with telling:
+                before = log.last
+                result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
+                told = log.last
         if self._publisher.is_heard:
             self._publisher.deliver(told if told > before else 0)
         return result
@@ -157,7 +158,7 @@ class KnowledgeBase:
         self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
         model.watch(known)
-        HELD_OVER_FORKS.add(self._lock)
+        HELD_OVER_FORKS[self._lock] = -1.0
         if self.store is not None:
             self.store.start(known, self._lock)
             finalize(self, self.store.close)
@@ -285,7 +286,8 @@ class KnowledgeBase:
         known, now = self._knowledge, self._time()
         with self._lock:
             self._settle(now)
-            told = known.measure(node, number, known.now).number
+            with known.telling:
+                told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
             self._publisher.deliver(told)
 
@@ -647,13 +649,14 @@ class KnowledgeBase:
         if self.store is not None:
             self._check_open(self.store)
         known = self._knowledge
+        known.refuse_in_the_midst()
         last = known.log.time
         known.now = now = now if now >= last else last
         if known.pending is not None or now >= known.measurements.alarms.next:
             known.settle(now)
 
     def _catch_up(self) -> None:
-        self._knowledge.prepare()
+        self._knowledge.catch_up()
         if self._publisher.is_heard:
             self._publisher.deliver()
 

@@ -227,7 +227,7 @@ class State:
 
     def __init__(self, network: Network) -> None:
         self.network = network
-        self.columns: dict[str, list[Any]] = {name: [] for name in (*FACTS, *_INFERRED)}
+        self.columns: dict[str, Any] = {name: [] for name in (*FACTS, *_INFERRED)}
         for name, column in self.columns.items():
             setattr(self, name, column)
         self.reasons: dict[tuple[str, int], Reason] = _Said()  # of a fact: by name of its array, and index
@@ -300,8 +300,8 @@ class Overlay(State):
 
     def __init__(self, below: State) -> None:
         self.network = below.network
-        for name in (*FACTS, *_INFERRED):
-            setattr(self, name, _Layer(getattr(below, name)))
+        self.columns = {name: _Layer(column) for name, column in below.columns.items()}
+        self.__dict__.update(self.columns)
         self.reasons = _Layer(below.reasons)
         self.parameters = below.parameters
         self.histories = below.histories

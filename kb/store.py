@@ -15,7 +15,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
-from weakref import WeakSet
+from weakref import WeakKeyDictionary
 
 from kb import store_file
 from kb.amendments import amend, amended_alike, differences, rebuilt
@@ -36,7 +36,7 @@ _SNAPSHOT_AFTER: Final = 10_000  # events that are written, at least, before wha
 _PAUSE: Final = 0.001  # in which those who tell go on before it is written what they have told together [s]
 _AHEAD: Final = 1 << 20  # that is written to the log beside the file before it is brought into the file [bytes]
 _AGAIN: Final = 1.0  # after which it is tried again to write, and the mark is forced to the disk [s]
-_LONGEST_HOLD: Final = 5.0  # for which a fork waits for what another thread is at [s]
+_LONGEST_HOLD: Final = 5.0  # for which a fork waits until another thread has used a file [s]
 _MOST_WAITING: Final = 100_000  # events that wait for room on the disk before it is given up: memory has an end too
 
 _log = logging.getLogger(__name__)
@@ -70,7 +70,7 @@ class Store:
         self.is_new = model is not None and store_file.make(self.path, _declared(model))
         self._guard, self._mark = store_file.guarded(self.path), -1
         self.using = threading.Lock()
-        HELD_OVER_FORKS.add(self.using)
+        HELD_OVER_FORKS[self.using] = _LONGEST_HOLD
         self._progress = threading.Condition()
         self._wake = threading.Event()
         self._closing = self._is_stopping = self._is_given_up = False
@@ -263,7 +263,7 @@ class Store:
         """Write what is new; if that fails, everything is as before."""
         known, snapshot = self._knowledge, None
         with self._lock:
-            known.finish()
+            known.settled()
             last = known.log.last
             waiting = last - self._written
             batch = list(known.log.since(self._written))
@@ -354,7 +354,7 @@ class Store:
 
     def _say(self, words: str, level: int) -> None:
         _log.log(level, words)
-        with self._lock:
+        with self._lock, self._knowledge.telling:
             self._knowledge.apply(self._knowledge.now, "store", (words,))
         self._knowledge.heard()
 
@@ -373,13 +373,17 @@ def _blamed(path: Path) -> Iterator[None]:
 
 # -------------------------------------------------------------------- forks
 
-HELD_OVER_FORKS: Final[WeakSet[Any]] = WeakSet()
-"""The locks of all knowledge bases, and of all files: SQLite has its own, which a child would inherit as they are."""
+HELD_OVER_FORKS: Final[WeakKeyDictionary[Any, float]] = WeakKeyDictionary()
+"""The locks that a fork takes first, and how long it waits for each [s]; -1 for as long as it takes.
+
+It always takes those of knowledge bases: a child can never use one whose lock another thread held. It waits less for
+those of files, which a child may not use; they only keep SQLite's own locks from being inherited as they are.
+"""
 
 
 def _hold() -> None:
     """Wait until nothing is half-done, before the process is forked."""
-    _HELD.extend(lock for lock in tuple(HELD_OVER_FORKS) if lock.acquire(timeout=_LONGEST_HOLD))
+    _HELD.extend(lock for lock, longest in tuple(HELD_OVER_FORKS.items()) if lock.acquire(timeout=longest))
 
 
 def _let_go() -> None:

@@ -8,7 +8,7 @@ from interrupting import Interrupted, interrupted_at, is_free
 from kept import answers, robot
 from models import Clock
 
-from kb import KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
+from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
 from kb.inference import propagate
 from kb.network import Network
 from kb.state import State
@@ -170,6 +170,32 @@ def test_what_handles_a_signal_sees_what_was_before_or_after_or_is_refused_and_t
         assert known(kb) == after, f"{name}, asked at instruction {step}"
         assert (live_on(kb), kb.heard) == (later, twin.heard), f"{name}, later than asked at instruction {step}"
     assert len(found + refused) > 2
+
+
+@pytest.mark.parametrize("name", ["select", "request", "cancel", "attempt", "measure"])
+@pytest.mark.parametrize("other", ["request", "cancel", "measure what changes nothing", TIME])
+def test_what_handles_a_signal_never_comes_between_the_checks_of_an_event_and_the_event(name, other):
+    results = set()
+
+    def handle():
+        try:
+            CALLS[other](kb)
+            results.add("told")
+        except KnowledgeBaseError:
+            results.add("refused")
+
+    for step in range(1 + hash_of(name) % STRIDE, 1_000_000, STRIDE):
+        kb = Base()
+        try:
+            if not interrupted_at(step, lambda kb=kb: CALLS[name](kb), handler=handle):
+                break
+        except InvalidValue:
+            assert (name, other) == ("select", TIME)  # what is selected is unfeasible after that time
+        events = list(kb.log)
+        assert [one.number for one in events] == list(range(1, kb.log.last + 1)), step
+        assert [one.time for one in events] == sorted(one.time for one in events), step
+        assert len(kb.required_actions) == sum(one.end is None for one in kb.history.actions), step
+    assert "told" in results
 
 
 @pytest.mark.parametrize("name", ["measure", "select", "cancel", "declare"])
