@@ -9,13 +9,14 @@ rounded, so that limits are kept to the unit.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 from itertools import product
 from operator import add
 from typing import Final, NamedTuple
 
 from kb import Choice, KnowledgeBase, Model
 from kb.elements import EstimationKind
+from kb.status import OPERATORS
 from missions.agv.building import Building, Corridor, checked
 from missions.agv.model import NAVIGATE
 from missions.engine.mission import MissionError
@@ -76,7 +77,8 @@ class Mode:
 class Modes:
     """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.
 
-    What was answered is forgotten, modes included, as soon as a fact or the model has changed.
+    Conditions that violate the same constraints allow the same modes, so one situation serves them all. All answers are
+    forgotten, modes included, as soon as a fact or the model changes.
 
     Raises:
         UnknownName: no such function.
@@ -107,7 +109,7 @@ class Modes:
         """
         if self._revision != self._kb.revision:
             self._revision, self._found, self._all = self._kb.revision, {}, list(self._read())
-        key = tuple(conditions.items())
+        key = self._key(conditions)
         if key not in self._found:
             situation = self._kb.situation(conditions)
             designs = {*situation.selectable_designs(self._function)}
@@ -120,6 +122,15 @@ class Modes:
                 and settings.issuperset(mode.choice.configurations.values())
             ]
         return self._found[key]
+
+    def _key(self, conditions: Mapping[str, float]) -> tuple[float, ...]:
+        """Return which constraints hold; for one with hysteresis, which depends on more than the value, the value."""
+        concerned = [
+            (one, conditions[one.attribute]) for one in self._kb.model.constraints if one.attribute in conditions
+        ]
+        return tuple(
+            [value if one.hysteresis else OPERATORS[one.operator](value, one.value) for one, value in concerned]
+        )
 
     def _read(self) -> Iterator[Mode]:
         """Yield all modes of the model, whether they are possible or not."""
@@ -148,6 +159,7 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
     return Mode(name, choice, components, float(speed), *taken)
 
 
+@lru_cache(maxsize=10_000)
 def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
     """Return what it takes to drive a length [m] past obstacles.
 

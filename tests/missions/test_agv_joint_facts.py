@@ -110,3 +110,13 @@ def test_amended_speed_and_estimation_count_from_then_on():
     assert (
         after.in_units["energy"] < before.in_units["energy"] / 50
     )  # what is left is what it takes to stand while the first are switched on
+
+
+def test_conditions_that_violate_the_same_constraints_are_asked_about_once(monkeypatch):
+    kb = KnowledgeBase(agv_model(), clock=lambda: 0.0)
+    asked, situation = [], kb.situation
+    monkeypatch.setattr(kb, "situation", lambda conditions: asked.append(conditions) or situation(conditions))
+    modes = Modes(kb, "navigate")
+    for light in (1.0, 0.9, 0.8, 0.1, 0.0):
+        modes.under({"light": light, "obstacles": 0.0})
+    assert [one["light"] for one in asked] == [1.0, 0.1]
