@@ -154,7 +154,8 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     z = _within(z, 0.1 * limit)  # heading matters least
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
-    return [max(0.0, min(limit, even + one)) for one in turning]
+    wanted = [even + one for one in turning]
+    return wanted if 0.0 <= min(wanted) and max(wanted) <= limit else [max(0.0, min(limit, one)) for one in wanted]
 
 
 def _within(value: float, limit: float) -> float:
@@ -255,7 +256,7 @@ class Quadrotor:
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
-        self._ctrl[:] = *thrusts, self._arm
+        self._ctrl[:4], self._ctrl[4] = thrusts, self._arm
         self._advance(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
         self.rotor_w = self._watts * (a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d))

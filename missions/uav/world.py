@@ -271,7 +271,7 @@ class Nodes(NamedComponents):
     @property
     def watts(self) -> float:
         """What those draw that are active [W]."""
-        return sum(watts for name, watts in self._powers_w.items() if name in self.active)
+        return sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def act(self) -> None:
         """Have those act that are active; called once a period."""
