@@ -372,6 +372,11 @@ class Estimation:
     kind: Annotated[EstimationKind, _one_of("estimation kind", EstimationKind)]
     causer: "Estimable"
 
+    @property
+    def adds(self) -> float:
+        """What it adds to the attribute; below 0 if it takes from it."""
+        return -self.value if self.kind is EstimationKind.NEGATIVE else self.value
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Element:

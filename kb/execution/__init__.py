@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import NamedTuple
 
-from kb.elements import ComponentKind, Configuration, EstimationKind, finite_number, is_number
+from kb.elements import ComponentKind, Configuration, finite_number, is_number
 from kb.exceptions import InvalidValue, ProtocolError
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
@@ -55,8 +55,7 @@ class Budgets:
             for estimation in state.network.model.estimations:
                 causer = state.network.find(estimation.causer)
                 if estimation.attribute in loads and _counts(kb, state, causer, started, failed):
-                    value = Decimal(repr(estimation.value))
-                    loads[estimation.attribute] += -value if estimation.kind is EstimationKind.NEGATIVE else value
+                    loads[estimation.attribute] += Decimal(repr(estimation.adds))
         return list(loads.values())
 
 

@@ -117,7 +117,7 @@ class Problem:
         criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
-        values = [_decimal(one.value) * (-1 if one.kind is EstimationKind.NEGATIVE else 1) for one in self._causers]
+        values = [_decimal(one.adds) for one in self._causers]
         gains = [weights.get(one.attribute, 0) * value for one, value in zip(self._causers, values, strict=True)]
         costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
         amounts = [*gains, *costs.values()]

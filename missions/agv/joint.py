@@ -15,7 +15,6 @@ from operator import add
 from typing import Final, NamedTuple
 
 from kb import Choice, KnowledgeBase, Model
-from kb.elements import EstimationKind
 from kb.status import OPERATORS
 from missions.agv.building import Building, Corridor, checked
 from missions.agv.model import NAVIGATE
@@ -153,7 +152,7 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
     taken = []
     for attribute in ("energy", "safety"):
         some = [one for one in model.estimations if one.attribute == attribute and id(one.causer) in causers]
-        takes = sum([one.value if one.kind is EstimationKind.NEGATIVE else -one.value for one in some])
+        takes = 0.0 - sum([one.adds for one in some])
         what = f"what {name} takes from {attribute}, by estimations of the kind 'negative',"
         taken.append(checked(what, takes if some else None))
     return Mode(name, choice, components, float(speed), *taken)

@@ -269,14 +269,14 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
         rests: dict[int, list[tuple[frozenset[str], float]]] = defaultdict(list)
         for number, span in ((number, span) for number, run in enumerate(runs) for span in run):
             chosen = [one for one in estimations if one.causer.name in span.chosen]
-            estimated = math.fsum(_signed(one) for one in chosen)
+            estimated = math.fsum(one.adds for one in chosen)
             slopes = [slope for of, slope in span.slopes(model) if of == name and chosen]
             rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
         for one in estimations:
             off, right = (_mean_rest(rests, one.causer.name, having) for having in (True, False))
             if off is None or off.observations == 1 or _is_right(off, one) or (right and not _is_right(right, one)):
                 continue
-            sign = _signed(one) and math.copysign(1.0, _signed(one))
+            sign = one.adds and math.copysign(1.0, one.adds)
             low, high = sorted(one.value + sign * end for end in (off.low, off.high))
             found = Spread(one.value + sign * off.value, low, high, off.observations)
             about = f"{name} by {one.causer.name} [{model.attributes[name].unit or '1'}/s]"
@@ -287,10 +287,6 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
 
 def _is_right(rest: Spread, one: Estimation) -> bool:
     return rest.holds(0.0) or abs(rest.value) <= _ROUNDING * abs(one.value)
-
-
-def _signed(one: Estimation) -> float:
-    return -one.value if one.kind is EstimationKind.NEGATIVE else one.value
 
 
 def _mean_rest(rests: dict[int, list[tuple[frozenset[str], float]]], name: str, having: bool) -> Spread | None:

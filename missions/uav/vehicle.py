@@ -155,7 +155,7 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
     wanted = [even + one for one in turning]
-    return wanted if 0.0 <= min(wanted) and max(wanted) <= limit else [max(0.0, min(limit, one)) for one in wanted]
+    return wanted if min(wanted) >= 0.0 and max(wanted) <= limit else [max(0.0, min(limit, one)) for one in wanted]
 
 
 def _within(value: float, limit: float) -> float:
