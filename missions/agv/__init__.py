@@ -1,4 +1,4 @@
-"""A ground vehicle finds its way through a building: which corridors, and configured how in each, planned together."""
+"""AGV: a ground vehicle drives through a building; corridors and the configuration in each are planned together."""
 
 from collections.abc import Mapping
 from functools import cache, lru_cache, partial
@@ -19,21 +19,21 @@ from missions.engine.task_layer import by_schema
 __all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
 WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"time": 1.0, "energy": 0.02, "collisions": 10.0})
-"""What is minimised unless said otherwise: seconds, joules, expected collisions; own choice."""
+"""Default weights of what is minimised: seconds, joules, expected collisions; own choice."""
 
 LIMITED: Final = ("energy",)
-"""What a plan may use up no more of than there is."""
+"""The resources of which a plan may use no more than there is."""
 
 
 def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
-    """Make a mission of a map; what is minimised is as in `missions.agv.joint.Question`."""
+    """Make a mission of a map; the weights are those of `missions.agv.joint.Question`."""
 
-    @cache  # what it is made of takes time, and a mission that is only listed needs none of it
+    @cache  # takes time to make, and a mission that is only listed does not need it
     def pddl() -> PddlNames:
         known = KnowledgeBase(building_model(building), clock=lambda: 0.0)
         return PddlNames(building, Modes(known, NAVIGATE).under({}), LIMITED)
 
-    @lru_cache(maxsize=8)  # takes time to make, so the behaviours of a run share it
+    @lru_cache(maxsize=8)  # takes time to make; the behaviours of a run share it
     def planning_state(kb: KnowledgeBase, percepts: Percepts) -> PlanningState:
         return PlanningState(Route(building, kb, percepts, weights), pddl())
 

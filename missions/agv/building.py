@@ -12,7 +12,7 @@ from missions.engine.settings import near
 from rosa_pddl.search import distances
 
 _NAME: Final = re.compile(r"[a-z][a-z0-9_]*")
-_MOST: Final = 1e12  # of any number that is given: sums and products of such are finite
+_MOST: Final = 1e12  # limit of every given number, so that sums and products are finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,10 +21,10 @@ class Corridor:
 
     Attributes:
         ends: the two places.
-        length_m: how far it is [m]; by default as far as its places are apart.
+        length_m: its length [m]; by default the distance between its places.
         obstacles: obstacles per metre [1/m].
         light: from 0 (dark) to 1.
-        name: as the building calls it.
+        name: its name in the building.
     """
 
     ends: tuple[str, str]
@@ -89,7 +89,7 @@ class Building:
         return {place: tuple(one for one in corridors if place in one.ends) for place in self.places}
 
     def check(self, kind: str, name: str, who: str) -> None:
-        """Raise MissionError unless there is a "place" or "corridor" of that name, as somebody says."""
+        """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name; `who` names it."""
         known = list(self.places if kind == "place" else self.corridors)
         if name not in known:
             lacks = f"{who} names the {kind} {name!r}, which map {self.name} lacks"
@@ -115,7 +115,7 @@ PAPER: Final = Building(
     start="a",
     goal="b",
 )
-"""From a to b: straight on through the obstructed corridor c1, or round by c4, c3 and c2 (the map of the ROSA paper).
+"""The map of the ROSA paper, from a to b: straight on through the obstructed corridor c1, or round by c4, c3 and c2.
 
-The corridors and what is in them are the paper's; lengths and light are our own choice.
+The corridors and their obstacles are the paper's; lengths and light are our own choice.
 """

@@ -1,9 +1,9 @@
-"""Which corridors, and which configuration in each: planned together, to a proven optimum, within limits.
+"""Plans the corridors and the configuration in each together: a proven optimum, within limits.
 
-It poses the question to the exact search of `rosa_pddl`. What the corridors allow, and what that takes, is asked of the
-knowledge base by situations; nothing here knows what a camera is. All amounts are whole: milliseconds, millijoules and
-millionths of a collision, rounded once for each corridor and mode (by at most half of one). From there on nothing is
-rounded, so that limits are kept to the unit.
+The exact search of `rosa_pddl` finds the plan. Situations of the knowledge base say which configurations are possible
+in a corridor; nothing here knows what a camera is. All amounts are whole numbers: milliseconds, millijoules and
+millionths of a collision. They are rounded once, for each corridor and mode; nothing is rounded after that, so limits
+are kept exactly.
 """
 
 import math
@@ -22,16 +22,16 @@ from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
 
 GOALS: Final = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
-"""What can be weighed: seconds, joules, and collisions expected; and how many of its amounts each is."""
+"""What can be minimised: seconds, joules and expected collisions; and how many whole amounts make one of each."""
 
 COLLISION_S: Final = 30.0
-"""For how long a collision keeps the robot [s]; as the next three own choice."""
+"""How long a collision stops the robot [s]; this and the next three are our own choice."""
 SWITCH_S: Final = 0.5
-"""To start or stop a component [s]."""
+"""Time to start or stop a component [s]."""
 SET_S: Final = 0.1
-"""To give a component another configuration [s]."""
+"""Time to give a component another configuration [s]."""
 STANDING_W: Final = 10.0
-"""What the robot draws while it switches [W]."""
+"""Power that the robot draws while it switches [W]."""
 
 
 class Amounts(NamedTuple):
@@ -43,20 +43,20 @@ class Amounts(NamedTuple):
 
     @property
     def in_units(self) -> Mapping[str, float]:
-        """By goal: [s], [J], and how many collisions are expected."""
+        """The amounts by goal, in [s], [J] and expected collisions."""
         return {name: amount / GOALS[name] for name, amount in zip(GOALS, self, strict=True)}
 
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """One way to be configured; the same one is the same object, for one `Modes` until a fact changes.
+    """One way to configure the robot; `Modes` makes one object of each, until a fact or the model changes.
 
     Attributes:
-        name: of designs and configurations, such as "amcl_kinect fast"; empty if nothing runs.
+        name: names of the designs and configurations, such as "amcl_kinect fast"; empty for `Modes.running`.
         choice: a design for each function and a configuration for each component that has some.
-        components: that run.
-        speed: that its configurations set [m/s].
-        energy: what it is estimated to draw [W].
+        components: the components that run.
+        speed: the speed that the configurations set [m/s].
+        energy: the power that it draws by the estimations [W].
         safety: how many collisions are expected for each obstacle that is passed.
     """
 
@@ -69,15 +69,15 @@ class Mode:
 
     @property
     def setup(self) -> tuple[object, ...]:
-        """What two modes have in common if nothing has to be switched from one to the other."""
+        """What is equal for two modes if nothing has to be switched between them."""
         return self.components, self.choice.configurations
 
 
 class Modes:
     """Asks a knowledge base, by situations, which modes of a function are possible under which conditions.
 
-    Conditions that violate the same constraints allow the same modes, so one situation serves them all. All answers are
-    forgotten, modes included, as soon as a fact or the model changes.
+    Conditions that violate the same constraints allow the same modes, so one situation serves them all. All answers and
+    modes are forgotten as soon as a fact or the model changes.
 
     Raises:
         UnknownName: no such function.
@@ -93,7 +93,7 @@ class Modes:
 
     @property
     def running(self) -> Mode:
-        """How the robot is configured now: the components of the function's designs that are active."""
+        """How the robot is configured now: the active ones among the components of the function's designs."""
         kb = self._kb
         parts = {part for name in kb.functions[self._function].designs for part in kb.designs[name].components}
         active = [part for part in kb.model.components if part in parts and kb.components[part].is_active]
@@ -104,7 +104,7 @@ class Modes:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible.
 
         Raises:
-            MissionError: the model does not say of a mode how fast it is, or what it takes.
+            MissionError: the model lacks the speed, the energy or the collisions of a mode.
         """
         if self._revision != self._kb.revision:
             self._revision, self._found, self._all = self._kb.revision, {}, list(self._read())
@@ -123,7 +123,7 @@ class Modes:
         return self._found[key]
 
     def _key(self, conditions: Mapping[str, float]) -> tuple[float, ...]:
-        """Return which constraints hold; for one with hysteresis, which depends on more than the value, the value."""
+        """Return whether each constraint holds; with hysteresis, which depends on more than the value, the value."""
         concerned = [
             (one, conditions[one.attribute]) for one in self._kb.model.constraints if one.attribute in conditions
         ]
@@ -132,7 +132,7 @@ class Modes:
         )
 
     def _read(self) -> Iterator[Mode]:
-        """Yield all modes of the model, whether they are possible or not."""
+        """Yield all modes of the model, possible or not."""
         kb = self._kb
         for design in kb.functions[self._function].designs:
             configured = {part: kb.components[part].configurations for part in kb.designs[design].components}
@@ -158,11 +158,11 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
     return Mode(name, choice, components, float(speed), *taken)
 
 
-@lru_cache(maxsize=10_000)
+@lru_cache(maxsize=10_000)  # each question asks again for the same whole corridors
 def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
-    """Return what it takes to drive a length [m] past obstacles.
+    """Return what it takes to drive a length [m] past a number of obstacles.
 
-    A collision is a matter of chance; what it costs, it costs as often as it is expected: the robot stands for a while.
+    A collision stops the robot for a while; this time counts as often as a collision is expected.
     """
     collisions = passed * mode.safety
     time_s = length_m / mode.speed + collisions * COLLISION_S
@@ -170,7 +170,7 @@ def crossing(mode: Mode, length_m: float, passed: float) -> Amounts:
 
 
 def switching(before: Mode, after: Mode) -> Amounts:
-    """Return what it takes to change from one mode to another: one thing after the other, while the robot stands."""
+    """Return what it takes to change from one mode to another: the robot stands, and switches one by one."""
     had, has = before.choice.configurations, after.choice.configurations
     time_s = SWITCH_S * len(before.components ^ after.components)
     time_s += SET_S * sum(had.get(part) != name for part, name in has.items())
@@ -178,13 +178,13 @@ def switching(before: Mode, after: Mode) -> Amounts:
 
 
 def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
-    """Return what makes a weighted sum of amounts, in whole thousandths."""
+    """Return the function that makes the weighted sum of amounts, in whole thousandths."""
     per_ms, per_mj, per_millionth = (weights.get(one, 0.0) * (1e3 / scale) for one, scale in GOALS.items())
     return lambda takes: round(per_ms * takes.time + per_mj * takes.energy + per_millionth * takes.collisions)
 
 
 class Place(NamedTuple):
-    """Where the robot is: at a place, or on the way from it along a corridor, so far [m]; beyond an end is there."""
+    """Where the robot is: at a place, or so far from it in a corridor [m]; beyond an end counts as at the end."""
 
     name: str
     corridor: str = ""
@@ -196,10 +196,10 @@ class Question:
     """What to plan.
 
     Attributes:
-        start, goal: from where to which place; by default those of the building.
-        weights: what a second, a joule and a collision ("time", "energy", "collisions") are worth.
-        limits: at most how much of each may be used, by the same names, in [s], [J] and expected collisions.
-        light: of corridors in which it is not as the map says, by name.
+        start, goal: where the plan starts and ends; by default those of the building.
+        weights: cost of a second, a joule and a collision ("time", "energy", "collisions").
+        limits: how much of each may be used at most, by the same names, in [s], [J] and expected collisions.
+        light: light of the corridors where it differs from the map, 0 to 1, by name.
     """
 
     start: Place | None = None
@@ -222,9 +222,9 @@ class Question:
 
 @dataclass(frozen=True)
 class Leg:
-    """One corridor of a plan: from which end to which, how configured and why, under which conditions.
+    """One corridor of a plan: its direction, the mode in it and why, and the conditions there.
 
-    What it takes counts what switching to the mode takes.
+    `takes` includes what switching to the mode takes.
     """
 
     corridor: str
@@ -241,12 +241,12 @@ class Leg:
 
 @dataclass(frozen=True)
 class Answer:
-    """A plan of least cost, or why there is none; either is proven.
+    """A plan of least cost, or the reason why there is none; both are proven.
 
     Attributes:
-        legs: none if there is no plan, or the robot is there already.
+        legs: empty if there is no plan, or if the robot is at the goal already.
         cost: the weighted sum [thousandths].
-        takes: in all.
+        takes: the amounts of the whole plan.
         reason: what was chosen and why, or why there is no plan.
     """
 
@@ -261,7 +261,7 @@ State = tuple[Place, Mode]
 
 
 class _Way(NamedTuple):
-    """A corridor as it is driven: between which places, how far [m], past how many obstacles, under what conditions."""
+    """A corridor in one direction, or a part of it: its length [m], how many obstacles it has, and the conditions."""
 
     corridor: Corridor
     origin: str
@@ -272,7 +272,7 @@ class _Way(NamedTuple):
 
 
 class Task:
-    """One question as a graph of places and modes, for the exact search; and for those who judge the planner."""
+    """One question as a graph of places and modes: for the exact search, the PDDL, and tests of the planner."""
 
     def __init__(self, planner: "JointPlanner", question: Question) -> None:
         self.building = building = planner.building
@@ -296,7 +296,7 @@ class Task:
         self.crossings, self.switching = cache(self._crossings), cache(self._switching)
 
     def moves(self, state: State) -> Iterator[Move[State, Leg]]:
-        """Yield each corridor from here in each mode that is possible in it."""
+        """Yield a move for each corridor from here and each mode that is possible in it."""
         place, before = state
         for leg, cost in self.crossings(place):
             switched, more = self.switching(before, leg.mode)
@@ -307,7 +307,7 @@ class Task:
         return state[0] == Place(self.goal)
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
-        if state[0].corridor:  # only at the start, from where anything may still be far
+        if state[0].corridor:  # only the start; 0 is a bound that always holds
             return 0, (0,) * len(self.limited)
         return self._least.get(state[0].name, (math.inf, (math.inf,) * len(self.limited)))
 
@@ -316,7 +316,7 @@ class Task:
         return {"light": self.question.light.get(corridor.name, corridor.light), "obstacles": corridor.obstacles}
 
     def _crossings(self, place: Place) -> list[tuple[Leg, int]]:
-        """Return each way from a place, in each mode that is possible, without switching to it, and what it costs."""
+        """Return a leg and its cost for each way from a place and each possible mode, without the switching."""
         return [
             (Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes), cost)
             for way in self._ways(place)
@@ -324,12 +324,12 @@ class Task:
         ]
 
     def _switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
-        """Return what it takes, and costs, to change modes."""
+        """Return what a change of modes takes, and its cost."""
         takes = switching(before, after)
         return takes, self._weighed(takes)
 
     def _ways(self, place: Place) -> Iterator[_Way]:
-        """Yield the corridors at a place; from within one, on to its end, or back and into another."""
+        """Yield the corridors at a place; from within a corridor: on to its end, or back and into another one."""
         if not place.corridor:
             yield from (self._way(corridor, place.name) for corridor in self.building.exits[place.name])
             return
@@ -341,26 +341,26 @@ class Task:
         if place.name == self.goal:
             yield _Way(inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
         for other in self.building.exits[place.name]:
-            if other is not inside:  # what was passed on the way here is known, so the way back is free
+            if other is not inside:  # the robot knows the obstacles that it has passed, so none count on the way back
                 way = self._way(other, place.name)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
                 yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
 
     def _way(self, corridor: Corridor, origin: str, length_m: float | None = None) -> _Way:
-        """Return a corridor from one of its ends: all of it, or what is left of it."""
+        """Return the way along a corridor from one of its ends; with a length [m], the rest of it."""
         left_m = corridor.length_m if length_m is None else length_m
         return _Way(
             corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, self.demands(corridor)
         )
 
     def _priced(self, way: _Way) -> list[tuple[Mode, Amounts, int]]:
-        """Return the modes that are possible on a way, what it takes in each, and what that costs."""
+        """Return each mode that is possible on a way, with what the way takes in it and its cost."""
         taken = [(mode, crossing(mode, way.length_m, way.passed)) for mode in self.modes.under(way.conditions)]
         return [(mode, takes, self._weighed(takes)) for mode, takes in taken]
 
     @cached_property
     def _least(self) -> dict[str, tuple[float, tuple[float, ...]]]:
-        """What it costs at least, and uses, from each place to the goal, whatever the modes."""
+        """The least cost, and the least use of what is limited, from each place to the goal, in any modes."""
         arcs: list[tuple[str, str, list[int]]] = []
         for name, priced in self._whole.items():
             if priced:
@@ -376,10 +376,10 @@ class JointPlanner:
     """Plans corridors and configurations together.
 
     Args:
-        kb: what to ask for configurations; its facts count, except for measurements of the demands.
+        kb: its facts decide what is possible, except for measurements of what corridors demand.
 
     Raises:
-        UnknownName: the model has no function to navigate; when asked, no attribute for what corridors demand.
+        UnknownName: the model has no function to navigate; when a plan is asked for: no attribute for a demand.
     """
 
     def __init__(self, building: Building, kb: KnowledgeBase) -> None:

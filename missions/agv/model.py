@@ -11,16 +11,16 @@ FOLLOW: Final = "follow_route"
 NAVIGATOR: Final = "navigator"
 
 SPEEDS: Final = {"slow": 0.24, "medium": 0.35, "fast": 0.68}
-"""What the base can be set to [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
+"""Speeds of the base [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
 
 DRAW_W: Final = {"amcl": 3.0, "mrpt": 4.0, "aruco": 1.0, "lidar": 8.0, "kinect": 5.0, "camera": 2.0, "lamp": 4.0}
-"""What each component draws while it runs [W]; own choice, of the order of such devices."""
+"""Power of each component while it runs [W]; own choice, of the order of such devices."""
 
 DRIVING_W: Final = {"slow": 8.0, "medium": 11.0, "fast": 30.0}
-"""What the base draws at each speed [W]; own choice."""
+"""Power of the base at each speed [W]; own choice."""
 
 MISHAPS: Final = {"slow": 0.002, "medium": 0.005, "fast": 0.02}
-"""Collisions expected for each obstacle that is passed at a speed; own choice."""
+"""Expected collisions for each obstacle that is passed at a speed; own choice."""
 
 ERROR_M: Final = {
     ("aruco", "camera"): 0.15,
@@ -29,7 +29,7 @@ ERROR_M: Final = {
     ("mrpt", "kinect"): 0.08,
     ("mrpt", "lidar"): 0.09,
 }
-"""Error of the position by algorithm and sensor [m]; which go together is the paper's, the figures are own choice."""
+"""Error of the position by algorithm and sensor [m]; the pairs are the paper's, the figures our own choice."""
 
 _DESIGNS: Final = (  # name, components, collisions expected for each obstacle passed; own choice
     ("aruco_camera", ("aruco", "camera"), 0.05),
@@ -40,7 +40,7 @@ _DESIGNS: Final = (  # name, components, collisions expected for each obstacle p
     ("mrpt_lidar", ("mrpt", "lidar"), 0.025),
 )
 OBSTRUCTED_PER_M: Final = 0.1
-"""Obstacles per metre from which only AMCL with the Kinect is accurate enough; that only it is, the paper says."""
+"""Obstacles per metre beyond which only AMCL with the Kinect is accurate enough; the paper says that only it is."""
 
 NEEDED_LIGHT: Final = 0.3
 """Light, 0 to 1, that the camera needs without the lamp; own choice."""
@@ -49,10 +49,9 @@ NEEDED_LIGHT: Final = 0.3
 def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
     """Build the model: 18 entities and 36 relations by the ROSA paper's counting; every call gives a new one.
 
-    Estimations: `energy` is what is taken from it [J/s], `safety` the collisions expected for each obstacle that is
-    passed, `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the
-    corridor to be crossed, and `energy`, what is left [J]. The actions are what a mission does; each requires to
-    navigate.
+    Estimations: `energy` is the power drawn [J/s], `safety` the expected collisions for each obstacle that is passed,
+    `accuracy` the error of the position [m]. Measured are `light` [0 to 1] and `obstacles` [1/m] of the corridor to
+    cross, and the `energy` that is left [J]. Each of the actions requires the function to navigate.
     """
     model = Model(name)
     energy, safety = model.quality_attribute("energy", unit="J"), model.quality_attribute("safety")
@@ -85,10 +84,10 @@ def agv_model(name: str = "agv", actions: Iterable[str] = (NAVIGATE,)) -> Model:
 def building_model(building: Building) -> Model:
     """Build the model of the vehicle in a building: each corridor is an action, and each heading a configuration.
 
-    To `switch`, that is to be configured before it drives on, is an action too.
+    To `switch`, which changes the configuration before it drives on, is an action too.
 
-    The demands of the corridors are not in it: they are measured. `driven` is how far it is to where the robot came
-    from, within a corridor [m], and `way` the number of the heading that is to be taken, from 1 in their order.
+    The demands of the corridors are not in the model: they are measured. `driven` is how far the robot is from where
+    it entered the corridor [m], and `way` the number of the heading to take, from 1, in the order of `headings`.
     """
     model = agv_model("agv", actions=())
     driven = model.environmental_attribute("driven", unit="m")
@@ -110,10 +109,10 @@ def building_model(building: Building) -> Model:
 
 
 def headings(building: Building) -> tuple[tuple[str, str], ...]:
-    """Return every corridor with each of its ends to drive it from, in order."""
+    """Return (corridor, origin) for every corridor and each of its two ends, in order."""
     return tuple((corridor.name, origin) for corridor in building.corridors.values() for origin in corridor.ends)
 
 
 def heading(corridor: str, origin: str) -> str:
-    """Return the name of the configuration in which a corridor is driven from one of its ends."""
+    """Return the name of the configuration for driving a corridor from one of its ends."""
     return f"{corridor}_from_{origin}"

@@ -1,6 +1,6 @@
-"""The joint plan as PDDL: the same question for planners that know nothing of corridors, step by step.
+"""The question of the joint planner as PDDL, for planners that know nothing of corridors.
 
-Switching and crossing are actions of their own; both cost what the search counts, in whole thousandths.
+Switching and crossing are separate actions; both cost the same as in the joint planner, in whole thousandths.
 """
 
 import re
@@ -13,24 +13,24 @@ from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 SWITCH: Final = "switch"
-"""The PDDL action, and the ROSA action, of changing from one mode to another where the robot stands."""
+"""Name of the PDDL action, and of the ROSA action, that changes the mode while the robot stands."""
 
 _UNITS: Final = {"time": "ms", "energy": "mj", "collisions": "millionths"}
-_PLENTY: Final = 1e15  # what is left of something of which it is not known how much is left
+_PLENTY: Final = 1e15  # stands for an amount that has no limit
 
 
 def used(name: str) -> str:
-    """Return the numeric fact for how much of something was used up, with its unit."""
+    """Return the numeric fact for how much of a resource is used up; its unit is in the name."""
     return f"{name}_used_{_UNITS[name]}"
 
 
 def left_of(name: str) -> str:
-    """Return the numeric fact for how much of something may be used up at most, with its unit."""
+    """Return the numeric fact for how much of a resource is left; its unit is in the name."""
     return f"{name}_left_{_UNITS[name]}"
 
 
 def switch_schema(limited: Iterable[str]) -> ActionSchema:
-    """Declare how modes are switched; of what is limited (see `Question`) it says how much that uses up."""
+    """Declare how modes are switched, and how much of the limited resources (see `Question`) that uses up."""
     return ActionSchema(
         SWITCH,
         parameters=("?now - setup", "?next - mode"),
@@ -43,7 +43,7 @@ def switch_schema(limited: Iterable[str]) -> ActionSchema:
 
 
 def cross_schema(limited: Iterable[str]) -> ActionSchema:
-    """Declare how ways are driven, each as the ROSA action of its corridor."""
+    """Declare how ways are driven; each is the ROSA action of its corridor."""
     return ActionSchema(
         "cross",
         parameters=("?a - action", "?w - way", "?from ?to - place", "?m - mode"),
@@ -58,7 +58,7 @@ def cross_schema(limited: Iterable[str]) -> ActionSchema:
 
 
 class Via(NamedTuple):
-    """A corridor as it is driven to one of its ends; from where the robot is within a corridor, the origin is empty."""
+    """A corridor in one direction; the origin is empty if the robot starts within a corridor."""
 
     corridor: str
     origin: str
@@ -66,10 +66,10 @@ class Via(NamedTuple):
 
 
 class PddlNames:
-    """What is called what in PDDL, where no two things of any kind have the same name, and what is so of them.
+    """The PDDL names of places, ways and modes, all different as PDDL needs them, and the facts about them.
 
-    Modes are all that there can be; `limited` is what no more may be used up of than there is. Where the robot is in
-    a corridor is the place with the empty name, and `now` is how it is configured if that is no mode.
+    `modes` are all modes there can be; `limited` names the resources with a limit. The place with the empty name is
+    where the robot is within a corridor, and `now` is its configuration if that is none of the modes.
     """
 
     def __init__(self, building: Building, modes: Iterable[Mode], limited: Iterable[str]) -> None:
@@ -84,8 +84,8 @@ class PddlNames:
         ends = [(one, to) for one in corridors for to in one.ends]
         vias = [*(Via(one.name, one.other(to), to) for one, to in ends), *(Via(one.name, "", to) for one, to in ends)]
         self.vias = {via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}") for via in vias}
-        # The way to where the robot is within a corridor. It is never planned, but without it planners that look ahead
-        # what can happen at all take it that the robot never is there.
+        # The way to where the robot is within a corridor. No plan uses it, but planners that work out which facts are
+        # reachable would conclude without it that the robot is never there.
         self.vias[Via(vias[0].corridor, vias[0].to, "")] = self._distinct("entering")
         self.by_way = {word: via for via, word in self.vias.items()}
 
@@ -111,9 +111,9 @@ class PddlNames:
         return DeclaredProblem(goal, objects, tuple(fixed), types={"mode": "setup"}, limits=limits)
 
     def facts(self, task: Task) -> dict[str, bool | float]:
-        """Return all that may change: where the robot is, how configured, what is possible, and what that costs.
+        """Return the facts that may change: where the robot is, its configuration, what is possible, and the costs.
 
-        Driving and switching cost and use up whole thousandths; of what is limited it is said how much is left.
+        Costs are whole thousandths, uses are whole amounts (see `Amounts`); it also says what is left of the limited.
         """
         place, now = task.start
         at = self.places["" if place.corridor else place.name]
@@ -130,7 +130,7 @@ class PddlNames:
             for mode, other in self.by_mode.items():
                 facts |= self._numbers("switching", f"{before} {mode}", *task.switching(one, other))
         left = dict(zip(task.limited, task.limits, strict=True))
-        for name in self.limited:  # what was used up is left no more
+        for name in self.limited:  # each question counts from what is left now
             facts |= {f"({used(name)})": 0.0, f"({left_of(name)})": left.get(name, _PLENTY)}
         return facts
 
@@ -142,9 +142,9 @@ class PddlNames:
         start = task.start[0]
         for place in [*map(Place, task.building.places), *([start] if start.corridor else [])]:
             for leg, cost in task.crossings(place):
-                if leg.mode.name in self.modes:  # else the model has got it since the problem was made
+                if leg.mode.name in self.modes:  # else it was added to the model after the problem was made
                     yield Via(leg.corridor, "" if place.corridor else leg.origin, leg.to), leg, cost
-                    if not start.corridor:  # what was begun within one goes on when the robot soon is in none any more
+                    if not start.corridor:  # a step begun within a corridor goes on at its end
                         yield Via(leg.corridor, "", leg.to), leg, cost
 
     def _distinct(self, wanted: str) -> str:

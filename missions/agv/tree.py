@@ -1,11 +1,11 @@
-"""What the mission does: as a behaviour tree it does what is planned, and plans anew when what is believed changes.
+"""The task layer of the mission: the behaviour tree follows the joint plan, and replans when its facts change.
 
 until arrived
 └── follow route             one child for each corridor; the one that is planned next is ticked
     ├── cross c1 if feasible
     └── ...
 
-Planned step by step, it switches modes before it crosses.
+In a PDDL plan, switching the mode is a step of its own before the crossing.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -29,11 +29,11 @@ from rosa_pddl import Outcome, PlanRecord, Step
 from rosa_pddl.generation import ActionSchema
 
 RESERVE: Final = 0.1
-"""Part of the energy that is not planned with, as driving round what stands in the way takes more; own choice."""
+"""Share of the energy that plans do not use, because driving round obstacles takes more; own choice."""
 
 
 class Route:
-    """Knows where the robot is, what has failed and where the light has changed; plans when one of these changes."""
+    """Knows where the robot is, what has failed and where the light has changed; replans when one of these changes."""
 
     def __init__(self, building: Building, kb: KnowledgeBase, percepts: Percepts, weights: Mapping[str, float]) -> None:
         self.building, self.kb = building, kb
@@ -44,7 +44,7 @@ class Route:
 
     @property
     def at(self) -> str:
-        """The place where the robot is, or the one that it came from."""
+        """The place where the robot is; within a corridor, the place that it came from."""
         reported = (place for place in self.building.places if self._percepts.holds(f"at {place}"))
         return next(reported, self.building.start)
 
@@ -63,7 +63,7 @@ class Route:
 
     @property
     def leg(self) -> Leg | None:
-        """What to do now; None if there is no plan, or nothing left to do."""
+        """The next corridor of the plan; None if there is no plan, or the robot is at the goal."""
         return next(iter(self.answer.legs), None)
 
     @property
@@ -72,7 +72,7 @@ class Route:
 
     @property
     def question(self) -> Question:
-        """What is to be planned from here; no more energy than there is, less the reserve."""
+        """What to plan from here; the limit of the energy is what is left, less the reserve."""
         energy_j, driven_m = (self.kb.attributes[name].value for name in ("energy", "driven"))
         limits = {} if energy_j is None else {"energy": (1.0 - RESERVE) * max(0.0, energy_j)}
         place = Place(self.at, self.inside, driven_m or 0.0) if self.inside else Place(self.at)
@@ -85,30 +85,30 @@ class Route:
 
     @property
     def standing(self) -> Mapping[str, float]:
-        """What the robot demands where it stands: it passes nothing, and places are light."""
+        """The demands where the robot stands: no obstacles, and the light of the corridor; places are fully lit."""
         corridor = self.building.corridors.get(self.inside)
         light = 1.0 if corridor is None else self._light.get(corridor.name, corridor.light)
         return {"obstacles": 0.0, "light": light}
 
     def measure(self, demands: Mapping[str, float]) -> None:
-        """Tell the knowledge base what is demanded of the robot, as values of attributes."""
+        """Tell the knowledge base the demands, as measurements of attributes."""
         for attribute, value in demands.items():
             self.kb.measure(attribute, value)
 
     @property
     def revision(self) -> tuple[object, ...]:
-        """Differs when anything has happened; that it drives on and draws energy is nothing."""
+        """Changes with every fact and percept, but not as the robot drives on or draws energy."""
         return self.kb.revision, self._percepts.revision, self.kb.attributes["energy"].value is None
 
     @property
     def _light(self) -> Mapping[str, float]:
-        """How light it was found to be in corridors, where that was reported."""
+        """The light of the corridors for which it was reported."""
         reported = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
         return {name: light for name, light in reported.items() if light is not None}
 
 
 class Cross(RosaAction):
-    """Cross a corridor, in the configuration that was planned for it; `choose` returns what is planned for it now."""
+    """Cross a corridor in the configuration that is planned for it; `choose` returns the leg that is planned now."""
 
     def __init__(self, route: Route, corridor: str, choose: Callable[[], Leg | None]) -> None:
         super().__init__(f"cross {corridor}", route.kb, f"cross_{corridor}")
@@ -121,16 +121,16 @@ class Cross(RosaAction):
         return self._leg is not None and self._route.at == self._leg.to and not self._route.inside
 
     def initialise(self) -> None:
-        """Tell what the corridor demands, and select what was planned."""
+        """Tell the knowledge base what the corridor demands, and select the planned configuration."""
         self._leg = leg = self._choose()
         if leg is not None:
             way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
             self._route.measure({**leg.conditions, "way": way})
             asked = next((one.number for one in self.kb.required_actions if one.action == self.action), None)
-            self._select(leg, asked)  # what it has just told is what it demands itself
+            self._select(leg, asked)  # the action itself is the cause, not the measurements just made
 
     def update(self) -> Status:
-        """Look whether the other end is reached; take over what was planned anew for the same corridor."""
+        """Check whether the other end is reached; take over a new plan for the same corridor and direction."""
         leg = self._leg
         if leg is None:
             self.feedback_message = f"{self.corridor} does not lead from {self._route.at}"
@@ -143,15 +143,15 @@ class Cross(RosaAction):
         choice, kb = _choice(leg), self.kb
         selected = [kb.designs[name].is_selected for name in choice.designs.values()]
         if not all([*selected, *(kb.configurations[name].is_selected for name in choice.configurations.values())]):
-            self._select(leg)  # it was planned anew, or the manager had to choose before it was
+            self._select(leg)  # the plan is new, or a plan was pending at the beginning
         return Status.RUNNING
 
     def terminate(self, new_status: Status) -> None:
-        """Demand no more than where it stands: what is behind or given up does not lie ahead."""
+        """Set the demands back to those where it stands: this corridor lies ahead no more."""
         self._route.measure(self._route.standing)
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
-        if self.kb.pending_plan is None:  # else it would be abandoned together with that one
+        if self.kb.pending_plan is None:  # else both would be abandoned together
             choice, why = _choice(leg), f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
             self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
@@ -169,7 +169,7 @@ class Switch(RosaAction):
         self._route.measure(self._route.standing)
 
     def update(self) -> Status:
-        """Select the mode, and look whether the robot is configured so."""
+        """Select the mode, and succeed when it is in force."""
         if self.kb.pending_plan is not None:
             return Status.RUNNING
         if self._plan is not None and self._plan.result == "failed":
@@ -183,7 +183,7 @@ class Switch(RosaAction):
 
 
 class PlanningState:
-    """What the plan executor knows: the names of the PDDL problem, and what holds in it."""
+    """What the plan executor knows: the names and the facts of the PDDL problem."""
 
     def __init__(self, route: Route, pddl: PddlNames) -> None:
         self.route, self.pddl = route, pddl
@@ -192,13 +192,13 @@ class PlanningState:
 
     @property
     def facts(self) -> Mapping[str, bool | float]:
-        """What holds and costs now; worked out when something has happened, not with every metre and joule."""
+        """What holds now and what it costs; updated with `Route.revision`, not with every metre and joule."""
         if self._revision != self.route.revision:
             self._revision, self._facts = self.route.revision, self.pddl.facts(self.route.task)
         return self._facts
 
     def cross(self, step: Step) -> Cross:
-        """Return the behaviour of a step that drives a way in a mode; it fails if that cannot be done from here."""
+        """Return the behaviour of a step that drives a way in a mode; it fails if that is not possible from here."""
         _, way, _, _, mode = step.arguments
         via, task = self.pddl.by_way[way], self.route.task
         legs = [
@@ -215,7 +215,7 @@ class PlanningState:
 
 @dataclass(frozen=True)
 class Planned:
-    """Makes the behaviour of a step of a plan, and declares it."""
+    """Makes the behaviour of a step of a plan, and has its schema."""
 
     schema: ActionSchema
     make: Callable[[KnowledgeBase, Percepts, Step], Behaviour]
@@ -230,10 +230,10 @@ def _choice(leg: Leg) -> Choice:
 
 
 class FollowRoute(Composite):
-    """Ticks the child for the corridor that is planned next; another one that runs is stopped first.
+    """Ticks the child for the corridor that is planned next, after it has stopped any other child that runs.
 
-    SUCCESS at the goal, FAILURE while there is no plan, with the reason as feedback, and when a corridor is crossed.
-    `plans` are the joint plans so far, but for those that are the rest of the one before.
+    SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the reason as feedback.
+    `plans` holds the joint plans so far, without those that are only the rest of the one before.
     """
 
     def __init__(self, route: Route) -> None:
@@ -264,7 +264,7 @@ class FollowRoute(Composite):
         yield self
 
     def _note(self, answer: Answer) -> None:
-        """Put a plan down as made if it is not the rest of the one before."""
+        """Record a plan, unless it is the rest of the one before."""
         before, self._planned = self._planned, answer
         if answer is before or (before is not None and _is_rest(answer, before)):
             return
@@ -278,7 +278,7 @@ class FollowRoute(Composite):
         self.plans = (*self.plans, made)
 
     def _give_up(self, corridor: str) -> None:
-        """Stop a crossing, and say why: as it ends it lowers what it demands, so it is asked before."""
+        """Stop a crossing, and say why; the reason is asked for first, because the end resets the demands."""
         crossing, kb = self._crossings[corridor], self._route.kb
         feasible = kb.is_feasible(crossing.action)
         why = self._route.answer.reason if feasible else kb.why(kb.actions[crossing.action])

@@ -25,8 +25,8 @@ _PAPER: Final = "ROSA paper, AGV use case; where along the corridor: own choice"
 _STAND: Final = Aim(0.0, 0.0)
 _ERROR_KEEPS: Final = 0.98  # of the error of the position, from one look to the next
 _DARK: Final = 0.1  # where the lamps of a corridor have gone out, from 0 to 1; own choice
-_CREEP_M: Final = 1e-4  # in a period; who goes no farther stands
-_WELL_INSIDE_M: Final = 1.0  # from there on the robot is in a corridor, no longer at a place
+_CREEP_M: Final = 1e-4  # in a period; a robot that moves less stands still
+_WELL_INSIDE_M: Final = 1.0  # so far from a place, the robot is in the corridor
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Settings(Constants):
 
 
 class Incident(NamedTuple):
-    """Something that happens once, when the robot is within a corridor; for light, no component is named."""
+    """An event that happens once, when the robot is within a corridor; those of the light name no component."""
 
     what: str  # "fails", "recovers", "dark" or "light"
     component: str
@@ -65,7 +65,7 @@ class Incident(NamedTuple):
 
 
 def incidents(text: str, building: Building) -> tuple[Incident, ...]:
-    """Read what shall happen; raises MissionError if that cannot be read, or names what there is not."""
+    """Read incidents from text; raises MissionError if it cannot be read, or names an unknown part or corridor."""
     found = []
     for part in filter(None, (" ".join(one.split()) for one in text.split(","))):
         read = _INCIDENT.fullmatch(part)
@@ -81,9 +81,9 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
 
 
 class BuildingWorld(World):
-    """A vehicle that drives where its navigator says, as long as it knows where it is.
+    """A vehicle that drives where its navigator says, as long as it can localise itself.
 
-    The generator is of all chance; raises MissionError if corridors cross one another.
+    All chance comes from `rng`; raises MissionError if corridors cross one another.
     """
 
     def __init__(self, building: Building, settings: Settings, rng: Generator) -> None:
@@ -135,7 +135,7 @@ class BuildingWorld(World):
 
     @property
     def is_still(self) -> bool:
-        """Whether it stands, lost or without energy: incidents happen to a vehicle that drives."""
+        """Whether it stands for good, lost or without energy: incidents happen only to a vehicle that drives."""
         waits = self._energy_j > 0.0 and (self._sensor or self._managed.next_event() < math.inf)
         return not (waits or self._is_moving)
 
@@ -155,7 +155,7 @@ class BuildingWorld(World):
         return list(self._happened)
 
     def scenery(self) -> Mapping[str, Any]:
-        """Return the corridors, with what is special in them."""
+        """Return the corridors, with what is special in each."""
         shown = {}
         for one in self._building.corridors.values():
             is_dark = self._light[one.name] < one.light or one.light < NEEDED_LIGHT
@@ -181,7 +181,7 @@ class BuildingWorld(World):
                 self._happen(one)
 
     def _take_orders(self) -> None:
-        """Take over where to drive: to the origin first, unless the vehicle is there or in that corridor already."""
+        """Take over a new order: drive to the origin first, unless the vehicle is there or in the corridor already."""
         ordered = self._components.orders(NAVIGATOR)
         if not ordered or ordered == self._ordered:
             return
@@ -206,7 +206,7 @@ class BuildingWorld(World):
         return steer(bearing, self._vehicle.look(sensor), self._speed)
 
     def _seeing(self) -> str:
-        """Return the sensor by which the vehicle knows where it is; empty if it does not."""
+        """Return the sensor by which the vehicle localises itself; empty if it cannot."""
         running = self._components.running
         for (localizer, sensor), error_m in ERROR_M.items():
             sees = sensor != "camera" or self._light_here >= NEEDED_LIGHT or "lamp" in running
@@ -216,7 +216,7 @@ class BuildingWorld(World):
         return ""
 
     def _drift(self) -> Array:
-        """Return how wrong the position is that the vehicle believes in (2,) [m]; it wanders."""
+        """Return the error of the position that the vehicle believes in, (2,) [m]; it wanders."""
         fresh = self._error_m * math.sqrt((1 - _ERROR_KEEPS**2) / 2)
         self._error = _ERROR_KEEPS * self._error + fresh * self._rng.standard_normal(2)
         return self._error
@@ -281,7 +281,7 @@ class BuildingWorld(World):
 
 
 class _Components(NamedComponents):
-    """One that has failed, or that the vehicle does not have, does not start."""
+    """A component that has failed, or that the vehicle does not have, does not start."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -305,7 +305,7 @@ class _Components(NamedComponents):
 
 
 def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, float]]:
-    """Choose in which part of its corridor each happens; those in one corridor happen in the order given."""
+    """Choose where in its corridor each incident happens; those in one corridor happen in the given order."""
     parts: dict[str, list[float]] = {}
     for one in wanted:
         parts.setdefault(one.corridor, []).append(rng.uniform(0.25, 0.6))
@@ -314,7 +314,7 @@ def _placed(wanted: Sequence[Incident], rng: Generator) -> list[tuple[Incident, 
 
 
 class AgvKind(WorldKind):
-    """Opens a building; by the weights that the mission minimises it says why there was no plan."""
+    """Opens a building; the weights are those of the mission, to say why there was no plan."""
 
     def __init__(self, building: Building, weights: Mapping[str, float]) -> None:
         self._building, self._weights = building, weights
