@@ -1,4 +1,4 @@
-"""The vehicle in its building, as MuJoCo simulates it, and where it turns: along a line, past whatever it sees."""
+"""The vehicle in its building, simulated by MuJoCo, and its steering: along a line, past whatever it sees."""
 
 import math
 from collections import deque
@@ -18,13 +18,13 @@ Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m] and yaw [rad]
 
 RADIUS_M: Final = 0.2
-"""Of the vehicle [m]; as all sizes here own choice, of the order of a small research robot."""
+"""Radius of the vehicle [m]; like all sizes here own choice, of the order of a small research robot."""
 WHEEL_M: Final = 0.07
 HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
-_BOX_M: Final = 0.2  # half the edge of what stands in the way
-_FREE_M: Final = 2.5  # before the first box, from either end
-_APART_M: Final = 1.25  # from one box to the next; closer together they cannot be driven round
+_BOX_M: Final = 0.2  # half the edge of an obstacle
+_FREE_M: Final = 2.5  # without boxes, from either end
+_APART_M: Final = 1.25  # from one box to the next; if they are closer, the vehicle cannot drive round them
 
 _GEOM: Final = '<geom type="box" size="{} {} {}" pos="{:.4f} {:.4f} {}" euler="0 0 {}" group="1"/>'
 
@@ -49,12 +49,12 @@ def check_walls(building: Building) -> None:
 
 
 def _side(a: complex, b: complex, point: complex) -> float:
-    """Return on which side of the line from a to b a point is: above 0 to the left, below 0 to the right."""
+    """Return the side of the line from a to b on which a point lies: above 0 left, below 0 right."""
     return ((b - a).conjugate() * (point - a)).imag
 
 
 def boxes(building: Building, rng: Generator) -> list[Pose]:
-    """Put boxes into the corridors, as many per metre as the map says, but no more than can be driven round."""
+    """Put boxes into the corridors, as many per metre as the map says, but no more than it can drive round."""
     placed = []
     for corridor in building.corridors.values():
         (x, y), ux, uy, length_m = _line(building, corridor)
@@ -85,12 +85,12 @@ def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
         yield _GEOM.format(f"{half_m:.4f}", 0.05, 0.4, wx, wy, 0.4, f"{math.atan2(uy, ux):.6f}")
 
 
-_AHEAD_M: Final = 1.0  # how far ahead on the line is aimed at
-_CLEAR_M: Final = 1.1  # how far a heading has to be free
-_ROOMS_M: Final = (0.34, 0.24)  # to either side of it; the second where there is no more
-_STOP_M: Final = 0.28  # how near, in front, the vehicle may get
-_SLOW_M: Final = 0.7  # from how far before that it slows down
-_BACK_M_S: Final = 0.1  # out of where nothing is free
+_AHEAD_M: Final = 1.0  # how far ahead on the line it aims
+_CLEAR_M: Final = 1.1  # how far a free heading is free
+_ROOMS_M: Final = (0.34, 0.24)  # free to either side of a heading; the second where the first is not possible
+_STOP_M: Final = 0.28  # how near the vehicle may get to what is in front
+_SLOW_M: Final = 0.7  # it slows down so far before that
+_BACK_M_S: Final = 0.1  # backwards, where no heading is free
 _OFFSETS: Final = np.radians([0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50, 60, -60, 75, -75, 90, -90])
 _TURN_GAIN: Final = 2.0
 _TURN_RAD_S: Final = 1.2
@@ -114,7 +114,7 @@ def aim_along(position: Array, start: Array, end: Array) -> Array:
 
 
 def steer(bearing: float, hits: Array, speed: float) -> Aim:
-    """Choose the free heading that is nearest to the one that is wanted.
+    """Choose the free heading that is nearest to the wanted one.
 
     Args:
         bearing: where to, from straight ahead [rad].
@@ -131,7 +131,7 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     for heading, cos, sin in zip(headings.tolist(), np.cos(headings), np.sin(headings), strict=True):
         along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
         rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
-        if rooms[-1] >= _ROOMS_M[0]:  # mostly the first, so that the others need not be looked at
+        if rooms[-1] >= _ROOMS_M[0]:  # mostly the first heading is free
             return _turned_to(heading, speed)
     for heading, room in zip(headings.tolist(), rooms, strict=True):
         if room >= _ROOMS_M[1]:
@@ -146,14 +146,14 @@ def _turned_to(heading: float, speed: float) -> Aim:
 
 
 SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}
-"""Half of the angle that each sees [rad], and how far it sees [m]; Kinect: its data sheet, else own choice."""
+"""Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else own choice."""
 _RAY_STEP: Final = math.radians(4)
 _RAYS: Final = {
     name: (np.linspace(-half, half, 2 * int(half / _RAY_STEP) + 1), reach_m)
     for name, (half, reach_m) in SENSORS.items()
 }
-_TOUCHING: Final = (1, 2), (2, 1)  # groups of geoms: what stands around, and the vehicle
-_MEMORY: Final = 30  # scans that are remembered; what was passed is out of sight, but not away
+_TOUCHING: Final = (1, 2), (2, 1)  # groups of geoms: the surroundings, and the vehicle
+_MEMORY: Final = 30  # scans that it remembers; what it has passed is out of sight, but still there
 
 
 class Vehicle:
@@ -187,7 +187,7 @@ class Vehicle:
         self._stand()
 
     def drive(self, aim: Aim, steps: int) -> None:
-        """Let time pass with wheels turning as is wanted."""
+        """Advance the physics by a number of steps, with the wheel speeds of an aim."""
         aside = aim.turn * HALF_TRACK_M
         self._data.ctrl[:] = (aim.forward - aside) / WHEEL_M, (aim.forward + aside) / WHEEL_M
         self._mujoco.mj_step(self._model, self._data, steps)
@@ -197,7 +197,7 @@ class Vehicle:
         self._touched = touches
 
     def look(self, sensor: str) -> Array:
-        """Cast the rays of a sensor; returns what it sees, and saw lately, near by: (n, 2) [m], vehicle's frame."""
+        """Cast the rays of a sensor; return what it sees or has seen lately near by, (n, 2) [m], vehicle's frame."""
         yaw, here, (offsets, reach_m) = self.yaw, self.position, _RAYS[sensor]
         angles, count = yaw + offsets, len(offsets)
         rays = np.zeros((count, 3))
@@ -215,7 +215,7 @@ class Vehicle:
         return local
 
     def forget(self) -> None:
-        """Forget what was seen, as another sensor looks on."""
+        """Forget what was seen, because another sensor takes over."""
         self._seen.clear()
 
     def _stand(self) -> None:

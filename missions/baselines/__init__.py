@@ -1,4 +1,4 @@
-"""Who manages a robot in a run: ours, those that it is compared with, and any of your own."""
+"""The managers of a robot in a run: ours, those that it is compared with, and your own."""
 
 from missions.baselines.manager import Manager, Robot
 from missions.baselines.policies import Policy

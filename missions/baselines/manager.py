@@ -1,4 +1,4 @@
-"""What a manager of the sea's vehicle is, the few lines to write for one of your own, and a run under it."""
+"""The base class of managers of the sea's vehicle, what such a manager knows, and a run under it."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -24,21 +24,21 @@ COMPONENT_STATUS = "component status"
 class Robot:
     """What a manager knows of the vehicle, and how it acts on it.
 
-    Components are asked to become active, inactive or to take parameters; that takes as long as the settings of the
-    sea say, whoever asks for it. `is_active` and `parameters` say what is in force by now: see `kb.ManagedSystem`.
+    `activate`, `deactivate` and `set_parameters` ask a component for a change; for every manager it takes as long as
+    the settings of the sea say. `is_active` and `parameters` return what is in force now: see `kb.ManagedSystem`.
 
     Attributes:
-        mission: what is to be done: its model, its tree.
+        mission: the mission that is run, with its model and its tree.
         settings: the constants of the sea and of SUAVE's nodes.
-        rng: all the manager's chance.
+        rng: random generator of the manager, its only source of chance.
         options: values of the manager's options by name.
         measured: last published number by key, e.g. {"water_visibility": 3.1, "battery_level": 0.9}.
         reported: last published word by component, e.g. {"c_thruster_1": "FALSE"}.
-        percepts: what else was published, e.g. whether it `holds("pipeline_found")`.
-        deadline_s: when the mission ends at the latest [s].
-        way_m: says how far it is from the station, by its own odometry [m].
-        tasks: every task that was begun, in order.
-        agenda: what is to happen when.
+        percepts: what else was published, e.g. whether `percepts.holds("pipeline_found")`.
+        deadline_s: latest end of the mission [s].
+        way_m: function that returns the distance to the station by odometry [m].
+        tasks: all tasks that were begun, in order.
+        agenda: the events to come, by time.
     """
 
     def __init__(
@@ -63,27 +63,27 @@ class Robot:
 
     @property
     def task(self) -> str | None:
-        """The task that is being done."""
+        """The task that is under way; None if there is none."""
         return self.tasks[-1].action if self.tasks and self.tasks[-1].end is None else None
 
     def later(self, delay_s: float, what: Callable[[], None]) -> None:
-        """Have something called after a delay [s]: how a manager takes time without waiting.
+        """Call a function after a delay [s]: a manager that takes time uses this, and never waits.
 
         Raises:
-            MissionError: the delay is no number from 0 on.
+            MissionError: the delay is not a finite number from 0.
         """
         if not 0 <= delay_s < inf:
             raise MissionError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
         self.agenda.at(self.now + delay_s, lambda time: what())
 
     def begin(self, task: str) -> None:
-        """Take down that a task is begun; called by whoever decides about tasks, and refused while one is done."""
+        """Record that a task begins; whoever decides about tasks calls it. MissionError while one is under way."""
         if self.task is not None:
             raise MissionError(f"cannot begin {task}: {self.task} is being done; end it first")
         self.tasks.append(RequiredAction(task, None, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
-        """Take down that the task has ended: "completed", "abandoned" or "failed"."""
+        """Record that the task has ended: "completed", "abandoned" or "failed"; MissionError if there is none."""
         if self.task is None:
             raise MissionError("no task is being done that could end; begin one first")
         self.tasks[-1] = replace(self.tasks[-1], end=self.now, result=result, reason=reason)
@@ -100,18 +100,19 @@ class Robot:
 
 
 class Manager:
-    """Keeps the vehicle configured for the task that is being done; run with `rosa run suave --manager package:Class`.
+    """Configures the vehicle for the task that is under way; run with `rosa run suave --manager package:Class`.
 
-    By default the mission is that of SUAVE's mission node: search until the pipeline is found, then inspect it. A
-    manager that decides about tasks itself says so in `decides_tasks`, and calls `robot.begin` and `robot.end`.
+    By default tasks are those of SUAVE's mission node: search until the pipeline is found, then inspect it. A manager
+    that decides about tasks itself sets `decides_tasks`, and calls `robot.begin` and `robot.end`.
 
     Attributes:
-        robot: what is managed.
-        period_s: from one update to the next [s]; the first comes at a moment of chance within it.
+        tasks: names of the task layers that it goes with.
+        robot: the vehicle that it manages.
+        period_s: time between two updates [s]; the first update comes at a random time within one period.
         options: numbers that can be set from outside; their values are in `robot.options`.
     """
 
-    tasks: ClassVar[tuple[str, ...]] = ("bt",)  # what it brings
+    tasks: ClassVar[tuple[str, ...]] = ("bt",)
     decides_tasks: ClassVar[bool] = False
     options: ClassVar[tuple[Setting, ...]] = ()
     period_s: float = 0.1
@@ -120,23 +121,23 @@ class Manager:
         self.robot = robot
 
     def begin(self, task: str) -> None:
-        """Configure the vehicle for a task that begins: "search_pipeline" or "inspect_pipeline"."""
+        """Configure the vehicle for a task; called when "search_pipeline" or "inspect_pipeline" begins."""
 
     def end(self, task: str) -> None:
-        """Undo what was done for a task, which has ended."""
+        """Undo the configuration for a task; called when the task has ended."""
 
     def receive(self, message: Message) -> None:
-        """Hear of what was published, at once."""
+        """Take in a message; called when it is published."""
 
     def update(self) -> None:
-        """Look at the vehicle and change what needs to be changed; called every `period_s`, and never waits."""
+        """Change what needs to be changed; called every `period_s`, and must not wait."""
 
     def close(self) -> None:
-        """Let go of everything; the run is over, however it ended."""
+        """Release all resources; called at the end of a run, also if it failed."""
 
     @property
     def is_done(self) -> bool:
-        """Whether a manager that decides about tasks has done all of them."""
+        """Whether all tasks are done; for a manager that decides about tasks."""
         return False
 
 
@@ -148,10 +149,10 @@ T = TypeVar("T")
 
 
 class BaselineRun(MissionRun):
-    """Has a manager of the sea's vehicle decide; of its options, those that were published show among the results.
+    """A run in which a manager of the sea's vehicle decides; its published options are among the results.
 
     Raises:
-        MissionError: whatever the manager raises, here or later, with its name, the moment and the line.
+        MissionError: the manager raises an error, here or later; the message has its name, the time and the line.
     """
 
     def __init__(
@@ -254,7 +255,7 @@ class BaselineRun(MissionRun):
             manager.begin(following)
 
     def _report(self) -> None:
-        """Tell the listeners what has been done since the last time."""
+        """Report the tasks and changes since the last report to the listeners."""
         if not self.listeners:
             return
         tasks, changes = self.robot.tasks, self._changes

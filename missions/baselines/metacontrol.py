@@ -1,6 +1,6 @@
-"""Metacontrol: adaptation by an ontology of functions, their designs and objectives, as SUAVE comes with it.
+"""Metacontrol, the manager of SUAVE that adapts by an ontology of functions, their designs and objectives.
 
-Every 1.5 s it reasons about its objectives by the rules of TOMASys, as pure functions, and asks for modes.
+Every 1.5 s it reasons about its objectives by the rules of TOMASys, here pure functions, and requests modes.
 """
 
 from collections.abc import Mapping
@@ -15,9 +15,9 @@ from missions.engine.settings import Setting
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A way to realise a function, named as a mode of it; a better one has more performance.
+    """A design of a function, with the name of the mode that it requests; higher performance is better.
 
-    It needs components, and qualities: (attribute, value it has to have at least), both in order of name.
+    It needs the components, and for each of the qualities, (attribute, least value), at least that value.
     """
 
     name: str
@@ -35,10 +35,10 @@ DESIGNS: Final = (
     Design("fd_spiral_medium", SEARCH, 0.5, qualities=(("water_visibility", 2.25),)),
     Design("fd_spiral_low", SEARCH, 0.25, qualities=(("water_visibility", 1.25),)),
 )
-"""All there are, the best first, then in order of name; kas-lab/suave v1.3.0, ontology."""
+"""All designs, the best first, then by name; from the ontology of kas-lab/suave v1.3.0."""
 
 ALWAYS_IMPROVED: Final = frozenset({SEARCH})
-"""The functions that are improved though all is well; of the same source."""
+"""Functions whose design is chosen anew even while the objective is satisfied; same source."""
 
 
 def designs_of(function: str) -> tuple[Design, ...]:
@@ -47,25 +47,27 @@ def designs_of(function: str) -> tuple[Design, ...]:
 
 
 class Standing(StrEnum):
-    """How an objective stands: by the first of these that holds, in their order."""
+    """The status of an objective: the first of these that holds, in this order."""
 
     UNGROUNDED = "UNGROUNDED"  # no design serves it
     COMPONENT_ERROR = "IN_ERROR_COMPONENT"  # its design needs a component that has failed
-    FUNCTION_ERROR = "IN_ERROR_FR"  # the mode of its design is not in force though it was asked for
-    QUALITY_ERROR = "IN_ERROR_NFR"  # a quality that its design needs is measured to be less
-    UPDATABLE = "UPDATABLE"  # a component has recovered: something better may be possible
+    FUNCTION_ERROR = "IN_ERROR_FR"  # the mode of its design was requested, but is not in force
+    QUALITY_ERROR = "IN_ERROR_NFR"  # a quality is measured below what its design needs
+    UPDATABLE = "UPDATABLE"  # a component has recovered: a better design may be possible
     SATISFIED = "SATISFIED"
 
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What Metacontrol has heard, and what it inferred in the pass before.
+    """What Metacontrol has received, and what the pass before has inferred.
 
     Attributes:
-        unrealisable: names of designs that need one of these, as inferred by the pass before.
+        measured: the last value of each attribute that is measured.
+        failed: names of the components that have failed.
+        unrealisable: names of designs that need a failed component, as the pass before has inferred.
         grounded: names of the designs that serve objectives, by function.
-        not_in_force: functions whose mode is not in force though it was asked for.
-        errors: names of designs that could not be brought into force.
+        not_in_force: functions whose mode was requested, but is not in force.
+        errors: names of designs whose mode did not come into force.
         recovered: whether a component has recovered since the last choice.
     """
 
@@ -79,7 +81,7 @@ class Situation:
 
 
 def unrealisable(situation: Situation) -> frozenset[str]:
-    """Return the names of the designs that need a component which has failed."""
+    """Return the names of the designs that need a failed component."""
     return frozenset(one.name for one in DESIGNS if not situation.failed.isdisjoint(one.components))
 
 
@@ -98,28 +100,28 @@ def standing(situation: Situation, function: str) -> Standing:
 
 
 def best_design(situation: Situation, function: str) -> Design | None:
-    """Return the design of a function that performs best of those that are possible now; None if none is."""
+    """Return the best design of a function that is possible now; None if there is none."""
     barred = situation.unrealisable | situation.errors
     possible = (one for one in designs_of(function) if one.name not in barred and _suffices(one, situation))
     return next(possible, None)
 
 
 def _suffices(design: Design, situation: Situation) -> bool:
-    """Tell whether no quality that a design needs is measured to be less; what is not measured suffices."""
+    """Tell whether no quality is measured below what a design needs; unmeasured ones count as good enough."""
     measured = situation.measured
     return all(not measured[name] < value for name, value in design.qualities if name in measured)
 
 
 OBJECTIVES: Final = {"search_pipeline": (MOTION, SEARCH), "inspect_pipeline": (MOTION, FOLLOW)}
-"""Functions that each task asks for; kas-lab/suave v1.3.0, task bridge."""
+"""Functions that each task needs; from the task bridge of kas-lab/suave v1.3.0."""
 
 
 class Metacontrol(ModesManager):
-    """Grounds the objectives of a task in function designs, and changes the designs of those that are in error.
+    """Grounds the objectives of a task in function designs, and replaces the designs of objectives in error.
 
-    One pass of reasoning sees what was heard; what follows from an inference of the pass is seen by the next one. So a
-    component that fails makes designs unrealisable in one pass and puts an objective in error in a second one, which
-    follows at once.
+    A pass of reasoning uses what was received before it; what it infers is used by the next pass only. So a component
+    that fails makes designs unrealisable in one pass, and puts an objective in error in a second one, which follows at
+    once.
     """
 
     options: ClassVar = (
@@ -162,7 +164,7 @@ class Metacontrol(ModesManager):
         self.robot.later(self.robot.options["reasoning_s"], lambda: self._act(situation))
 
     def _act(self, seen: Situation) -> None:
-        """Ask for what was found, then reason again if an inference may have further consequences."""
+        """Request what the pass has found, then reason again if it has inferred something new."""
         for function in self._objectives:
             stands = standing(seen, function)
             if stands is not Standing.SATISFIED or function in ALWAYS_IMPROVED:

@@ -1,7 +1,7 @@
 """SUAVE's own managers, which switch components by modes of functions in the manner of ROS 2 System Modes.
 
-Two only ask for modes. The third is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and of its extended mission,
-which decides about tasks and adapts the vehicle, both in one tree:
+`none` and `random` only request modes. `bt` is the behaviour tree of kas-lab/suave v1.3.0 (suave_bt) and its extended
+mission; the one tree decides about tasks and adapts the vehicle:
 
 mission (reactive)
 ├── motion: all thrusters ok? -> mode fd_all_thrusters, or else mode fd_recover_thrusters
@@ -66,7 +66,7 @@ class SystemModes:
         self._requested: dict[str, str] = {}
 
     def request(self, function: str, mode: str) -> None:
-        """Ask for a mode; one that was asked for last already is ignored."""
+        """Request a mode; ignored if it is the one requested last."""
         before, (component, modes) = self._requested.get(function), FUNCTIONS[function]
         if mode == before:
             return
@@ -80,11 +80,11 @@ class SystemModes:
             self._robot.deactivate(component)
 
     def unground(self, function: str) -> None:
-        """Ask for the mode in which the function's component is inactive."""
+        """Request the mode in which the function's component is inactive."""
         self.request(function, UNGROUND)
 
     def is_in(self, function: str, mode: str) -> bool:
-        """Tell whether what is in force is what a mode means; several modes may mean the same."""
+        """Tell whether a component is as a mode wants it; several modes may want the same."""
         component, modes = FUNCTIONS[function]
         wanted, parameters = modes[mode], self._robot.parameters(component)
         return wanted.active == self._robot.is_active(component) and all(
@@ -97,7 +97,7 @@ MODES = {"search_pipeline": (SEARCH, "fd_spiral_low"), "inspect_pipeline": (FOLL
 
 
 class ModesManager(Manager):
-    """Has the modes of functions, and ungrounds the function of a task when the task ends."""
+    """A manager that requests modes; it ungrounds the function of a task when the task ends."""
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
@@ -108,18 +108,18 @@ class ModesManager(Manager):
 
 
 class NoManager(ModesManager):
-    """Searches at 1 m whatever the water is like, inspects, and never recovers a thruster."""
+    """Searches at 1 m in any water, inspects, and never recovers a thruster."""
 
     def begin(self, task: str) -> None:
         self.modes.request(*MODES[task])
 
 
 PERIODS_S = {"2024": 15.0, "2025": 30.0}
-"""From one choice to the next [s], by the rules. 30 s were meant from the first; v1.3.0 reads another parameter."""
+"""Time between two choices [s], by the rules. 30 s were always intended, but v1.3.0 reads another parameter."""
 
 
 class RandomManager(ModesManager):
-    """Every 15 or 30 s asks for any mode of the function that the task needs, also for the one that stops it."""
+    """Every 15 or 30 s requests a random mode of the task's function; it may be the one that stops it."""
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
@@ -151,7 +151,7 @@ class TreeManager(ModesManager):
 
 
 class _RequestMode(Behaviour):
-    """Asks for a mode, unless it was asked for already; succeeds at once."""
+    """Requests a mode, unless it is the one requested last; succeeds at once."""
 
     def __init__(self, modes: SystemModes, function: str, mode: str) -> None:
         super().__init__(f"{function}: {mode}")
@@ -163,7 +163,7 @@ class _RequestMode(Behaviour):
 
 
 class _DoTask(Behaviour):
-    """Does a task until something was published once more; then, or when it is halted, functions are ungrounded."""
+    """Does a task until `until` is published once more; then, or when halted, it ungrounds the functions."""
 
     def __init__(self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]) -> None:
         super().__init__(task)

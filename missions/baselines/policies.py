@@ -1,4 +1,4 @@
-"""Managers of any mission, to compare ours with: its task layer and its world, configured by somebody else."""
+"""Managers to compare ours with in any mission: task layer and world stay, only the configuration is theirs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,23 +21,23 @@ class Policy:
     """Chooses designs and configurations in any mission; one of your own is run as `--manager package:Class`.
 
     Attributes:
-        options: what can be set from outside; the values are in `given`.
-        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component has failed.
-        tasks: the task layers that it goes with.
-        model: what it chooses from.
-        rng: all its chance.
+        options: settings that can be given from outside; their values are in `given`.
+        adapts_tasks: whether actions become unfeasible when a constraint is violated or a component fails.
+        tasks: names of the task layers that it goes with.
+        model: the model with the designs and configurations to choose from.
+        rng: random generator, its only source of chance.
     """
 
     options: ClassVar[tuple[Setting, ...]] = ()
     adapts_tasks: ClassVar[bool] = True
     tasks: ClassVar[tuple[str, ...]] = ("bt", "pddl")
-    is_waiting = True  # it may choose anew because time has passed
+    is_waiting = True  # it may choose again only because time has passed
 
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
         self.model, self.rng, self.given = model, rng, given
 
     def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
-        """Return what to select of what is feasible, the first by priority first; None: leave it as it is."""
+        """Return what to select among the feasible ones, which come by priority; None changes nothing."""
         return possible[0] if selected is None and possible else None
 
     def alter(self, mission: Mission, world: World) -> Mission:
@@ -45,11 +45,11 @@ class Policy:
         return mission if self.adapts_tasks else replace(mission, model=lambda: _unconstrained(mission.model()))
 
     def hear(self, message: Message) -> Message:
-        """Return what is heard of a message."""
+        """Return a message as the knowledge base receives it."""
         return message if self.adapts_tasks else {**message, "status": [_as_percept(one) for one in message["status"]]}
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Choose for every function that is required, and for every component of its design."""
+        """Choose a design for every required function, and a configuration for every component of it."""
         designs: dict[str, str] = {}
         configurations: dict[str, str] = {}
         for function in kb.functions.values():
@@ -63,7 +63,7 @@ class Policy:
         return kb.select(designs, configurations, f"chosen by the manager {type(self).__name__}")
 
     def _choose(self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]) -> Part | None:
-        """Enter what is chosen anew; return what is selected then."""
+        """Enter a new choice in `chosen`; return what is selected then."""
         selected = next((one for one in parts if one.is_selected), None)
         possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
         made = self.pick(kb, sorted(possible, key=by_priority), selected)
@@ -74,7 +74,7 @@ class Policy:
 
 
 class Fixed(Policy):
-    """Leaves what it chose for an action as it is until the action ends; only the task layer adapts."""
+    """Keeps its choice for an action until the action ends; only the task layer adapts."""
 
     options = (Setting("use", "", "-", "designs and configurations, separated by commas; else by priority", "-"),)
 
@@ -92,13 +92,13 @@ class Fixed(Policy):
 
 
 class Unmanaged(Fixed):
-    """Configures each action once, as if nothing were ever measured or failed; neither task nor architecture adapts."""
+    """Configures each action once, and ignores measurements and failures; neither task nor architecture adapts."""
 
     adapts_tasks = False
 
 
 class Random(Policy):
-    """Takes any feasible design and configuration, and any other after a while; the task layer adapts."""
+    """Selects random feasible designs and configurations, anew every `period_s`; the task layer adapts."""
 
     options = (Setting("period_s", 15.0, "s", "from one choice to the next", "as SUAVE's random manager", low=0.1),)
 
@@ -118,9 +118,9 @@ class Random(Policy):
 
 
 class ByHand(Policy):
-    """Lets the hand-written tree of the mission, `Mission.by_hand`, do all: it commands the components itself.
+    """Leaves all to the hand-written tree of the mission, `Mission.by_hand`, which commands the components itself.
 
-    It reads from the knowledge base what is measured, and from the percepts whether "NAME has failed".
+    The tree reads measurements from the knowledge base, and from the percepts whether "NAME has failed".
     """
 
     adapts_tasks = False
@@ -128,7 +128,7 @@ class ByHand(Policy):
 
     def alter(self, mission: Mission, world: World) -> Mission:
         by_hand = mission.by_hand
-        assert by_hand is not None  # else it is refused
+        assert by_hand is not None  # `check_run` has refused it otherwise
         return replace(super().alter(mission, world), tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
@@ -142,7 +142,7 @@ def _unconstrained(model: Model) -> Model:
 
 
 def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return what is reported of components as something that is sensed, which makes nothing unfeasible."""
+    """Return a report on components as a percept, which makes nothing unfeasible."""
     if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
         return status
     verbs = {name: COMPONENT_VALUES.get(str(word).strip().casefold()) for name, word in status["values"].items()}

@@ -1,4 +1,4 @@
-"""The managers there are, by name, and how a run is opened under the one that is asked for."""
+"""All managers by name, and how to open a run under one of them."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -19,7 +19,7 @@ MANAGERS: Final = {
     "rosa": "missions.baselines.rosa:RosaManager",
     "ahead": "missions.baselines.rosa:AheadManager",
 }
-"""The managers of the sea's vehicle, all but ours, each with its home."""
+"""The managers of the sea's vehicle, except ours, each with its module and class."""
 
 POLICIES: Final = {
     "none": "missions.baselines.policies:Unmanaged",
@@ -27,22 +27,22 @@ POLICIES: Final = {
     "fixed": "missions.baselines.policies:Fixed",
     "bt": "missions.baselines.policies:ByHand",
 }
-"""Those of every other mission; what the sea has no manager of its own for is there, too."""
+"""The managers of every other mission; the sea has those that `MANAGERS` does not replace."""
 
 AnyManager = type[Manager] | type[Policy]
 
 
 def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyManager:
-    """Return a manager by its name, or as "package:Class" from anywhere that Python imports from; a class is itself.
+    """Return the class of a manager, given by its name, by "package:Class", or as the class itself.
 
     Raises:
-        MissionError: no such manager, or none that goes with the mission; the message lists those there are.
+        MissionError: no such manager, or it does not go with the mission; the message lists those that exist.
     """
     in_sea = mission is None or _is_in_sea(mission)
     if isinstance(name, type):
         found: Any = name
     else:
-        homes = POLICIES | (MANAGERS if mission is None or _is_in_sea(mission) else {})
+        homes = POLICIES | (MANAGERS if in_sea else {})
         where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in homes else ""
         known = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class{where}"
         found = load("manager", name, homes, known)
@@ -69,7 +69,7 @@ def name_of(manager: AnyManager) -> str:
 
 
 def options_of(manager: str | AnyManager, mission: Mission | None = None) -> tuple[Setting, ...]:
-    """Return what can be set of a manager; nothing of ours."""
+    """Return the options of a manager; ours has none."""
     return () if manager == OURS else find_manager(manager, mission).options
 
 
@@ -82,15 +82,15 @@ def open_run(
     settings: Mapping[str, str] | None = None,
     listeners: tuple[Listener, ...] = (),
 ) -> MissionRun:
-    """Open a run: the same mission, seed and settings mean the same world and the same chance, whoever manages it.
+    """Open a run; the same mission, seed and settings give the same world and chance under every manager.
 
     Args:
         mission: what to run.
         manager: the name of a manager, "package:Class", or the class itself.
-        task: task layer of ours, "bt" or "pddl", by default what the mission has; some managers bring their own.
-        seed: of all chance in the run.
-        settings: what differs from the defaults, by name; a unit at the end of a name may be left out.
-        listeners: who hears of it.
+        task: our task layer, "bt" or "pddl", by default the mission's; some managers bring their own.
+        seed: seed of all chance in the run.
+        settings: values that differ from the defaults, by name; a unit at the end of a name may be left out.
+        listeners: objects that are told what happens in the run.
 
     Raises:
         MissionError: no such manager, task layer or setting, or they do not go together.
@@ -118,7 +118,7 @@ def open_run(
 
 
 def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:
-    """Return the manager, None for ours, and the task layer; MissionError unless both go with the mission."""
+    """Return the manager (None for ours) and the task layer; MissionError unless both go with the mission."""
     managed_by = None if manager == OURS else find_manager(manager, mission)
     if managed_by is not None and issubclass(managed_by, ByHand) and mission.by_hand is None:
         advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"

@@ -1,10 +1,9 @@
-"""Managers that tick our tree over a knowledge base of ours: ROSA as it was published, and ours looking ahead.
+"""Managers that tick our tree with a knowledge base of ours: ROSA as published, and ours with a lookahead.
 
-ROSA works at the pace of its services. Its knowledge base is a server. Whatever it is to know or is asked is the call
-of a service, and its planner and executor are programs of their own, which call one after the other. What is rebuilt
-here is how many calls follow each other before something is done; how long one takes is an input, chosen once so that
-the published reaction times come out. Calls of different programs do not delay each other, and a round of planning that
-finds nothing costs nothing.
+ROSA works at the pace of its services: its knowledge base is a server, every fact and every question is a service call,
+and its planner and executor are programs that make one call after the other. The model here counts the calls before
+something is done. The time of one call is an input, chosen once so that the published reaction times come out. Calls of
+different programs do not delay each other, and a round of planning that finds nothing takes no time.
 """
 
 from collections import deque
@@ -24,19 +23,19 @@ from missions.suave.tree import InspectPipeline
 from rosa_bt import Errand, Gain, Lookahead, TreeRunner, WhatNext, Worth, WorthPlanner
 
 INSERTING = 1
-"""Calls until something that was published is known."""
+"""Calls until the knowledge base has what was published."""
 REQUESTING = 2
-"""Calls until an action is requested or cancelled: whether it is feasible, then the request."""
+"""Calls until an action is requested or cancelled: the question whether it is feasible, then the request."""
 PLANNING = 5
 """Calls of a round of planning: adaptable functions, components, selectable designs, configurations, selection."""
 FETCHING = 1
-"""Calls until the executor has a plan: it then switches components."""
+"""Calls until the executor has a plan; then it switches components."""
 CONFIGURING = 2
-"""Calls after that until it sets parameters: which configurations, which values."""
+"""Calls after that until it sets parameters: one for the configurations, one for the values."""
 
 
 class OwnTree(Manager):
-    """Ticks the tree of the mission, which asks and tells a knowledge base of ours."""
+    """Ticks the tree of the mission, which uses a knowledge base of ours."""
 
     decides_tasks = True
 
@@ -63,7 +62,7 @@ class OwnTree(Manager):
         self.runner.shutdown()
 
     def _hear(self, event: Event) -> None:
-        """Take down what the tree begins and ends, and have it planned for."""
+        """Record the tasks that the tree begins and ends, and call for a plan."""
         if event.kind is not EventKind.ACTION_UPDATE:
             return
         record = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
@@ -74,11 +73,11 @@ class OwnTree(Manager):
         self.requested()
 
     def requested(self) -> None:
-        """Plan for what was requested or cancelled."""
+        """Plan for the new requests; called when an action was requested or cancelled."""
 
 
 class RosaManager(OwnTree):
-    """Ticks our tree; what is published, requested and planned takes effect after as many calls as ROSA needs."""
+    """Ticks our tree; messages, requests and plans take effect after as many service calls as ROSA needs."""
 
     options: ClassVar = (
         Setting(
@@ -96,7 +95,7 @@ class RosaManager(OwnTree):
         self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
         super().__init__(robot)
         self._planner = PriorityPlanner()
-        self._manager = ConfigurationManager(self.kb, robot, planner=self._planner)  # to see what would be planned
+        self._manager = ConfigurationManager(self.kb, robot, planner=self._planner)  # only for dry runs
         self._asked = 0
         self._is_busy = False
 
@@ -126,7 +125,7 @@ class RosaManager(OwnTree):
         self._after(PLANNING, self._end_round)
 
     def _end_round(self) -> None:
-        """Plan, unless something else came in meanwhile; each of that is answered by a round of its own."""
+        """Plan, unless more requests have come in meanwhile; each of those gets a round of its own."""
         self._asked -= 1
         plan = None if self._asked else self._planner.plan(self.kb)
         if plan is not None:
@@ -157,23 +156,23 @@ class RosaManager(OwnTree):
 
 
 FOLLOWING_M_S = 0.27
-"""Metres inspected in a second: half a metre at each tick of the follower, and more where points are closer."""
+"""Inspected metres per second: half a metre at each tick of the follower, more where points are closer."""
 TRANSIT_SHARE = 0.85
 """Mean speed of a drive to the station, as a share of the speed limit."""
 CLIMBING_S = 1.5
-"""By how much a step of the spiral takes longer when its altitude changes by a metre."""
+"""Extra time of a spiral step for each metre by which its altitude changes [s]."""
 SEEN_POINTS = 6
-"""By how many points reached it is judged whether the pipeline leads to the station; before, that it leads away."""
+"""How many points show whether the pipeline leads to the station; before that, it is taken to lead away."""
 SETTLING_S = 10.0
-"""From the end of a drive back until the follower counts again."""
+"""Time from the end of a drive back until the follower counts again [s]."""
 
 
 class AheadManager(OwnTree):
-    """Ticks the tree of the mission below a lookahead, which also decides how to be configured.
+    """Ticks the tree of the mission below a lookahead, which also decides how to configure the vehicle.
 
-    It recharges when that is worth most, and searches as high as is worth most. It knows what is published, the model,
-    the deadline, how far it is from the station and how its own nodes move it; of the water, the pipeline and the
-    battery nothing but what it is told.
+    It recharges when that is worth most, and searches at the altitude that is worth most. It knows what is published,
+    the model, the deadline, its distance from the station and how its own nodes move it; of the water, the pipeline and
+    the battery it knows only what is published.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -205,10 +204,10 @@ class AheadManager(OwnTree):
         self._manager.update()
 
     def _worth(self) -> Worth:
-        """Return what the mission is worth: metres inspected, or before these metres by which the search widens.
+        """Return what the mission is worth: inspected metres; during the search, metres by which the spiral widens.
 
-        With each turn the spiral widens by what the camera sees across from its altitude; it makes a step in a period.
-        No search is cut short for a recharge before it has to be: nobody knows how near it is to its end.
+        With each turn the spiral widens by the width that the camera sees from its altitude; it makes a step in a
+        period. It never recharges early during a search, because nobody knows how near the search is to its end.
         """
         gain, way_m = self._search, self.robot.way_m()
         errands: tuple[Errand, ...] = ()
