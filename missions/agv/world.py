@@ -1,4 +1,4 @@
-"""The building as a world of missions; the simulator is imported when a mission is run in it, not before."""
+"""The building as a world of missions, with its incidents and the components of the vehicle."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What the vehicle is made of and can do, for searching and inspecting a pipeline.
+"""The model of the vehicle: its components, functions and actions for searching and inspecting a pipeline.
 
 The knowledge is that of the SUAVE use case in the ROSA paper (Silva et al., section on feasibility): two ways to
 maintain motion answer a thruster failure, three search altitudes answer the visibility of the water.
@@ -30,7 +30,7 @@ def suave_model(name: str = "suave") -> Model:
             constraints=[visibility >= needed_visibility_m],
         )
 
-    # What it can do as a means, and by which components.
+    # The functions, and the components that serve them.
     generate_search_path = model.function("generate_search_path")
     generate_search_path.design("spiral", [spiral_search], priority=1)
     inspect_path = model.function("generate_inspection_path")
@@ -39,7 +39,7 @@ def suave_model(name: str = "suave") -> Model:
     maintain_motion.design("all_thrusters", thrusters, priority=1)
     maintain_motion.design("thruster_recovery", [recover_thrusters], priority=2)
 
-    # What a mission can do with it.
+    # The actions, and the functions that they require.
     model.action("search_pipeline", requires=[generate_search_path, maintain_motion])
     model.action("inspect_pipeline", requires=[inspect_path, maintain_motion])
     return model

@@ -1,11 +1,11 @@
-"""The mission as a behaviour tree, find the pipeline, then inspect it, and the actions that tree and plans are made of.
+"""The mission as a behaviour tree: find the pipeline, then inspect it; and the actions of the tree and of plans.
 
 until inspected
 └── search and inspect
     ├── find: pipeline found?, or else search if feasible
     └── inspect if feasible
 
-Each action says when it is finished; the nodes that it needs do the moving. Its schema is what the PDDL is made of.
+Each action says when it is finished; the nodes that it needs move the vehicle. The PDDL is made from the schemas.
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ PROBLEM: Final = DeclaredProblem(objects=_OBJECTS, goal=("(pipeline_inspected pi
 class SearchPipeline(RosaAction):
     """Search until the camera has seen the pipeline.
 
-    The spiral goes on where it was after an interruption, by itself; how long the search took, all goes together, is
+    After an interruption the spiral continues by itself where it stopped; the search time over all interruptions is
     kept here.
     """
 
@@ -46,7 +46,7 @@ class SearchPipeline(RosaAction):
 
     @property
     def searched_s(self) -> float:
-        """How long it has searched [s]."""
+        """Time spent searching so far [s]."""
         return self.kb.now - self._since_s
 
     def initialise(self) -> None:
@@ -69,11 +69,11 @@ class SearchPipeline(RosaAction):
 class InspectPipeline(RosaAction):
     """Follow the pipeline until all of it is inspected.
 
-    The follower goes on where it was after an interruption, by itself, but counts its metres from 0 again; the metres
-    of all goes together are kept here.
+    After an interruption the follower continues by itself where it stopped, but counts its metres from 0 again; the sum
+    of the metres is kept here.
 
     Attributes:
-        inspected_m: how much of the pipeline is inspected [m].
+        inspected_m: inspected length of the pipeline [m].
     """
 
     schema: ClassVar = ActionSchema(
@@ -113,7 +113,7 @@ class InspectPipeline(RosaAction):
 
 
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
-    """Return what was sensed as facts of the PDDL problem."""
+    """Return what was sensed, as facts of the PDDL problem."""
     return {
         "(pipeline_found pipeline)": percepts.holds("pipeline_found"),
         "(pipeline_inspected pipeline)": percepts.holds("pipeline_inspected"),
@@ -126,10 +126,10 @@ def suave_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
 
 
 def search_and_inspect(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-    """Build the part that does the work; it fails as soon as what it is doing becomes unfeasible."""
+    """Build the subtree that searches and inspects; it fails as soon as its current action becomes unfeasible."""
     search = feasible_then_act(SearchPipeline(kb, percepts))
     found = Condition("pipeline found?", lambda: percepts.holds("pipeline_found"))
-    # With memory, a search under way ends by itself, as a success, rather than being cut short by the condition.
+    # With memory, a search under way ends by itself as a success; the condition does not interrupt it.
     find = Selector("find", memory=True, children=[found, search])
     inspect = feasible_then_act(InspectPipeline(kb, percepts))
     return Sequence("search and inspect", memory=False, children=[find, inspect])

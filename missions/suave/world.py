@@ -1,4 +1,4 @@
-"""The simulated sea as a world of missions; the simulator is imported when a mission is run in it, not before."""
+"""The simulated sea as a world of missions; the simulator is imported only when a mission runs in it."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Sea(World):
-    """Adapter of the simulator to what a mission needs."""
+    """Adapts the simulator to the interface of a mission's world."""
 
     def __init__(self, env: "SuaveEnv") -> None:
         self._env = env
@@ -107,7 +107,7 @@ class _SeaKind(WorldKind):
         return self.judge(percepts, results, any(one.action == "recharge" for one in kb.history.actions))
 
     def judge(self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
-        """Judge by the goal, given whether the battery ran low or a recharge was begun."""
+        """Judge by the goal; `needed_recharge` tells whether the battery ran low or a recharge began."""
         if percepts.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
         if not percepts.holds("pipeline_found"):

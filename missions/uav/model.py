@@ -1,20 +1,20 @@
 """What the aerial vehicle is made of and can do: the paper's UAV use case (Silva et al., after Braberman et al.).
 
-The battery decides between actions, and so does the gripper. By the paper's way of counting these are 24 entities and
-16 relations. That each action needs what it needs is the paper's; which components these are is our own choice.
+The battery and the gripper decide which action is feasible. By the paper's way of counting, the model has 24 entities
+and 16 relations. Which functions an action needs is the paper's; which components serve them is our own choice.
 """
 
 from typing import Final
 
 from kb import Model
 
-# Charge that an action needs [1], own choice: the way home takes less than 0.1, a pick-up twice as much as a look.
+# Charge that an action needs [1]; own choice: the way home takes less than 0.1, a pick-up twice as much as a look.
 PICK_UP_LEVEL: Final = 0.55
 SEARCH_LEVEL: Final = 0.3
 ANALYSE_LEVEL: Final = 0.2
 
 MOST_SAMPLES: Final = 8
-"""How many samples there may be; the planned task layer has an object for each."""
+"""Largest number of samples; the PDDL problem has an object for each."""
 
 _FUNCTIONS: Final = {
     "generate_search_path": ["search_planner"],

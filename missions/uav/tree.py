@@ -1,4 +1,4 @@
-"""What the mission does, as actions and as a behaviour tree: find samples and analyse them one by one, as feasible.
+"""The actions and the behaviour tree of the mission: find samples and analyse them one by one, as feasible.
 
 until all are analysed
 └── one after another
@@ -9,11 +9,11 @@ until all are analysed
     │   └── meanwhile: return and recharge
     └── all analysed?
 
-Before it analyses on site after a pick-up, it lands and folds the gripper, whatever happened in between.
+After a pick-up, it lands and folds the gripper before it analyses on site, whatever happened in between.
 
 Each action says when it is finished; the components that it needs do the flying. The tree and the plan executor run the
-same behaviours; their schemas are what the PDDL is made of. Every action waits until the robot is configured for it, so
-that one behaviour gives way to the next in a safe state only.
+same behaviours, and the PDDL is made from their schemas. Every action waits until the robot is configured for it, so
+one behaviour follows another only in a safe state.
 """
 
 from collections.abc import Mapping
@@ -32,7 +32,7 @@ from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))
 
-# What is wanted is sensed, so the goal changes by itself when a sample is added.
+# Whether a sample is wanted is sensed, so the goal changes by itself when one is added.
 PROBLEM: Final = DeclaredProblem(
     objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
     facts=("(looking drone)", "(gripper_folded drone)", *(f"(wanted {one})" for one in SAMPLES[:-1])),
@@ -45,22 +45,22 @@ def analysed(percepts: Percepts) -> int:
 
 
 def target(percepts: Percepts) -> str:
-    """Return the sample that is to be analysed next; empty if there is none."""
+    """Return the name of the sample to analyse next; empty if there is none."""
     return next((one for one in SAMPLES if percepts.holds(f"{one}_target")), "")
 
 
 def is_all_analysed(percepts: Percepts) -> bool:
-    """Whether all samples are analysed that are wanted now, of which there is at least one."""
+    """Tell whether at least one sample is wanted now, and all wanted ones are analysed."""
     wanted = [one for one in SAMPLES if percepts.holds(f"{one}_wanted")]
     return bool(wanted) and all(percepts.holds(f"{one}_analysed") for one in wanted)
 
 
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
-    """Return what was sensed as facts of the PDDL problem."""
+    """Return what was sensed, as facts of the PDDL problem."""
     kinds = ("wanted", "analysed", "target")
     known = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
     is_folded = percepts.holds("gripper_folded")
-    if is_folded and kb.pending_plan is not None:  # it unfolds before long, also if what it was for has been given up
+    if is_folded and kb.pending_plan is not None:  # the pending plan may unfold it soon, even for an action given up
         is_folded = "gripper" not in kb.pending_plan.activate
     return known | {"(looking drone)": not target(percepts), "(gripper_folded drone)": is_folded}
 
@@ -94,7 +94,7 @@ class SearchForSamples(UavAction):
 
 
 class _Analyse(UavAction):
-    """Analyse one sample; finished when the one for which it was begun is not to be analysed any more."""
+    """Analyse one sample; it succeeds when the sample for which it began is the target no more."""
 
     def initialise(self) -> None:
         self._sample = target(self.percepts)
@@ -104,7 +104,7 @@ class _Analyse(UavAction):
 
 
 class PickUpAndAnalyse(_Analyse):
-    """Pick a sample up and analyse it while it is held: the better analysis."""
+    """Pick up a sample and analyse it in the gripper: the better analysis."""
 
     title: ClassVar = "pick up"
     schema: ClassVar = ActionSchema(
@@ -150,9 +150,9 @@ class LandAndFoldGripper(UavAction):
 
 
 class ReturnAndRecharge(UavAction):
-    """Return to the base and recharge; in a plan only when nothing waits that can still be analysed on site.
+    """Return to the base and recharge; plans do so only when no sample waits that can be analysed on site.
 
-    It costs more than analysing every sample on site, so no plan recharges for the sake of a better analysis.
+    It costs more than analysing every sample on site, so no plan recharges only for a better analysis.
     """
 
     title: ClassVar = "recharge"
@@ -173,12 +173,12 @@ class ReturnAndRecharge(UavAction):
 
 
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-    """Build the tree; it runs until all samples are analysed that are wanted."""
+    """Build the tree; it runs until all wanted samples are analysed."""
     search = feasible_then_act(SearchForSamples(kb, percepts))
     waiting = Condition("sample waiting?", lambda: bool(target(percepts)))
     find = Selector("find", memory=True, children=[waiting, search])
     analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
-    # With memory: what was found stays found while it is analysed, also in the moment in which it is no longer waiting.
+    # With memory: after a sample is found, the search does not start again while the sample is analysed.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
     one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")
     done = Condition("all analysed?", lambda: is_all_analysed(percepts))

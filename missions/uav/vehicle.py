@@ -1,7 +1,7 @@
-"""The quadrotor as MuJoCo simulates it, flown to a place, and every constant of it and of its field with its source.
+"""The quadrotor, simulated by MuJoCo, its controller, and the constants of vehicle and field, each with its source.
 
 The controller is the usual cascade: position error to velocity, velocity error to acceleration, its direction to the
-tilt of the mast, tilt error to body rates, rate error to torques, which the mixer turns into thrusts.
+tilt of the mast, tilt error to body rates, rate error to torques; the mixer turns torques into thrusts.
 """
 
 import logging
@@ -22,7 +22,7 @@ _SCENARIO: Final = "own choice, so that the paper's three scenarios occur"
 
 @dataclass(frozen=True, slots=True)
 class Settings(Constants):
-    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times from the start."""
+    """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times since the start."""
 
     # What happens
     samples: float = setting(7, "-", "samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1)
@@ -83,7 +83,7 @@ TILT_GAIN: Final = 8.0  # [1/s]
 RATE_GAIN: Final = 25.0  # [1/s]
 _STIFFNESS: Final = tuple(one * RATE_GAIN for one in INERTIA)
 YAW_GAIN: Final = 2.0  # [1/s]
-SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that is asked for
+SIDEWAYS_M_S2: Final = 4.0  # largest horizontal acceleration that the controller wants
 VERTICAL_M_S2: Final = 4.0  # the same, upwards; downwards it is half of gravity
 
 
@@ -104,7 +104,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
 
     Args:
         error: wanted minus actual velocity [m/s], world frame.
-        trim: acceleration that was found to be needed in the long run [m/s2], world frame.
+        trim: integral part of the controller, an acceleration [m/s2], world frame.
         mass: of the vehicle [kg].
         gravity: [m/s2].
     """
@@ -119,7 +119,7 @@ def wanted_force(error: Vector, trim: Vector, mass: float, gravity: float) -> Ve
 def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple[float, Vector]:
     """Return the thrust [N] along the mast, and the torques [N m], body frame, that turn the mast towards a force.
 
-    They turn the nose to the east, too.
+    The torques also turn the nose to the east.
 
     Args:
         quaternion: attitude of the body, a unit quaternion (w, x, y, z).
@@ -146,9 +146,9 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
 
 
 def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
-    """Return the thrust of each rotor (4,), 0 to the limit, for that of all [N] and torques [N m], body frame.
+    """Return the thrust of each rotor (4,), 0 to the limit [N], for a whole thrust [N] and torques [N m], body frame.
 
-    Where a rotor cannot give what is wanted, lift gives way first: a vehicle that keeps upright can be flown on.
+    If a rotor cannot give its thrust, lift is reduced before tilt: a vehicle that stays upright can fly on.
     """
     x, y, z = torques[0] / _ARMS_M, torques[1] / _ARMS_M, torques[2] / _REACTIONS_M
     z = _within(z, 0.1 * limit)  # heading matters least
@@ -159,18 +159,18 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
 
 
 def _within(value: float, limit: float) -> float:
-    return -limit if value < -limit else limit if value > limit else value  # a third of the time of min and max
+    return -limit if value < -limit else limit if value > limit else value  # three times as fast as min and max
 
 
 _log = logging.getLogger(__name__)
 ON_GROUND_M: Final = 0.35
 """Height of the vehicle's origin when it stands [m]."""
 SUBSTEPS: Final = 2
-"""Steps of the physics for which thrust is held."""
-STRAIGHT_M: Final = 0.6  # as near as that a place is approached straight, not at travelling height
+"""Number of physics steps for which the thrust is constant."""
+STRAIGHT_M: Final = 0.6  # nearer than this it flies straight to a place, not at travelling height
 TRIM_GAIN: Final = 1.0  # [1/s2]
 TRIM_LIMIT: Final = 3.0  # [m/s2]; more than the strongest drag and wind of the settings take
-TOUCH_M, TOUCH_M_S = 0.03, 0.2  # it stands when it is as low and as slow as that
+TOUCH_M, TOUCH_M_S = 0.03, 0.2  # lower and slower than this, it stands
 
 
 class Quadrotor:
@@ -182,13 +182,13 @@ class Quadrotor:
     Attributes:
         position: (x, y, z) [m], world frame, z is 0.35 m on the ground.
         velocity: (x, y, z) [m/s], world frame.
-        is_landed: whether it stands with its rotors off.
+        is_landed: whether it stands on the ground with its rotors off.
         rotor_w: power of the rotors [W].
-        has_power: without it, the rotors stand still.
+        has_power: whether there is power for the rotors.
     """
 
     def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
-        import mujoco  # takes long, so not before there is a vehicle
+        import mujoco  # takes long, and listing missions does not need it
 
         mujoco.set_mju_user_warning(_log.debug)  # its own handler prints, and writes a file into the working directory
         self._settings, self._step_s, self._advance = settings, SUBSTEPS * settings.physics_step_s, mujoco.mj_step
@@ -211,11 +211,11 @@ class Quadrotor:
         self.has_power = True
 
     def go_to(self, target: Vector) -> None:
-        """Fly to a place [m], world frame; at travelling height, unless it is near."""
+        """Fly to a place [m], world frame; at travelling height unless the place is near."""
         self._target, self._lands = target, False
 
     def hold(self) -> None:
-        """Stay where it is; a vehicle that stands stays standing."""
+        """Hover at the present position; on the ground, stay there."""
         self._target, self._lands = (None if self.is_landed else self.position), False
 
     def land(self, at: tuple[float, float] | None = None) -> None:
@@ -229,7 +229,7 @@ class Quadrotor:
         self._arm_wanted = 0.0 if is_folded else math.pi / 2
 
     def carry(self, mass: float) -> None:
-        """Have a load of that mass in the gripper [kg]; 0 for none."""
+        """Set the mass of the load in the gripper [kg]; 0 for none."""
         load = self.model.body("load").id
         change = max(mass, 1e-6) - self.model.body_mass[load]
         self.model.body_mass[load] += change
@@ -247,11 +247,11 @@ class Quadrotor:
         return float(self.data.qpos[7])
 
     def is_near(self, target: Vector, within: float) -> bool:
-        """Whether it is that close to a place [m] and slow."""
+        """Tell whether the vehicle is slow, and within a distance [m] of a place [m]."""
         return math.dist(self.position, target) <= within and math.hypot(*self.velocity) < 0.4
 
     def step(self) -> None:
-        """Choose thrusts and advance by one period of the control."""
+        """Compute the thrusts and advance by one control period."""
         thrusts = self._thrusts(self._step_s) if self._target is not None and self.has_power else [0.0] * 4
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
@@ -284,7 +284,7 @@ class Quadrotor:
         return mixed(*attitude(self._turned, self._rates, force), settings.rotor_limit_n)
 
     def _aim(self) -> Vector:
-        """Return where to go now: up first, then along, then down."""
+        """Return the point to fly to now: first up, then along, then down."""
         assert self._target is not None
         (x, y, z), (to_x, to_y, _), cruise = self.position, self._target, self._settings.cruise_m
         if math.hypot(to_x - x, to_y - y) <= STRAIGHT_M:

@@ -1,7 +1,7 @@
 """The field in which samples lie, and the components of the vehicle that flies over it.
 
-Each component acts while it is active, 10 times a second. What moves the vehicle leaves it hovering where it is when it
-is stopped: that is the safe state between two actions.
+Each component acts 10 times a second while it is active. When a component that moves the vehicle stops, the vehicle
+hovers where it is: the safe state between two actions.
 """
 
 from collections.abc import Callable, Mapping
@@ -21,11 +21,11 @@ from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.tree import analysed, is_all_analysed
 from missions.uav.vehicle import ON_GROUND_M, SUBSTEPS, Quadrotor, Settings
 
-PERIOD_S: Final = 0.1  # from one time that the components act to the next
+PERIOD_S: Final = 0.1  # period of the components
 GRIP_M: Final = 0.12  # height of the legs from which the gripper reaches the ground
 LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
-FOLDED_RAD: Final = 0.15  # out of the view; it has folded at half of that, so that a gust does not bring it back
+FOLDED_RAD: Final = 0.15  # out of the camera's view; it counts as folded at half of this, for a margin against gusts
 FULL: Final = 0.99
 MOVERS: Final = ("search_planner", "pick_up_planner", "hover_planner", "return_planner", "landing_planner")
 OFF_LANE_M: Final = 2.0  # how far from the middle of its lane a sample may lie
@@ -43,23 +43,23 @@ class Sample:
     name: str  # "sample_1" and so on
     place: tuple[float, float]  # (x, y) [m], world frame
     wanted_s: float = 0.0  # from when on it is wanted [s]
-    is_reported: bool = False  # an operator reports it; it goes before those that were found
+    is_reported: bool = False  # reported by an operator; it goes before those that the camera found
     is_wanted: bool = False
-    is_found: bool = False  # it is known where it is
-    quality: float | None = None  # worth of its analysis, up to 1; None before
+    is_found: bool = False  # its place is known
+    quality: float | None = None  # of its analysis, up to 1; None before it
 
 
 class UavWorld(mission.World):
-    """The vehicle over its field: what the components share, what is known and held, and what is said of it.
+    """The vehicle over its field, and the state that its components share.
 
-    Time moves only in `advance`; the same settings and seed give the same floats. Chance is where the samples lie, the
-    wind, the phase of the battery monitor, and the jam. The field is lanes along the x axis; samples lie in two
-    patches, and between them is a third of the lanes without any.
+    Time moves only in `advance`; the same settings and seed give the same floats. Random are the places of the samples,
+    the wind, the phase of the battery monitor, and the jam. The field consists of lanes along the x axis; samples lie
+    in two patches, and the middle third of the lanes has none.
 
     Attributes:
         level: charge of the battery, 0 to 1.
-        samples: all of them, those included that nobody wants yet.
-        target: the one to be analysed next; None while none is waiting.
+        samples: all samples, also those that are not wanted yet.
+        target: the sample to analyse next; None while none waits.
         jams_s: when the gripper jams [s].
         pick_ups: how many samples were lifted.
         recharges: how often the battery was charged until it was full.
@@ -102,16 +102,16 @@ class UavWorld(mission.World):
         return self._managed
 
     def publish(self, message: str, key: str, value: str) -> None:
-        """Publish a value by its key, in a message of this text."""
+        """Publish a key and its value, in a message with this text."""
         status = {"name": "uav", "message": message, "values": {key: value}}
         self.messages.append({"time": self.now, "status": [status]})
 
     def say(self, key: str, holds: bool = True) -> None:
-        """Publish that something holds, or does not."""
+        """Publish whether something holds."""
         self.publish(MISSION_STATUS, key, str(holds).lower())
 
     def disturb(self, text: str) -> None:
-        """Note what truly happened."""
+        """Record what truly happened, for `disturbances`."""
         self._happened.append((self.now, text))
 
     def _lane_y(self, lane: int) -> float:
@@ -123,13 +123,13 @@ class UavWorld(mission.World):
 
     @property
     def path(self) -> list[tuple[float, float]]:
-        """Corners of the way along all lanes, to and fro: (x, y) [m], world frame."""
+        """Corners (x, y) of the way along all lanes, to and fro [m], world frame."""
         ends = (0.0, self.settings.field_x_m)
         lanes = range(int(self.settings.lanes))
         return [(x, self._lane_y(lane)) for lane in lanes for x in (ends if lane % 2 == 0 else ends[::-1])]
 
     def want(self) -> None:
-        """Have samples wanted whose time has come."""
+        """Mark and publish the samples that are wanted from now on."""
         for one in [one for one in self.samples if not one.is_wanted and one.wanted_s <= self.now]:
             one.is_wanted = True
             self.say(f"{one.name}_wanted")
@@ -149,22 +149,22 @@ class UavWorld(mission.World):
             self.say(f"{self.target.name}_target")
 
     def approach(self, height: float) -> None:
-        """Fly to the place with the legs that high above the target [m], if there is one."""
+        """Fly to where the legs are at a height above the target [m], if there is one."""
         if self.target is not None:
             self.vehicle.go_to(self.over(self.target, height))
 
     def over(self, sample: Sample, height: float) -> tuple[float, float, float]:
-        """Return the place with the legs that high above a sample [m], world frame."""
+        """Return the place where the legs are at a height above a sample [m], world frame."""
         return (*sample.place, ON_GROUND_M + height)
 
     def let_go(self) -> None:
-        """Drop what is held, if anything; from then on it lies where it fell."""
+        """Drop the held sample, if any; it lies where it falls."""
         if self.held is not None:
             self.held.place, self.held = self.vehicle.position[:2], None
             self.vehicle.carry(0.0)
 
     def analysed(self, quality: float) -> None:
-        """Take the target as analysed, with that worth."""
+        """Record that the target is analysed, with a quality up to 1."""
         if self.target is not None:
             self.target.quality = quality
             self.qualities.append(quality)
@@ -200,7 +200,7 @@ class UavWorld(mission.World):
             self.publish("QA measurement", "battery_level", repr(self.level))
 
     def _drain(self) -> None:
-        """Take out of the battery what a step draws, and note what it means that the charge falls below a level."""
+        """Charge and discharge the battery for one step, and record each level that the charge falls below."""
         settings, before, step_s = self.settings, self.level, self._step_s
         watts = self.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if self.is_charging else 0.0
@@ -216,7 +216,7 @@ class UavWorld(mission.World):
 
     @property
     def is_still(self) -> bool:
-        """Whether the battery has run empty, after which it does not fly again, and nobody wants anything more."""
+        """Whether nothing more can happen: the battery is empty, and all samples are wanted already."""
         return not (self.vehicle.has_power or self.is_charging) and all(one.is_wanted for one in self.samples)
 
     def results(self) -> dict[str, float | None]:
@@ -247,7 +247,7 @@ class UavWorld(mission.World):
 
 
 class Nodes(NamedComponents):
-    """What each component does while it is active; a change is carried out at once."""
+    """The components, and what each does while it is active; a change takes effect at once."""
 
     def __init__(self, robot: UavWorld) -> None:
         super().__init__()
@@ -270,17 +270,17 @@ class Nodes(NamedComponents):
 
     @property
     def watts(self) -> float:
-        """What those draw that are active [W]."""
+        """Power of the active components [W]."""
         return sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def act(self) -> None:
-        """Have those act that are active; called once a period."""
+        """Let the active components act; called once a period."""
         for name, act in self._acts.items():
             if name in self.active:
                 act()
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise MissionError unless there is that component; none has parameters."""
+        """Raise MissionError unless the component exists and no parameters are given: none has any."""
         if component not in self._acts or parameters:
             known = f"there are {', '.join(self._acts)}, which have no parameters"
             raise MissionError(f"{component} with {dict(parameters)} cannot be; {known}")
@@ -303,7 +303,7 @@ class Nodes(NamedComponents):
         super().deactivate(component)
         robot = self._robot
         if component == "search_planner":
-            self._ahead = [robot.vehicle.position[:2], *self._ahead]  # it goes on where it was stopped
+            self._ahead = [robot.vehicle.position[:2], *self._ahead]  # to go on where it stopped
         elif component == "gripper":
             robot.let_go()
         elif component == "return_planner":
@@ -312,7 +312,7 @@ class Nodes(NamedComponents):
             robot.vehicle.hold()
 
     def _worked(self, component: str, works: bool) -> float:
-        """Return for how long a component has worked without a break [s], this period included if it works in it."""
+        """Return how long a component has worked without a break [s]; `works` tells whether it does in this period."""
         self._worked_s[component] = self._worked_s[component] + PERIOD_S if works else 0.0
         return self._worked_s[component]
 
@@ -324,7 +324,7 @@ class Nodes(NamedComponents):
             self._ahead = self._ahead[1:] or robot.path
 
     def _see_samples(self) -> None:
-        """See the samples below, in a circle as wide as the vehicle is high."""
+        """Find the samples within the camera's circle below, whose radius grows with the altitude."""
         robot, vehicle = self._robot, self._robot.vehicle
         radius = vehicle.altitude * tan(robot.settings.half_view_rad)
         for one in robot.samples:
@@ -333,7 +333,7 @@ class Nodes(NamedComponents):
                 robot.say(f"{one.name}_found")
 
     def _pick_up(self) -> None:
-        """Fly down to the target, and up again when it is held."""
+        """Fly down to the target, and up again once it is in the gripper."""
         self._robot.approach(GRIP_M if self._robot.held is None else LIFT_M)
 
     def _grip(self) -> None:
@@ -355,7 +355,7 @@ class Nodes(NamedComponents):
                 robot.jams_s = robot.now + float(robot.rng.uniform(0.1, settings.jam_delay_s))
 
     def _analyse(self) -> None:
-        """Analyse what is held, once it is lifted."""
+        """Analyse the held sample once it is lifted."""
         robot = self._robot
         is_lifted = robot.held is not None and robot.vehicle.altitude > LIFT_M - 0.5
         if self._worked("analyser", is_lifted) >= robot.settings.analysis_s:
@@ -363,17 +363,17 @@ class Nodes(NamedComponents):
             robot.let_go()
 
     def _look(self) -> None:
-        """Analyse the target from above; an unfolded gripper would be in the view."""
+        """Analyse the target from above; an unfolded gripper would block the view."""
         robot, target, settings = self._robot, self._robot.target, self._robot.settings
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
         if self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD) >= settings.infrared_s:
             robot.analysed(settings.infrared_quality)
 
     def _return(self) -> None:
-        """Land at the base, which is the origin, and charge there; report that it is full as long as it stays.
+        """Land at the base, which is the origin, and charge; while the battery is full, report this every period.
 
-        Whoever begins to listen when the battery is full already hears it, too; and what else depends on the battery
-        is not decided by a measurement of before.
+        So an action that begins with a full battery receives the report too. The level is published with it, so that
+        nothing is decided by an older measurement.
         """
         robot, vehicle = self._robot, self._robot.vehicle
         if not (vehicle.is_landed and hypot(*vehicle.position[:2]) < 1.0):
@@ -404,7 +404,7 @@ class _SkyKind(WorldKind):
         return UavWorld(Settings.read(values), rng)
 
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Judge by the goal: every sample that is wanted is analysed, and the battery never ran empty."""
+        """Judge by the goal: all wanted samples are analysed, and the battery never ran empty."""
         done, wanted = analysed(percepts), results.get("wanted_samples") or 0
         if percepts.holds("battery_empty"):
             return Verdict("aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed")

@@ -328,7 +328,7 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
         heard[:] = [(kb, percepts)]
         return mission.facts(kb, percepts)
 
-    monkeypatch.setattr("rosa_pddl.Planner", Compared)
+    monkeypatch.setattr("missions.engine.task_layer.Planner", Compared)
     building = PAPER
     mission = agv_mission("paper", "drives", building)
     run = rosa_run(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
