@@ -1,4 +1,4 @@
-"""The autopilot: from setpoints to a jerk-limited move, to the wanted force, to thrusts, at the control period."""
+"""The autopilot: turns setpoints into jerk-limited moves, wanted forces and thrusts, every control period."""
 
 import math
 from math import atan2, cos, isfinite, sin
@@ -44,7 +44,7 @@ class SCurve:
         self.duration = 2 * self._rise + cruise
 
     def at(self, time: float) -> tuple[float, float]:
-        """Return how far along the move is [m] and how fast [m/s], at a time since its start [s]."""
+        """Return the distance [m] and the speed [m/s] of the move at a time since its start [s]."""
         left, rise = self.duration - time, self._rise
         if left <= 0:
             return self._length, 0.0
@@ -70,7 +70,7 @@ class SCurve:
 
 
 class Guidance:
-    """Flies to setpoints as GUIDED mode of ArduPilot's Sub does in essence; of our own making.
+    """Flies to setpoints, our own simplification of the GUIDED mode of ArduPilot's Sub.
 
     A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the stopping point `p + v / k`
     to the setpoint. Position gain `k` and a first-order velocity loop of time constant `tau` follow it:
@@ -106,7 +106,7 @@ class Guidance:
     def force(self, position: list[float], velocity: list[float], time: float, duration: float) -> Vector:
         """Return the wanted force [N], world frame ENU, z up, to be held for a duration [s] from now [s].
 
-        Of position [m] and velocity [m/s] the first three numbers are read.
+        It reads the first three numbers of position [m] and velocity [m/s].
         """
         along, speed = self._move.at(time - self._start)
         ox, oy, oz = self._origin
@@ -155,7 +155,7 @@ class Autopilot:
 
     @property
     def position(self) -> Vector:
-        """Where the vehicle is [m], world frame ENU, z up; between two control periods it goes on as it was going."""
+        """Position [m], world frame ENU, z up; extrapolated at constant velocity between two control periods."""
         pose_of, motion_of = self._vehicle.state
         x, y, z, *_ = pose_of()
         vx, vy, vz, *_ = motion_of()
@@ -168,7 +168,7 @@ class Autopilot:
         self._guidance.go_to((x, y, z + self._bias), self.position, self._vehicle.velocity, time)
 
     def hold(self, time: float) -> None:
-        """Come to rest where that is soonest, from now [s] on."""
+        """Stop as soon as possible, from now [s] on."""
         position, velocity = self.position, self._vehicle.velocity
         self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
 

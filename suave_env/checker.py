@@ -1,4 +1,4 @@
-"""A judge of environments: whether one keeps the promises that tasks and managers rely on."""
+"""Checks whether an environment keeps the promises that task layers and managers rely on."""
 
 import math
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from suave_env.monitors import Message, Status
 from suave_env.settings import SuaveEnvError
 
 SPAN_S = 12.0
-"""How long each trial of an environment is [s]: monitors publish every second, and the search has begun."""
+"""Length of each trial [s]: enough for the monitors, which publish every second, and for a search to begin."""
 
 _SLICES = (0.01, 0.37, 0.38, 1.0, 3.333, 7.5, SPAN_S)
 
@@ -19,12 +19,12 @@ class BrokenEnvError(SuaveEnvError):
 
 
 def check_env(make: Callable[[int], SuaveEnv], component: str = "spiral_search") -> None:
-    """Try whether an environment keeps its promises; each trial opens it anew.
+    """Check whether an environment keeps its promises; each trial opens a new one.
 
-    Time goes on exactly as asked for and never back; what is published lies within the time asked for, in order, and is
-    plain data; nobody can change the environment through what it returned; the same seed gives the same run, another
-    one another, and how time is sliced changes nothing; components obey, unknown ones are refused by name; what is
-    observed is finite.
+    Time advances exactly as requested and never back; messages lie within the requested time, in order, and are plain
+    data; nobody can change the environment through what it returns; the same seed gives the same run, another seed a
+    different one, and slices of time change nothing; components obey, and unknown names are refused; observations are
+    finite.
 
     Args:
         make: Opens the environment with a seed.
@@ -70,7 +70,7 @@ def _check_time(env: SuaveEnv) -> None:
 
 
 def _check_course(env: SuaveEnv, component: str) -> None:
-    """Look at what is published and observed while a component is active."""
+    """Check messages and observations while a component is active."""
     env.components.activate(component)
     before, heard = 0.0, 0
     for step in range(1, round(2 * SPAN_S) + 1):
@@ -98,7 +98,7 @@ def _check_message(message: Message, before: float, until: float) -> None:
 
 
 def _run(env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bool = False) -> tuple[object, ...]:
-    """Return what was published, happened and is observed at last; if touched, what is returned is taken apart."""
+    """Return messages, disturbances and the last observation; if touched, destroy what the environment returns."""
     env.components.activate(component)
     published = list[tuple[float, list[Status]]]()
     for time in times:

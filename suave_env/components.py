@@ -22,7 +22,7 @@ HIGHEST_ALTITUDE_M = 19.0
 
 
 class Agenda:
-    """What is to happen when: events in order of time [s]; those of the same time in the order of their entry."""
+    """The events to come, in order of time [s]; those at the same time in the order of their entry."""
 
     def __init__(self) -> None:
         self._events: list[tuple[float, int, Callable[[float], None]]] = []
@@ -51,7 +51,7 @@ class Agenda:
         self.at(phase, tick)
 
     def happen(self) -> None:
-        """Let the next event happen."""
+        """Remove the next event and call it."""
         time, _, event = heapq.heappop(self._events)
         event(time)
 
@@ -221,7 +221,7 @@ class FollowPipeline(Mover):
 class RecoverThrusters(Component):
     """Restores the thrusters one after another: the first after 10 s, then one every 0.25 s, failed or not.
 
-    Once begun it runs to its end, deactivated or not, unless the settings say otherwise.
+    Once begun, it runs to its end even when it is deactivated, unless the settings say otherwise.
     """
 
     name = "recover_thrusters"
@@ -250,8 +250,8 @@ class RecoverThrusters(Component):
 class Recharge(Mover):
     """Drives to the recharge station and recharges the battery there.
 
-    Every 5 s it sends the station as setpoint and recharges if it is within 0.5 m in x and in y. By later rules it
-    looks twice a second, and sends the setpoint once for each drive.
+    Every 5 s it sends the station as setpoint, and recharges if it is within 0.5 m in x and in y. By the rules of 2025
+    it checks twice a second, and sends the setpoint once for each drive.
     """
 
     name = "recharge"
@@ -276,7 +276,7 @@ class Recharge(Mover):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A component that was activated, deactivated or given other parameters, when [s], and how it is from then on."""
+    """The activation, deactivation or new parameters of a component: the time [s], and its state from then on."""
 
     time: float
     component: str
@@ -289,7 +289,7 @@ class Change:
 
 
 class Components:
-    """The components by name; a change has its effect at once, for switching takes the time of whoever asks.
+    """The components by name; a change takes effect at once, because the caller simulates the time of switching.
 
     Attributes:
         history: Every change so far that changed something, in order of time.
@@ -314,7 +314,7 @@ class Components:
         return tuple(name for name, component in self._components.items() if component.active)
 
     def is_active(self, name: str) -> bool:
-        """Tell whether a component acts."""
+        """Tell whether a component is active."""
         return self._component(name).active
 
     def parameters(self, name: str) -> dict[str, float]:
@@ -345,7 +345,7 @@ class Components:
             self._note(time, component)
 
     def set_parameters(self, name: str, values: Mapping[str, object]) -> None:
-        """Set parameters of a component by name, all at the same time; as allowed by `check`."""
+        """Set parameters of a component by name, all at once; raises as `check`."""
         component = self._component(name)
         taken = {**component.parameters, **_taken(component, values)}
         if taken != component.parameters:
@@ -364,7 +364,7 @@ class Components:
 
 
 def _taken(component: Component, values: Mapping[str, object]) -> dict[str, float]:
-    """Return values as a component takes them, or raise."""
+    """Return the values as floats; `SuaveEnvError` if the component does not take them."""
     taken = {}
     for key, value in values.items():
         if key not in component.parameters:

@@ -1,4 +1,4 @@
-"""The simulated sea: everything wired together and advanced in lock-step."""
+"""The simulated sea: connects vehicle, nodes, monitors and water, and advances them in lock-step."""
 
 import math
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ from suave_env.water import THRESHOLDS_M, Water, expected_altitude
 
 @dataclass(frozen=True)
 class Observation:
-    """The truth at one moment, for plots and records; decisions hear of the world by messages only.
+    """The truth at one moment, for plots and records; managers and task layers receive messages only.
 
     Attributes:
         time: Time since GUIDED [s].
@@ -94,13 +94,13 @@ class SuaveEnv:
         recharge = Recharge(settings, self._autopilot, self._recharge)
         nodes = (self._spiral, self._follower, recover, recharge)
         self.components = Components(nodes, lambda: self.now, self._autopilot.hold, self._switched)
-        self._visibility: float | None = None  # that was published last [m]
+        self._visibility: float | None = None  # as published last [m]
         self._whole_periods, self._thruster_news = 0, list[tuple[int, str]]()
         self._enter_timers(phases, recharge)
         self._enter_disturbances()
 
     def _enter_timers(self, phases: list[float], recharge: Recharge) -> None:
-        """Start what runs freely, each timer at its phase, a share of its period."""
+        """Start the free-running timers, each at its phase, a share of its period."""
         settings, agenda = self.settings, self._agenda
         timers = (
             (settings.spiral_period_s, self._spiral.tick),
@@ -126,7 +126,7 @@ class SuaveEnv:
 
     @property
     def metrics(self) -> Metrics:
-        """The figures of the run up to now."""
+        """The metrics of the run up to now."""
         found = self._search_time
         return Metrics(
             search_time_s=None if found is None else max(0, math.floor(found - self._guided)),
@@ -141,12 +141,12 @@ class SuaveEnv:
 
     @property
     def reactions(self) -> list[Reaction]:
-        """How soon uncertainties were answered up to now, in order of the end of each."""
+        """The reactions to uncertainties up to now, in order of their ends."""
         return list(self._reactions.found)
 
     @property
     def disturbances(self) -> list[tuple[float, str]]:
-        """What has happened to the vehicle and the sea, and when [s], up to now, in order of time: the truth."""
+        """The true disturbances of vehicle and sea up to now, each with its time [s], in order of time."""
         return list(self._disturbances)
 
     def advance(self, until: float, *, pause: bool = False) -> list[Message]:
@@ -160,7 +160,7 @@ class SuaveEnv:
             What was published in `(now, until]`, in order of time.
 
         Raises:
-            SuaveEnvError: If the time is not a number from now on.
+            SuaveEnvError: If the time is not finite, or before now.
         """
         if not self.now <= until < math.inf:
             raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on")
@@ -177,7 +177,7 @@ class SuaveEnv:
         return self._outbox.fetch()
 
     def observe(self) -> Observation:
-        """Return the truth now; between two control periods, the vehicle is where the earlier left it."""
+        """Return the truth now; the vehicle's state is that at the end of the last control period."""
         x, y, z = self._vehicle.position
         return Observation(
             time=self.now,
@@ -195,7 +195,7 @@ class SuaveEnv:
         )
 
     def _look(self, time: float) -> None:
-        """Look for the pipeline, whichever component is active, and again a period later until it is found."""
+        """Look for the pipeline every period until it is found, whichever component is active."""
         index = None
         if self._visibility is not None:
             index = self.pipeline.first_visible(*self._autopilot.position, self._visibility)
@@ -207,9 +207,9 @@ class SuaveEnv:
         self._outbox.publish(time, "pipeline_detection", MISSION_STATUS, "pipeline_found", "true")
 
     def _drain(self, time: float) -> None:
-        """Take out what a period costs; the level carries the rounding of the steps, as in kas-lab/suave v1.3.0.
+        """Discharge the battery by one period; the rounding errors add up, as in kas-lab/suave v1.3.0.
 
-        After 150 steps of 1 s out of 200 s it is 0.24999999999999933.
+        After 150 steps of 1 s out of 200 s the level is 0.24999999999999933.
         """
         settings, before = self.settings, self._battery_level
         self._battery_level = max(0.0, before - settings.battery_period_s / settings.discharge_time_s)
@@ -225,7 +225,7 @@ class SuaveEnv:
         self._outbox.publish(time, "water_visibility_monitor", EA_MEASUREMENT, "water_visibility", self._visibility)
 
     def _publish_thrusters(self, time: float) -> None:
-        """Publish each failure once, and each recovery that came by itself; the recovery node publishes its own."""
+        """Publish each failure and each recovery by itself once; the recovery node publishes its own recoveries."""
         for thruster, word in self._thruster_news:
             self._outbox.publish(time, "thruster_monitor", COMPONENT_STATUS, f"c_thruster_{thruster}", word)
         self._thruster_news.clear()
@@ -256,7 +256,7 @@ class SuaveEnv:
 
         def cross(time: float) -> None:
             self._disturbances.append((time, text))
-            self._judge(time + 1e-6, corrected=False)  # a moment later, when the threshold is passed for certain
+            self._judge(time + 1e-6, corrected=False)  # a moment later, when the threshold is surely passed
             self._await_crossing(threshold, time)
 
         self._agenda.at(due, cross)
@@ -270,7 +270,7 @@ class SuaveEnv:
         self._judge(time, corrected=True)
 
     def _judge(self, time: float, corrected: bool) -> None:
-        """Keep account of what is not as it should be now, and whether what is again was corrected."""
+        """Record which violations hold now, and whether those that have ended were corrected."""
         note, spiral = self._violations.note, self._spiral
         expected = expected_altitude(self._water.visibility(time))
         wrong = spiral.active and spiral.parameters["spiral_altitude"] != expected

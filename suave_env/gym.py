@@ -28,7 +28,7 @@ OBSERVED = {
     **{f"c_thruster_{number}": 1.0 for number in range(1, COUNT + 1)},
     "pipeline_found": 0.0,
 }
-"""What the parts of an observation are, and their values before anything is published."""
+"""The parts of an observation, and their values before anything is published."""
 
 _WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
 
@@ -36,16 +36,16 @@ _WORDS = {"FALSE": 0.0, "ERROR": 0.0, "RECOVERED": 1.0, "OK": 1.0, "true": 1.0}
 class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
     """The mission of SUAVE, one action per step of simulated time.
 
-    Observation, (9,): what was published last (`OBSERVED`): visibility [m], 0 before the first; battery level from
+    Observation, (9,): the values published last (`OBSERVED`): visibility [m], 0 before the first; battery level from
     0 to 1; for each thruster 1 if it works and 0 if it has failed; 1 once the pipeline is found.
-    Action, (5,): for each of `COMPONENTS` 1 if it shall be active and 0 if not, then an index into `ALTITUDES_M`.
+    Action, (5,): for each of `COMPONENTS` 1 for active and 0 for inactive, then an index into `ALTITUDES_M`.
     Reward: metres of the pipeline inspected in the step, without SUAVE's reset. An episode is terminated when all of it
     is inspected, and truncated when the time is up.
 
     Args:
         duration_s: Time limit of an episode [s].
         step_s: Simulated time of one step [s].
-        settings: What differs from the default settings of the sea, by name, e.g. {"rules": "2025"}.
+        settings: Values that differ from the default settings of the sea, by name, e.g. {"rules": "2025"}.
 
     Raises:
         SuaveEnvError: If a setting is unknown or its value not allowed.
@@ -76,7 +76,7 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         return self._observation(), self._info(self._env)
 
     def step(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Switch what the action changes, and let a step of time pass."""
+        """Switch the components as the action says, and simulate one step."""
         if self._env is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
         components, (*wanted, altitude) = self._env.components, [int(part) for part in action]

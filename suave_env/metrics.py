@@ -1,4 +1,4 @@
-"""What a run is judged by, and what truly happened in it."""
+"""The metrics of a run, the violations in it, and the reactions to uncertainties."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -13,20 +13,20 @@ LOW_LEVEL = 0.25
 
 @dataclass(frozen=True)
 class Metrics:
-    """Figures of a run up to now: the first two are those of SUAVE (kas-lab/suave v1.3.0), the others say more.
+    """Figures of a run up to now: the first two are SUAVE's (kas-lab/suave v1.3.0), the others are our own.
 
     Attributes:
-        search_time_s: Whole seconds [s] from the moment at which the node that measures heard of GUIDED until the
-            pipeline was found; None before. Of a run that never finds it SUAVE reports the duration of the mission.
-        distance_inspected_m: The xy distance between consecutive points of the path that were reached [m], back to 0
-            whenever the follower is activated.
-        total_inspected_m: As the distance, never reset [m]. Each stretch of the path counts once; ways to and from it
-            never.
+        search_time_s: Whole seconds [s] from when the measuring node received GUIDED until the pipeline was found;
+            None before. For a run that never finds it, SUAVE reports the duration of the mission.
+        distance_inspected_m: Sum of the xy distances between consecutive points of the path that were reached [m];
+            reset to 0 whenever the follower is activated.
+        total_inspected_m: The same sum, never reset [m]. Each stretch of the path counts once; ways to and from the
+            path do not count.
         found_s: Time since GUIDED at which the pipeline was found [s]; None before.
-        violation_s: Time for which something was not as it should be [s]: see `Violations`.
+        violation_s: Time for which at least one violation held [s]: see `Violations`.
         uncorrected: How many of these violations were never corrected.
         switches: How often a component was activated, deactivated or given other parameters.
-        energy_j: What the thrusters have put into the water [J], at least: the power that an ideal propeller needs,
+        energy_j: Least energy that the thrusters have put into the water [J]: the power of an ideal propeller,
             `|T|^1.5 / sqrt(2 rho A)`, summed over time.
     """
 
@@ -41,11 +41,11 @@ class Metrics:
 
 
 class Violations:
-    """Keeps account of what is not as it should be, by the truth and not by what the monitors tell.
+    """Records violations of the mission's requirements, by the truth and not by what the monitors publish.
 
-    There are three kinds: the search is active at another altitude than the visibility calls for; a thruster is stuck;
-    the battery is below a quarter and the recharge is not active. A violation is corrected if it ends by a change of
-    what the vehicle does; one that ends because the sea has changed back, or lasts to the end, is not.
+    There are three kinds: the search is active at another altitude than the visibility requires; a thruster is stuck;
+    the battery is below a quarter and the recharge is not active. A violation is corrected if a change of the vehicle
+    ends it; it is uncorrected if it ends because the sea changes back, or lasts to the end.
     """
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Violations:
         self._any_since, self._past_s, self._missed = 0.0, 0.0, 0
 
     def note(self, time: float, kind: str, holds: bool, corrected: bool) -> None:
-        """Say whether a violation of a kind holds now [s], and if it holds no longer, whether it was corrected."""
+        """Record whether a violation of a kind holds at a time [s]; `corrected` counts when it has just ended."""
         if holds == (kind in self._open):
             return
         if holds:
@@ -67,7 +67,7 @@ class Violations:
             self._past_s += time - self._any_since
 
     def seconds(self, now: float) -> float:
-        """Return for how long at least one violation has held [s]."""
+        """Return the time for which at least one violation has held up to now [s]."""
         return self._past_s + (now - self._any_since if self._open else 0.0)
 
     @property
@@ -77,14 +77,14 @@ class Violations:
 
 @dataclass(frozen=True, slots=True)
 class Reaction:
-    """An answer to an uncertainty.
+    """The reaction to an uncertainty.
 
     Attributes:
-        uncertainty: "U1", a thruster has failed: until the recovery is active; "U2", the search is set to another
-            altitude than the visibility calls for: until it is set to that; "U3", the battery is below a quarter: until
-            the recharge is active. The names are those of the ROSA paper.
+        uncertainty: "U1", a thruster has failed; ends when the recovery is active. "U2", the search altitude is not
+            the one that the visibility requires; ends when it is. "U3", the battery is below a quarter; ends when the
+            recharge is active. The names are those of the ROSA paper.
         start_s: Stamp of the first message that reports it [s].
-        end_s: When the answer was in force [s].
+        end_s: Time at which the reaction is in force [s].
     """
 
     uncertainty: str
@@ -93,15 +93,14 @@ class Reaction:
 
     @property
     def delay_s(self) -> float:
-        """How long it took [s], in simulated time."""
+        """Time from start to end [s], simulated."""
         return self.end_s - self.start_s
 
 
 class Reactions:
-    """Finds reactions by the rules of SUAVE's mission metrics (v1.3.0), in what is published and what is switched.
+    """Finds reactions in the messages and the changes of components, by the rules of SUAVE's mission metrics (v1.3.0).
 
-    A mismatch that is never answered is no reaction, and a mismatch of the altitude that the low battery interrupts is
-    forgotten.
+    An uncertainty without an answer gives no reaction; a low battery cancels a U2 that is still open.
 
     Args:
         altitude: Altitude to which the search is set at the start [m].
@@ -129,7 +128,7 @@ class Reactions:
             self._since.setdefault("U1", time)
 
     def see(self, change: Change) -> None:
-        """Take in what was switched or set."""
+        """Take in a change of a component."""
         answered = {"recover_thrusters": "U1", "recharge": "U3"}.get(change.component)
         if answered and change.active:
             self._answer(answered, change.time)
@@ -145,7 +144,7 @@ class Reactions:
 
 
 def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
-    """Return the mean delay for each uncertainty [s], None if there was none; the names are as in a report."""
+    """Return the mean delay for each uncertainty [s], None if there was no reaction, named as in a report."""
     delays: dict[str, list[float]] = {"u1": [], "u2": [], "u3": []}
     for one in reactions:
         delays[one.uncertainty.lower()].append(one.delay_s)

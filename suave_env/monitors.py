@@ -1,4 +1,4 @@
-"""What the monitors publish of the truth, as plain data in the shape of ROS diagnostic_msgs."""
+"""The messages of the monitors, as plain data in the shape of ROS diagnostic_msgs."""
 
 from collections.abc import Callable
 from typing import TypedDict
@@ -12,11 +12,11 @@ QA_STATUS = "QA status"
 COMPONENT_STATUS = "Component status"
 """Text of a failure or recovery of a component; kas-lab/suave v1.3.0."""
 MISSION_STATUS = "mission status"
-"""Text of what the task layer senses; knowledge bases that follow ROSA pass over it."""
+"""Text of a percept of the task layer; knowledge bases that follow ROSA ignore it."""
 
 
 class Status(TypedDict):
-    """One status: who says it (`name`), what kind of statement it is (`message`), and strings by key (`values`)."""
+    """One status: its source (`name`), its kind (`message`), and strings by key (`values`)."""
 
     name: str
     message: str
@@ -31,7 +31,7 @@ class Message(TypedDict):
 
 
 class Outbox:
-    """Collects what is published until it is fetched; `hear` is called with time [s], key and value of each."""
+    """Collects messages until they are fetched; calls `hear` with time [s], key and value of each."""
 
     def __init__(self, hear: Callable[[float, str, str], None] = lambda time, key, value: None) -> None:
         self._hear = hear
@@ -42,13 +42,13 @@ class Outbox:
         return bool(self._messages)
 
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
-        """Publish one status of a kind such as `EA_MEASUREMENT`, now [s]; of a number its `repr`: nothing is lost."""
+        """Publish one status of a kind such as `EA_MEASUREMENT`, now [s]; a number as its `repr`, which is exact."""
         written = value if isinstance(value, str) else repr(value)
         self._messages.append({"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]})
         self._hear(time, key, written)
 
     def fetch(self) -> list[Message]:
-        """Return what was published since the last call, in order of time."""
+        """Return the messages since the last call, in order of time."""
         messages, self._messages = self._messages, []
         return messages
 

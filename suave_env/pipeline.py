@@ -1,4 +1,4 @@
-"""The pipeline on the seabed: where it lies, when the camera sees it, and the path along it."""
+"""The pipeline on the seabed: its place, when the camera sees it, and the path along it."""
 
 import math
 from itertools import pairwise

@@ -1,4 +1,4 @@
-"""Every constant of the simulated sea, with its unit, its meaning and where the figure comes from."""
+"""Every constant of the simulated sea, with its unit, its meaning and its source."""
 
 import dataclasses
 import difflib
@@ -12,7 +12,7 @@ T = TypeVar("T", float, int, bool, str)
 
 
 class SuaveEnvError(Exception):
-    """The base of every error that this package raises: it says what was given, what is allowed and what exists."""
+    """Base of every error of this package; the message says what was given, what is allowed and what exists."""
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> SuaveEnvError:
@@ -47,7 +47,7 @@ RULES: Final[Mapping[str, Mapping[str, float | bool | str]]] = {
         "mission_period_s": 0.1,
     },
 }
-"""What each set of rules says of the settings in which they differ, where that is not the default."""
+"""The settings of each set of rules that differ from the defaults."""
 
 _SUAVE = "kas-lab/suave v1.3.0"
 _MODEL = "vehicle model clydemcqueen/bluerov2_ignition"

@@ -1,4 +1,4 @@
-"""The six thrusters: how a wanted force is shared among them, their limit, and their failure."""
+"""The six thrusters: the mixer that shares a wanted force among them, their limit, and their failure."""
 
 import math
 
@@ -21,7 +21,7 @@ class Thrusters:
 
     Attributes:
         outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
-        energy_j: What they have put into the water [J], if the propellers are ideal.
+        energy_j: Energy that they have put into the water [J], with ideal propellers.
     """
 
     def __init__(self, settings: Settings) -> None:
@@ -41,13 +41,13 @@ class Thrusters:
         self._stuck.setdefault(number, self.outputs[number - 1])
 
     def recover(self, number: int) -> None:
-        """Let a thruster, 1 to 6, obey again."""
+        """Restore a thruster, 1 to 6: it obeys again."""
         self._stuck.pop(number, None)
 
     def allocate(
         self, forward: float, left: float, up: float, roll: float, turn: float, duration: float = 0.0
     ) -> list[float]:
-        """Share out a wanted force and torque, push so for a duration [s], and return the outputs.
+        """Share a wanted force and torque among the thrusters, count the energy of a duration [s], return the outputs.
 
         The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
         Forces along x, y and z of the body frame [N]; torques about its x and z [N m], a turn positive to the left.

@@ -1,4 +1,4 @@
-"""The BlueROV2 in the water, as MuJoCo simulates it. This is the only file that touches MuJoCo."""
+"""The BlueROV2 in the water, simulated by MuJoCo. This is the only file of the package that uses MuJoCo."""
 
 import logging
 import math
@@ -36,7 +36,7 @@ class Vehicle:
     """
 
     def __init__(self, settings: Settings, x: float, y: float, z: float) -> None:
-        import mujoco  # takes long, so not before there is a vehicle
+        import mujoco  # takes long, and settings do not need it
 
         # MuJoCo's own handler prints, and writes a file into the working directory; the autopilot raises what matters
         mujoco.set_mju_user_warning(_log.debug)
@@ -73,7 +73,7 @@ class Vehicle:
 
 
 def floated(settings: Settings) -> float:
-    """Return how far the vehicle, which is lighter than water, has risen by itself before GUIDED [m].
+    """Return how far the vehicle, which is lighter than water, rises by itself before GUIDED [m].
 
     It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
     """

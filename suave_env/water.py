@@ -1,4 +1,4 @@
-"""How far one can see in the water."""
+"""The visibility of the water, and the search altitude that it requires."""
 
 import math
 
@@ -26,12 +26,12 @@ class Water:
         self._shift = settings.visibility_shift_s
 
     def visibility(self, time: float) -> float:
-        """Return how far one can see [m] at a time since GUIDED [s]."""
+        """Return the visibility [m] at a time since GUIDED [s]."""
         angle = 2 * math.pi * (time + self._shift) / self._period
         return self._amplitude * math.cos(angle) + self._amplitude + self._least
 
     def next_crossing(self, threshold: float, after: float) -> tuple[float, bool] | None:
-        """Return when after a time [s] the visibility next crosses a threshold [m], and whether it falls then.
+        """Return the next time after another [s] at which the visibility crosses a threshold [m], and whether it falls.
 
         In closed form; None if it never crosses.
         """
