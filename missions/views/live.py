@@ -50,6 +50,7 @@ _PAST: Final = 20_000
 """How many rows of the past are given in one answer."""
 _LONGEST: Final = 65_536
 """The longest message that a page may send [bytes]."""
+_MOST_PAGES: Final = 200
 _PATIENCE_S: Final = 2.0
 """How long pages get for the last rows when the view is closed [s], of this machine's time."""
 _HEADERS: Final = {
@@ -273,6 +274,8 @@ class LiveView(AbstractContextManager["LiveView"]):
                 return connection.respond(403, refusal + "\n")
         except (LookupError, ValueError):  # a header twice, an address or a text that is none
             return connection.respond(400, f"the address, host or origin is malformed; open {self._place}\n")
+        if path.path == "/ws" and len(self._pages) >= _MOST_PAGES:  # each takes a file, of which the robot has few
+            return connection.respond(503, f"{_MOST_PAGES} pages look already\n")
         if path.path == "/ws":
             return None
         response = connection.respond(200, self._page) if path.path == "/" else connection.respond(404, "\n")

@@ -302,6 +302,8 @@ def _label(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
     plain: dict[str, Any] = {"path_effects": [withStroke(linewidth=2.5, foreground="white")]}
     _mark(axes, timeline.xy[0], "o", 8, INK)
     room.write(timeline.xy[0], "start", **plain)
+    _mark(axes, timeline.xy[-1], "o", 8, INK)
+    room.write(timeline.xy[-1], f"end, {timeline.end:.0f} s", **plain)
     for name, points in timeline.places.items():
         inside = points[[axes.viewLim.contains(*point) for point in points]]
         lonely = np.array([np.hypot(*(timeline.xy - point).T).min() for point in inside])
@@ -391,7 +393,7 @@ def _levels(events: Sequence[Entry], end_s: float) -> list[int]:
     """Return on which line each text goes so that none is written over another, as far as six lines have room."""
     ends, levels = [0.0] * 6, list[int]()
     for one in events:
-        start = min(one["t"] / end_s * TIME_AXIS, TIME_AXIS - LETTER * len(one["words"]))
+        start = max(0.0, min(one["t"] / end_s * TIME_AXIS, TIME_AXIS - LETTER * len(one["words"])))
         levels.append(next((level for level, taken in enumerate(ends) if taken <= start), 5))
         ends[levels[-1]] = start + 26 + LETTER * len(one["words"])
     return levels

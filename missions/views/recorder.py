@@ -115,7 +115,7 @@ class Recorder:
         self.rows.put(self.kb.now, "scene", 0, shown)
 
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
-        """Add a row of another kind, at a time [s], by default now; see `docs/see_it.md` for the tracks."""
+        """Add a row at a time [s], by default now: of track "signal", "disturbance", "problem" or another of a page."""
         self.rows.put(self.kb.now if time is None else time, track, key, value)
 
     @property

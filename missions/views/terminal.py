@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from missions.engine.mission import MissionError
 from missions.engine.registry import needs
 from missions.views.recorder import Recorder
+from missions.views.report import NUMBERED
 
 with needs("tui", "the view in a terminal"):
     from rich.text import Text
@@ -101,7 +102,10 @@ class Fold:
     def put(self, row: Any) -> None:  # noqa: ANN401  # a row, of Python or of JSON
         time, track, key, value = row
         self.now = max(self.now, time)
-        self._last.setdefault(track, {})[key] = value
+        last = self._last.setdefault(track, {})
+        last[key] = value
+        if track in NUMBERED and len(last) > _KEPT:
+            del last[next(iter(last))]
         if track in ("value", "signal") and value is not None:
             self._values.setdefault(key, deque(maxlen=_KEPT)).append(float(value))
 

@@ -9,10 +9,11 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext, suppress
 from hmac import compare_digest
 from itertools import count
+from socket import SHUT_RDWR
 from threading import Event, Lock, RLock, Thread
 from typing import Any, Final, NamedTuple, cast
 from urllib.parse import parse_qs, urlsplit
@@ -26,6 +27,7 @@ PORT: Final = 9090
 _LARGEST: Final = 2**20
 """Of a message [bytes]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
+_MOST_CLIENTS: Final = 200
 _log = logging.getLogger(__name__)
 
 
@@ -41,6 +43,9 @@ class Peer(Outbox):
 
     def close(self) -> list[Message]:
         left = super().close()
+        if left:  # the other side does not read, so it would not answer the closing handshake either
+            with suppress(OSError):
+                self.socket.socket.shutdown(SHUT_RDWR)
         with suppress(Exception):  # it may be gone
             self.socket.close()
         return left
@@ -219,10 +224,12 @@ class _Client:
         """Note that it does so from now on, or no more if the op begins with "un"."""
         what = op.removeprefix("un")
         said, name = self.said[what], _text_of(message, "service" if what == "advertise_service" else "topic")
-        if op == what:
-            said[name] = said.get(name) or str(message.get("type") or "")
-        else:
+        if op != what:
             said.pop(name, None)
+        elif name not in said and len(said) >= QUEUED:
+            raise ValueError(f"a client may {what} {QUEUED} times at most")
+        else:
+            said[name] = said.get(name) or str(message.get("type") or "")
 
 
 class _Call(NamedTuple):
@@ -268,9 +275,9 @@ class RosbridgeServer(Wire):
         self._thread.start()
 
     def close(self) -> None:
+        with ThreadPoolExecutor(_MOST_CLIENTS) as pool:  # at once: each may take a second
+            list(pool.map(Peer.close, filter(None, list(self._clients.values()))))
         self._server.shutdown()
-        for peer in filter(None, list(self._clients.values())):
-            peer.close()
         self._thread.join()
 
     def _admit(self, connection: Any, request: Any) -> Any:  # noqa: ANN401  # websockets is imported late
@@ -282,6 +289,8 @@ class RosbridgeServer(Wire):
                 return connection.respond(401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n")
         elif not _is_of_this_machine(request.headers.get("Origin", "file:")):
             return connection.respond(403, "pages of other sites are let in with a token only\n")
+        if len(self._clients) > _MOST_CLIENTS:  # one of them is this node; each takes files and threads of the robot
+            return connection.respond(503, f"{_MOST_CLIENTS} clients are connected already\n")
         return None
 
     def _attend(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
@@ -334,6 +343,8 @@ class RosbridgeServer(Wire):
         service = _text_of(message, "service")
         request = _dict_of(message, "args")
         with self._lock:
+            if len(self._forwarded) >= QUEUED:
+                raise ValueError(f"{QUEUED} calls wait for their answers already")
             server = next((one for one in self._clients if service in one.said["advertise_service"]), None)
             own = f"call_service:{next(self._numbers)}"
             self._forwarded[own] = _Call(server, service, client, message.get("id"))

@@ -283,6 +283,38 @@ NONSENSE = (
 )
 
 
+def test_client_that_never_reads_does_not_hold_up_closing():
+    server = RosbridgeServer(0)
+    with connect(f"ws://127.0.0.1:{server.port}", max_queue=1) as frozen:
+        frozen.send(json.dumps({"op": "subscribe", "topic": "/camera", "type": "std_msgs/msg/String"}))
+        until(lambda: "/camera" in server.call("/rosapi/topics", "", {}).result(60)["topics"])
+        for _ in range(5000):  # more than a connection can hold
+            server.publish("/camera", "std_msgs/msg/String", {"data": "x" * 10_000})
+        start = time.monotonic()
+        server.close()
+        assert time.monotonic() - start < 12.0, "no waiting for its answer"
+
+
+def test_what_clients_can_take_has_an_end(robot, monkeypatch):
+    monkeypatch.setattr("missions.wires.rosbridge.QUEUED", 3)
+    monkeypatch.setattr("missions.wires.rosbridge._MOST_CLIENTS", 1)
+    url = f"ws://127.0.0.1:{robot.server.port}"
+
+    def refused(peer, **message):
+        for number in range(4):
+            peer.send(json.dumps({key: value.format(number) for key, value in message.items()}))
+        while (heard := json.loads(peer.recv(60)))["op"] != "status":
+            pass
+        return heard["msg"]
+
+    with connect(url) as peer:
+        with pytest.raises(InvalidStatus, match="503"):
+            connect(url).__enter__()
+        assert "advertise 3 times at most" in refused(peer, op="advertise", topic="/t{}")
+        peer.send(json.dumps({"op": "advertise_service", "service": "/never"}))
+        assert "3 calls wait" in refused(peer, op="call_service", service="/never")
+
+
 def test_message_that_is_too_big_ends_its_connection_only(robot):
     with bridged(robot) as (kb, _):
         with connect(robot.url) as peer:

@@ -196,6 +196,15 @@ def test_elsewhere_a_token_is_asked_for_at_every_door(rover):
         assert status_of(view.url)[0] == 200
 
 
+def test_pages_are_only_so_many(view, monkeypatch):
+    monkeypatch.setattr("missions.views.live._MOST_PAGES", 1)
+    with connect(address(view)) as page:
+        page.recv(SOON_S)
+        with pytest.raises(websockets.exceptions.InvalidStatus, match="503"):
+            connect(address(view)).__enter__()
+    assert status_of(view.url)[0] == 200, "the page itself is no page that looks"
+
+
 def test_port_in_use_is_told_in_a_sentence(rover, view):
     port = int(view.url.split(":")[2].rstrip("/"))
     with pytest.raises(MissionError, match=rf"cannot listen on 127\.0\.0\.1:{port}: Address already in use; give ano"):

@@ -72,6 +72,7 @@ def test_map_list_and_time_axis_carry_the_number_of_every_adaptation():
     numbers = {str(number) for number in range(1, len(kinds) + 1)}
     map_axes = axes_beside(figure, "start")
     assert sorted(word for word in words(map_axes) if word in numbers) == sorted(numbers)
+    assert f"end, {run.rows[-1][0]:.0f} s" in words(map_axes)
     carriers = [axes for axes in figure.axes if numbers <= set(words(axes))]
     assert axes_beside(figure, "adaptations") in carriers
     assert len({*carriers} - {map_axes}) == 2

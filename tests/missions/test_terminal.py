@@ -11,7 +11,7 @@ from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.views.live import LiveView
 from missions.views.recorder import RunRecorder
-from missions.views.terminal import RecorderFeed, SocketFeed, TerminalView
+from missions.views.terminal import Fold, RecorderFeed, SocketFeed, TerminalView
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +75,10 @@ def test_what_is_no_address_is_told(address):
 def test_nobody_there_is_told():
     with pytest.raises(MissionError, match=r"no live view at 127\.0\.0\.1:9"):
         SocketFeed("127.0.0.1:9")
+
+
+def test_what_is_watched_for_days_is_forgotten_from_the_oldest_on():
+    fold = Fold()
+    for number in range(1000):
+        fold.put((float(number), "adaptation", number, {"t": float(number), "changed": "", "cause": ""}))
+    assert list(fold.track("adaptation")) == list(range(600, 1000))
