@@ -1,19 +1,20 @@
-"""Recordings: a run written as MCAP as it happens, and those of ours and of ROS 2 (rosbag2, MCAP or sqlite3) read.
+"""Recordings: writes a run as MCAP while it happens, and reads ours and those of ROS 2 (rosbag2, MCAP or sqlite3).
 
-All is in ROS 2's own messages; docs/recordings.md has the topics.
+All messages are ROS 2's own; docs/recordings.md lists the topics.
 """
 
 import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
 from os.path import exists, isdir
 from pathlib import Path
+from queue import SimpleQueue
 from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
 from py_trees.common import Status
@@ -32,22 +33,22 @@ from rosa_bt.xml import NumberedTree
 
 DIAGNOSTICS, TREE, TREE_LOG, LOG = "/diagnostics", "/behavior_tree", "/behavior_tree_log", "/rosa/log"
 EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
-"""Topics of ours: what is known and decided, how it was run, and what a report shows beside that."""
+"""Our own topics: the events of the log, how the mission was run, and rows that a report shows besides the events."""
 VERSION: Final = 1
-"""Of recordings of ours."""
+"""The version of our recordings."""
 _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
-"""What a component is commanded, by the operation of an attempt."""
+"""The command to a component, by the operation of an attempt."""
 _LARGEST_RECORD: Final = 2**30
-"""Of an MCAP file [bytes]."""
+"""The largest record of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
-"""What is told in words on `/rosa/log`, beside failures of components."""
+"""The kinds of events that are on `/rosa/log`, besides failures of components."""
 _NAMES: Final = {Status.INVALID: "IDLE"}
 _log = logging.getLogger(__name__)
 
 
 class Raw(NamedTuple):
-    """A message as it stands in a recording: its topic, type and the type's definition, time [ns] and bytes."""
+    """A message as it is in a recording: topic, type, definition of the type, time [ns] and CDR bytes."""
 
     topic: str
     kind: str
@@ -57,7 +58,7 @@ class Raw(NamedTuple):
 
 
 class _Records:
-    """What an MCAP file consists of, written one by one; each type and topic when it first occurs."""
+    """Writes the records of an MCAP file: messages, and each type and topic when it first occurs."""
 
     def __init__(self, file: BinaryIO, *, use_chunking: bool) -> None:
         from mcap.writer import Writer
@@ -78,7 +79,7 @@ class _Records:
 
 
 def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
-    """Write messages as a file in chunks, compressed, with the index that tools seek in."""
+    """Write messages to an MCAP file in compressed chunks, with the index that tools need to seek."""
     with path.open("wb") as file:
         records = _Records(file, use_chunking=True)
         for one in recorded:
@@ -87,12 +88,12 @@ def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
 
 
 class McapFile(AbstractContextManager["McapFile"]):
-    """A file that grows by a record with each message, so that one cut off can be read up to there.
+    """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
-    When it is closed it is put in the form that tools seek in. Encoding and writing happen in a thread of its own.
+    `close` rewrites it in chunks with an index. A thread of its own encodes and writes.
 
     Args:
-        path: of the file; one that is there is replaced.
+        path: of the file; an existing file is replaced.
 
     Raises:
         MissionError: it cannot be written there, or the extra `mcap` is missing.
@@ -101,8 +102,8 @@ class McapFile(AbstractContextManager["McapFile"]):
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         with needs("mcap", "recordings as MCAP"):
-            import mcap.writer  # noqa: F401  # found out before a file that is there is emptied
-        ros.types()  # so is whether `rosbags` is there
+            import mcap.writer  # noqa: F401  # fails before an existing file is emptied
+        ros.types()  # so does this, without `rosbags`
         try:
             if self.path.exists() and not self.path.is_file():
                 raise OSError("it is no file; name one that is there, or a new one")
@@ -111,19 +112,22 @@ class McapFile(AbstractContextManager["McapFile"]):
             raise self._unwritten(error) from error
         self._records = _Records(self._file, use_chunking=False)
         self._error: Exception | None = None
-        self._writing = ThreadPoolExecutor(1, "mcap")
+        self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
+        self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
+        self._thread.start()
 
     def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
-        """Have a message written: what `make(*arguments)` returns, as a type of ROS 2, at a time [s]."""
-        self._writing.submit(self._write, topic, kind, time_s, partial(make, *arguments))
+        """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns, as type `kind`."""
+        self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
 
     def close(self) -> None:
-        """Write what there is, and put the file in its final form.
+        """Write the queued messages, and rewrite the file in chunks with an index.
 
         Raises:
-            MissionError: something could not be written; the file holds what came before.
+            MissionError: a message could not be written; the file holds those before it.
         """
-        self._writing.shutdown()
+        self._queue.put(None)
+        self._thread.join()
         if self._file.closed:
             return
         try:
@@ -134,15 +138,20 @@ class McapFile(AbstractContextManager["McapFile"]):
             with draft(self.path) as part:
                 write_in_chunks(part, mcap_messages(self.path, Counter()))
                 part.replace(self.path)
-        except Exception as error:  # also one of what makes a message
+        except Exception as error:  # also of the function that makes a message
             raise self._unwritten(error) from error
+
+    def _write_all(self) -> None:
+        for write in iter(self._queue.get, None):
+            write()
 
     def _write(self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]) -> None:
         try:
             if self._error is None:
                 data = ros.types().encode(kind, make())
                 self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
-                self._file.flush()
+                if self._queue.empty():
+                    self._file.flush()
         except Exception as error:  # reported when it is closed; the mission goes on
             self._error = error
             _log.warning("%s is recorded no further: %s", self.path, error)
@@ -155,19 +164,19 @@ class McapFile(AbstractContextManager["McapFile"]):
 
 
 class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
-    """Records a robot: what its knowledge base hears and decides, its tree, and what a report shows beside that.
+    """Records a robot: the events of its knowledge base, its tree, and the other rows of a report.
 
         recorder = McapRecorder("run.mcap", kb, tree)
         ...
         recorder.close()
 
-    It also listens to runs of missions, whose messages it records as they were heard.
+    As a listener of a mission's run it also records the messages that the robot hears.
 
     Args:
         path: of the file.
-        kb: whose events are recorded, those that its log holds and those to come.
-        page: what makes the rows of the report, if there is one already.
-        run: how it is run, e.g. the mission and its settings; plain values.
+        kb: its events are recorded, those in its log and those to come.
+        page: the recorder that makes the rows of the report; None to make one.
+        run: how the robot is run, e.g. mission and settings, as plain values.
 
     Raises:
         MissionError: the file cannot be written, or the extra `mcap` is missing.
@@ -203,15 +212,15 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             self._open.callback(tree.post_tick_handlers.remove, self._tick)
 
     def message(self, message: Message) -> None:
-        """Record what was heard: a message with its time [s] and statuses, each with name, message and values."""
+        """Record a message of diagnostics: its time [s] and statuses, each with name, message and values."""
         time_s = float(message["time"])
         self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message["status"])
 
     def close(self) -> None:
-        """Record no more, and complete the file.
+        """Stop recording, and complete the file.
 
         Raises:
-            MissionError: something could not be written; the file holds what came before.
+            MissionError: a message could not be written; the file holds those before it.
         """
         self._open.close()
 
@@ -252,16 +261,16 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
 
 @dataclass(slots=True)
 class Bag:
-    """What a recording holds for us.
+    """The contents of a recording; `run`, `events` and `rows` are empty for a recording that is not ours.
 
     Attributes:
-        messages: what was heard, in order of time; times [s], from the beginning of somebody else's recording.
-        run: how it was run; empty for somebody else's.
-        events: what was known and decided; empty for somebody else's.
-        rows: what the report shows beside that, each at its place among the events: (number of the event before, row).
-        topics: of every topic, its type and how many messages there are.
-        cut: why it is not whole, in words; empty if it is.
-        problems: what could not be read, in words.
+        messages: of diagnostics, in order of time; times [s], from the start of a recording that is not ours.
+        run: how the robot was run.
+        events: of the knowledge base.
+        rows: what a report shows besides events: (number of the event before it, row).
+        topics: type and number of messages, by topic.
+        cut: why the recording is not whole, in words; empty if it is.
+        problems: what could not be read, in words, and how often.
     """
 
     messages: list[Message] = field(default_factory=list)
@@ -273,11 +282,11 @@ class Bag:
     problems: Counter[str] = field(default_factory=Counter)
 
     def header(self) -> Message:
-        """Return the message that a replay begins with: how it was run, and how commands went then."""
+        """Return the first message of a replay: how the robot was run, and what came of its commands."""
         return {"time": 0.0, "status": [], **({"run": {**self.run, "commands": self._commands()}} if self.run else {})}
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
-        """Return the commands in order: what, to which component, how long it took [s], and if it went well."""
+        """Return the commands in order: command, component, duration [s], and whether it succeeded."""
         given = [one for one in self.events if one.verb == "record_attempt"]
         ended = {one.arguments[0]: one for one in self.events if one.verb == "finish_attempt"}
         return [
@@ -288,15 +297,15 @@ class Bag:
 
 
 def is_bag(path: str | Path) -> bool:
-    """Tell whether a path is a recording of ROS 2, or of ours as MCAP, by its name: `.mcap`, `.db3`, or a folder."""
-    return isdir(path) or Path(path).suffix in (".mcap", ".db3")  # noqa: PTH112  # a name that none can have is no folder
+    """Tell by its name whether a path is a recording in ROS 2's messages: `.mcap`, `.db3`, or a folder."""
+    return isdir(path) or Path(path).suffix in (".mcap", ".db3")  # noqa: PTH112  # False for an impossible name, where Path raises
 
 
 def read_bag(path: str | Path) -> Bag:
-    """Read a recording; one that is cut off is read up to there.
+    """Read a recording; if it is cut off, up to there.
 
     Raises:
-        MissionError: there is none, or nothing of it can be read; or the extra `mcap` is missing.
+        MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
     bag, counts, exact = Bag(), Counter[tuple[str, str]](), dict[int, float]()
     found: list[tuple[int, list[dict[str, Any]]]] = []
@@ -317,12 +326,12 @@ def read_bag(path: str | Path) -> Bag:
                 bag.run = _run_of(_json_of(raw), path)
         except MissionError:
             raise
-        except Exception as error:  # whatever a message that is none, or a damaged one, may raise
+        except Exception as error:  # a malformed or damaged message may raise anything
             bag.problems[f"{raw.topic}: {type(error).__name__}: {error}"] += 1
     bag.topics = {topic: (kind, number) for (topic, kind), number in counts.items()}
     found.sort(key=lambda one: one[0])
     start = 0 if bag.run or not found else found[0][0]
-    for stamp, statuses in found:  # a time in nanoseconds may miss the one that it was by a rounding
+    for stamp, statuses in found:  # events hold the time before it was rounded to nanoseconds
         bag.messages.append({"time": exact.get(stamp, (stamp - start) / 1e9), "status": statuses})
     return bag
 
@@ -332,10 +341,10 @@ def _json_of(raw: Raw) -> Any:  # noqa: ANN401  # whatever JSON holds
 
 
 def read_page(path: str | Path) -> Recorded:
-    """Read a recording of ours as what a report shows: what it knows is told once more, all else is as it was.
+    """Read one of our recordings for a report: tell its events to a new knowledge base, and copy the other rows.
 
     Raises:
-        MissionError, kb.ModelError: it cannot be read, or is somebody else's, which `rosa replay --report` shows.
+        MissionError, kb.ModelError: it cannot be read, or is not ours (`rosa replay --report` shows those).
     """
     bag = read_bag(path)
     if not bag.run:
@@ -371,9 +380,9 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
 
 
 def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
-    """Yield the messages of an MCAP file from the first byte on, without the index, which one that is cut off lacks.
+    """Yield the messages of an MCAP file from its first byte on, without the index, which a cut-off file lacks.
 
-    Problems that are no end of it are counted; raises what the library and its compression do.
+    Counts problems after which it can go on; raises what the library and its compression raise.
     """
     from mcap import records
     from mcap.stream_reader import StreamReader
@@ -393,25 +402,25 @@ def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
 
 
 def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
-    """Yield the messages of a recording as they stand there, in order; `bag` is told where it is cut off or damaged.
+    """Yield the messages of a recording in order; set `bag.cut` if it is cut off or damaged.
 
     Raises:
-        MissionError: there is no such file or folder, or nothing of it can be read; or the extra `mcap` is missing.
+        MissionError: it does not exist, nothing of it can be read, or the extra `mcap` is missing.
     """
     place, is_any = Path(path), False
-    if not exists(path):  # noqa: PTH110  # nor is there a file of a name that none can have
+    if not exists(path):  # noqa: PTH110  # False for an impossible name, where Path raises
         raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
     if not is_bag(path):
         is_heard = "holds what was heard only, for `rosa replay` and tests" if place.suffix == ".jsonl" else ""
         holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
         raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
-    ros.types()  # a library that is missing is no fault of the recording
+    ros.types()  # a missing library is not a fault of the recording
     for file, found in _ways(place, bag):
         try:
             for raw in found:
                 is_any = True
                 yield raw
-        except Exception as error:  # of a library and its compression: each has its own
+        except Exception as error:  # each library and compression has its own kinds
             said = " ".join(f"{type(error).__name__}: {error}".split()).rstrip(": ")
             bag.cut = f"{file.name} is cut off or damaged ({said})"
         if file is place and (is_any or not bag.cut):
@@ -421,7 +430,7 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
 
 
 def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
-    """Yield what is read, and how: a rosbag2 as a whole; its files one by one where `rosbags` takes none cut off."""
+    """Yield paths with their messages: a rosbag2 as a whole, then file by file, as `rosbags` reads no cut file."""
     is_bag2 = (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap"
     if is_bag2:
         yield place, _rosbag2(place)
