@@ -1,6 +1,6 @@
-"""What assistants may ask a robot, by the Model Context Protocol: the knowledge base's own questions, as tools.
+"""Questions to a robot's knowledge base as tools for assistants, by the Model Context Protocol.
 
-To act is a tool of its own, there only if it is allowed; what it asks for goes through the same gate as everybody's.
+The tools that request and cancel actions exist only if that is allowed; an unfeasible action is refused, as always.
 """
 
 import logging
@@ -30,7 +30,7 @@ INSTRUCTIONS: Final = (
 
 
 class Assistant:
-    """Answers as a knowledge base does; each method is a tool.
+    """Answers from a knowledge base; each public method is a tool.
 
     Args:
         mission: whose goals may be planned for; None if it has none.
@@ -128,7 +128,7 @@ def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
-    """Return the server that offers an assistant's answers as tools; to act only if that is allowed.
+    """Return a server that offers an assistant's methods as tools; those that act only with `allow_actions`.
 
     Raises:
         MissionError: the extra `mcp` is missing.
@@ -142,7 +142,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as its base has it
             takes = signature(tools[name]).parameters if name in tools else arguments
-            if unknown := arguments.keys() - takes:  # without it, another question would be answered
+            if unknown := arguments.keys() - takes:  # otherwise they are ignored, and another question is answered
                 raise ToolError(f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}")
             return await super().call_tool(name, arguments, context)
 
@@ -153,7 +153,7 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
 
 
 def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
-    """Have what a tool refuses said in its own words, and each call logged."""
+    """Return a tool that logs each call, and passes on the text of our errors."""
 
     @wraps(tool)
     def answered(*given: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
@@ -169,10 +169,10 @@ def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def serve_http(server: "MCPServer", port: int, token: str, host: str = "127.0.0.1") -> None:
-    """Serve over HTTP, to who has the token only, until interrupted.
+    """Serve over HTTP, only to clients with the token, until interrupted.
 
     Raises:
-        MissionError: there is no token, or the extra is missing.
+        MissionError: there is no token, or the extra `mcp` is missing.
     """
     if not token:
         raise MissionError("over HTTP an assistant needs a token: --token, or the variable ROSA_TOKEN")

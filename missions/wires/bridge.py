@@ -1,4 +1,4 @@
-"""A robot in ROS 2 and its knowledge base: what its topics measure, its nodes as components, and what is decided.
+"""Connects a robot in ROS 2 with its knowledge base: topics measure attributes, nodes are components.
 
 settings = BridgeSettings(attributes={"battery_level": "/battery_state.percentage"})
 bridge = Bridge(kb, Rosbridge("ws://127.0.0.1:9090"), settings)
@@ -28,7 +28,7 @@ _KINDS: Final = {
     EventKind.ACTION_UPDATE: "action_update",
     EventKind.RECONFIGURATION_PLAN: "insert_reconfiguration_plan",
 }
-"""What the original's planner and executor compare events with."""
+"""The words by which the original ROSA's planner and executor recognise events."""
 _UNCONFIGURED, _INACTIVE, _ACTIVE = 1, 2, 3
 """States of lifecycle_msgs/State."""
 _CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
@@ -38,15 +38,15 @@ Calls = Generator[Future[Message], Message, None]
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """What of a robot is what of its model; `bridge.toml` has the same fields.
+    """Which topics and nodes of a robot are which attributes and components; `bridge.toml` has the same fields.
 
     Attributes:
         url: of the robot's rosbridge, e.g. "ws://127.0.0.1:9090".
         diagnostics: the topic of diagnostic_msgs/DiagnosticArray; empty for none.
-        attributes: by name, the field that measures it, "/topic.field" (deeper ones and elements of arrays by more
-            dots), and after a space its type, e.g. "/battery_state.percentage sensor_msgs/msg/BatteryState".
-        components: by name, the node that it is, e.g. "/camera"; a lifecycle component that is not named here is the
-            node of its own name.
+        attributes: for each name the field that measures it, "/topic.field" (more dots lead to deeper fields and array
+            elements), and after a space the type, e.g. "/battery_state.percentage sensor_msgs/msg/BatteryState".
+        components: for each name its node, e.g. "/camera"; a lifecycle component that is not named here is the node
+            with its own name.
     """
 
     url: str = "ws://127.0.0.1:9090"
@@ -59,7 +59,7 @@ class BridgeSettings:
         """Read `bridge.toml`.
 
         Raises:
-            MissionError: it cannot be read, or has a field that there is not.
+            MissionError: it cannot be read, or a field is unknown or of the wrong type.
         """
         try:
             read = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -77,23 +77,23 @@ class BridgeSettings:
 
 
 class Bridge:
-    """Connects a knowledge base with a robot, both ways, until `close`.
+    """Connects a knowledge base and a robot, in both directions, until `close`.
 
-    What comes in is told to the knowledge base in the thread of the connection; events go out as `/rosa_kb/events`, and
-    what was decided, with its reasons, as `/rosa/log`; ROSA's services are served. Without a connection, what is
-    measured over it is stale.
+    Measurements are told to the knowledge base in the thread of the connection. Events are published on
+    `/rosa_kb/events`, decisions with their reasons on `/rosa/log`, and ROSA's services are served. While there is no
+    connection, the attributes that are measured over it are stale.
 
     Args:
-        percepts: hear the diagnostics too, for the conditions of a mission.
+        percepts: get the diagnostics too, for the conditions of a mission.
 
     Attributes:
-        managed: its nodes as the managed system of a `ConfigurationManager`.
+        managed: the robot's nodes, as the managed system of a `ConfigurationManager`.
         heard: how many messages were used.
-        refused: how many were not, by what was wrong.
-        is_connected: whether the robot is there; a program commands nothing while it is not.
+        refused: how many were not used, by what was wrong.
+        is_connected: whether the robot is connected; while it is not, do not update the manager.
 
     Raises:
-        MissionError, kb.UnknownName: the settings name what there is not.
+        MissionError, kb.UnknownName: the settings name a place that is malformed, or an element that is unknown.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class Bridge:
         node.watch(self._changed)
 
     def close(self) -> None:
-        """Disconnect."""
+        """Stop publishing, and close the node."""
         self._stop()
         self._node.close()
 
@@ -139,7 +139,7 @@ class Bridge:
         if self._percepts is not None:
             self._percepts.receive({"status": list(_statuses(message))})
         for problem in problems:
-            self.refused.add(f"{problem.key}: {problem.reason}")  # whatever the value, it is one kind
+            self.refused.add(f"{problem.key}: {problem.reason}")  # one kind, whatever the value
 
     def _publish(self, event: Event) -> None:
         kind = _KINDS.get(event.kind)
@@ -163,10 +163,10 @@ class Bridge:
 
 
 class RosComponents:
-    """Lifecycle nodes as a managed system: switched by change_state, given parameters by set_parameters_atomically.
+    """Lifecycle nodes as a managed system: change_state switches them, set_parameters_atomically sets parameters.
 
     Args:
-        names: of the nodes, by component; a lifecycle component that is not there is the node of its own name.
+        names: of the nodes, by component; a lifecycle component that is not named is the node with its own name.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node, names: Mapping[str, str]) -> None:
@@ -188,7 +188,7 @@ class RosComponents:
             self._follow(self._look(name))
 
     def forget(self) -> None:
-        """Nothing is known of any node: the connection is gone."""
+        """Forget the states of all nodes, as the connection is lost."""
         self._states.clear()
 
     def activate(self, component: str, /) -> "Future[None]":
@@ -201,7 +201,7 @@ class RosComponents:
         return self._follow(self._set(component, parameters))
 
     def is_active(self, component: str, /) -> bool | None:
-        """Tell whether a node is active by its last transition; None if that is not known."""
+        """Tell whether a node is active after its last known transition; None if none is known."""
         state = self._states.get(component)
         return None if state is None else state == _ACTIVE
 
@@ -242,7 +242,7 @@ class RosComponents:
         return self._names[component]
 
     def _follow(self, calls: Calls) -> "Future[None]":
-        """Make calls one after the other, each when the one before is answered, until it is cancelled; nobody waits."""
+        """Make calls one after the other, each when the last is answered, without waiting; cancelling stops them."""
         done: Future[None] = Future()
 
         def go_on(answered: "Future[Message] | None" = None) -> None:
@@ -256,7 +256,7 @@ class RosComponents:
                     following = calls.send(None if answered is None else answered.result())  # type: ignore[arg-type]  # the first is None
             except StopIteration:
                 done.set_result(None)
-            except Exception as failure:  # it is what the operation ends with
+            except Exception as failure:  # the operation ends with this error
                 done.set_exception(failure)
             else:
                 following.add_done_callback(go_on)
@@ -266,7 +266,7 @@ class RosComponents:
 
 
 def _statuses(message: Message) -> Iterator[Message]:
-    """Yield the statuses of a DiagnosticArray with their values as a table; what makes no sense is left out."""
+    """Yield the statuses of a DiagnosticArray with their values as a dict; malformed ones are left out."""
     for status in message.get("status") or ():
         with suppress(TypeError, LookupError, AttributeError):
             values = {str(pair["key"]): str(pair["value"]) for pair in status["values"]}
@@ -274,7 +274,7 @@ def _statuses(message: Message) -> Iterator[Message]:
 
 
 def _place(attribute: str, text: str) -> tuple[str, list[str], str]:
-    """Return the topic, the path to the field and the type of the message."""
+    """Return the topic, the path to the field, and the message type (may be empty), of a text in the settings."""
     where, _, kind = text.strip().partition(" ")
     topic, *path = where.split(".")
     if not topic.startswith("/") or not all(path) or not path:

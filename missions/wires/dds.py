@@ -1,6 +1,6 @@
-"""ROS 2 by DDS (Cyclone DDS), for a robot without a bridge: its names of topics, types and services, and its bytes.
+"""ROS 2 by DDS (Cyclone DDS), for a robot without a bridge: ROS 2's names of topics, types and services, and its CDR.
 
-Services are those of rmw_cyclonedds: a request and its answer begin with 16 bytes that say whose it is.
+Services are those of rmw_cyclonedds: a request and its response begin with 16 bytes, the client's id and a number.
 """
 
 import os
@@ -15,22 +15,22 @@ from missions.wires.node import LOOPBACK, QUEUED, Client, Field, Message, Outbox
 from missions.wires.ros import NOTHING, Types, types
 
 _LOOK_S: Final = 0.05
-"""How often it is looked who is there [s]."""
+"""The period of looking which other nodes are there [s]."""
 _WRITE_S: Final = 1.0
-"""How long a reader that does not keep up is waited for, in the thread that sends [s]."""
+"""How long the sending thread waits for a reader that does not keep up [s]."""
 _AT_ONCE: Final = 500
-"""Messages of one topic before the next has its turn."""
+"""How many messages of a topic are read before the next topic has its turn."""
 _FAST_DDS: Final = b"\x01\x0f"
-"""How the identity of a participant of Fast DDS begins."""
+"""The first bytes of the id of a Fast DDS participant."""
 _CONFIGURATION: Final = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="{0}" multicast="true"/>
 </Interfaces></General><Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>99
 </MaxAutoParticipantIndex><Peers><Peer address="{0}"/></Peers></Discovery></Domain></CycloneDDS>"""
 _domains: dict[int, tuple[str, Any]] = {}
-"""What this process has opened, which is done once: by number, the address and the domain."""
+"""The domains that this process has opened, which can be done once: address and domain by number."""
 
 
 class Structs(Types):
-    """Types of ROS 2 as classes of cyclonedds, made of the definitions of `rosbags`."""
+    """ROS 2's types as classes of cyclonedds, made from the definitions in `rosbags`."""
 
     def __init__(self) -> None:
         super().__init__(types().store)
@@ -44,7 +44,7 @@ class Structs(Types):
         return one
 
     def with_header(self, kind: str, whose: int, number: int, message: Any) -> Any:  # noqa: ANN401  # classes are made here
-        """Return a request or an answer with the header of rmw_cyclonedds."""
+        """Return a request or response with the header of rmw_cyclonedds: client id `whose` and request number."""
         return self.find(kind, has_header=True)(whose, number, *vars(message).values())
 
     def find(self, kind: str, *, has_header: bool = False) -> Any:  # noqa: ANN401  # a class is made here
@@ -76,18 +76,18 @@ class DdsNode(TypedNode):
 
     Args:
         domain: number of the domain; by default that of ROS_DOMAIN_ID, or 0.
-        host: address of the network interface; everybody who reaches another one than this machine's takes part, as DDS
-            asks nobody for a token.
+        host: address of the network interface; on any other than loopback, whoever reaches it takes part, as DDS has no
+            tokens.
 
     Raises:
-        MissionError: the extra `dds` is missing, or the domain cannot be opened, or is open with another address.
+        MissionError: the extra `dds` is missing, the domain cannot be opened, or it is open on another address.
     """
 
     topics = "rt"
 
     def __init__(self, domain: int | None = None, host: str = LOOPBACK[0]) -> None:
         with needs("dds", "DDS"):
-            import rosbags  # noqa: F401  # its types are needed
+            import rosbags  # noqa: F401  # DdsNode needs its types
             from cyclonedds import core
         name = f"DDS on {host}" + ("" if host in LOOPBACK else ", where nobody is asked for a token")
         self._structs = Structs()
@@ -106,7 +106,7 @@ class DdsNode(TypedNode):
         self._closing.set()
         self._thread.join()
         super().close()
-        self._participant.__del__()  # with all that it has, now; its own way to be closed
+        self._participant.__del__()  # cyclonedds has no other way to close a participant at once
 
     def _open_reader(self, reader: Reader) -> None:
         from cyclonedds.core import InstanceState, ReadCondition, SampleState, ViewState
@@ -171,7 +171,7 @@ class DdsNode(TypedNode):
         reader = self._hear(f"rq{service}Request", self._structs.find(f"{kind}_Request", has_header=True), take)
 
     def _send(self, what: tuple[Any, Any, Reader | None]) -> None:
-        """Write, where a message is an answer when its reader is there; it may not be known yet that it is."""
+        """Write a message; a response waits until its client's reader is discovered, which can take a moment."""
         writer, thing, asking = what
         end = monotonic() + _WRITE_S
         while asking is not None and len(writer.matched_sub) < len(asking.opened[-1].matched_pub) and monotonic() < end:
@@ -180,7 +180,7 @@ class DdsNode(TypedNode):
             try:
                 writer.write(thing)
                 return
-            except Exception as error:  # who reads does not keep up, or the message cannot be written
+            except Exception as error:  # a reader does not keep up, or the message cannot be written
                 if monotonic() > end:
                     self.refused.add(error)
                     return
@@ -202,7 +202,7 @@ class DdsNode(TypedNode):
         for _ in range(_AT_ONCE):
             try:
                 found = reader.opened[-1].take(1)
-            except Exception as error:  # of what was sent
+            except Exception as error:  # a malformed message
                 self.refused.add(error)
                 continue
             if not found:

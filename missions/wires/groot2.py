@@ -1,13 +1,13 @@
-"""Groot2's wire: a tree that runs here is watched with what speaks to BehaviorTree.CPP's publisher (protocol 2).
+"""Publishes a running tree to Groot2, as BehaviorTree.CPP's Groot2Publisher does (protocol 2).
 
     publisher = Groot2Publisher(tree)       # a py_trees.trees.BehaviourTree
     ...                                     # ticks as before
     publisher.close()
 
 Groot2 asks, over ZeroMQ on TCP port 1667, for the tree as XML, the statuses of its nodes and its blackboards. The
-protocol knows no token, so it is served on this machine only; from elsewhere `ssh -L 1667:127.0.0.1:1667 -L
-1668:127.0.0.1:1668 ROBOT` leads to it. What would change how the tree runs (breakpoints, replaced nodes) is refused,
-and so are recordings of transitions, which `rosa run --record` and `--report` make.
+protocol has no token, so it is served on this machine only; from elsewhere, use `ssh -L 1667:127.0.0.1:1667 -L
+1668:127.0.0.1:1668 ROBOT`. Requests that would change how the tree runs (breakpoints, replaced nodes) are refused. So
+are recordings of transitions; use `rosa run --record` or `--report` instead.
 """
 
 import struct
@@ -28,12 +28,12 @@ from rosa_bt.xml import NumberedTree
 
 PORT: Final = 1667
 _HEAD: Final = struct.Struct("<BBI")
-"""Of a request: the protocol, a letter for its kind, and its number."""
+"""The head of a request: protocol, letter of its kind, number."""
 _PROTOCOL: Final = 2
 _STATUS: Final = struct.Struct("<HB")
 _LARGEST_REQUEST: Final = 2**16
 _IDLE, _SKIPPED, _WAS = 0, 4, 10
-"""What is idle is 10 + the status that it had before, or 0 if it never had one."""
+"""The code of an idle node is 10 + the status that it had before, or 0 if it never had one."""
 _CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
 _NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report FILE.html` do it"
@@ -46,7 +46,7 @@ class _Present(NamedTuple):
 
     tree: NumberedTree
     identity: bytes
-    """Another one for each tree, so that a client asks for it anew."""
+    """A new one for each tree, so that a client asks for the tree again."""
     codes: Mapping[Behaviour, int]
 
     def statuses(self) -> bytes:
@@ -54,12 +54,12 @@ class _Present(NamedTuple):
 
 
 class Groot2Publisher(VisitorBase):
-    """Shows a tree as it is after each tick; followed when the tree changes.
+    """Publishes the statuses of a tree after each tick, and the tree again when it changes.
 
-    A tick writes down the statuses; all else happens in a thread of its own, so whoever watches slows nobody.
+    A tick only writes down the statuses; a thread of its own answers clients, so they do not slow the tick.
 
     Args:
-        port: TCP port on 127.0.0.1; the next one is taken too, as clients listen there for breakpoints.
+        port: TCP port on 127.0.0.1; the next port is used too, as clients listen there for breakpoints.
 
     Raises:
         MissionError: a port is taken, or the extra `groot2` is missing.
@@ -89,7 +89,7 @@ class Groot2Publisher(VisitorBase):
         tree.visitors.append(self)
 
     def close(self) -> None:
-        """Watch the tree no longer, and let go of the ports."""
+        """Stop publishing, and free the ports."""
         if self in self._tree.visitors:
             self._tree.visitors.remove(self)
         self._closing.set()
@@ -99,11 +99,11 @@ class Groot2Publisher(VisitorBase):
         self._visited.clear()
 
     def run(self, behaviour: Behaviour) -> None:
-        """Note what is ticked: INVALID then means skipped, not idle."""
+        """Note a node that is ticked: if it is INVALID then, it was skipped, not idle."""
         self._visited.add(behaviour)
 
     def finalise(self) -> None:
-        """Write down, after a tick, what each node's status is."""
+        """Write down the status of each node after a tick."""
         self._present = self._seen(self._present)
 
     def _seen(self, before: _Present | None) -> _Present:
@@ -155,7 +155,7 @@ class Groot2Publisher(VisitorBase):
 
 
 def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return what is on a blackboard, in words where a value is no plain one; a tick may write meanwhile."""
+    """Return the entries of a blackboard, other values than numbers and texts as text; a tick may write meanwhile."""
     board = Blackboard.storage if subtree is None else subtree
     plain = (bool, int, float, str)
     return {key.lstrip("/"): one if isinstance(one, plain) else repr(one) for key, one in list(board.items())}

@@ -1,9 +1,9 @@
-"""What talks ROS 2, whatever the wire: a `Node`; messages are dicts in the shape of ROS 2's JSON.
+"""A `Node` publishes, subscribes, calls and serves in ROS 2, whatever the wire; messages are dicts like ROS 2's JSON.
 
-A `TypedNode` has messages that are objects of a library with ROS 2's types (rclpy; cyclonedds with those of rosbags).
+A `TypedNode` has a library with a class for each message type (rclpy, or cyclonedds with the types of rosbags).
 
-Nothing here waits for the network: what is heard is handed on in the thread of the connection, what is sent goes
-through a queue with an end.
+Nothing here waits for the network: received messages are handed on in the thread of the connection, and messages to
+send go through a queue of limited length.
 """
 
 import logging
@@ -27,12 +27,12 @@ Heard = Callable[[Message], object]
 Answer = Callable[[Message], Message]
 
 QUEUED: Final = 10_000
-"""Messages that wait to be sent, at most."""
+"""How many messages may wait to be sent."""
 _FLUSH_S: Final = 1.0
-"""How long what is queued may take when it is closed [s]."""
+"""How long sending the queued messages may take when a queue is closed [s]."""
 _KINDS: Final = 100
 _FIND_S: Final = 3.0
-"""How long a service is sought before a call fails [s]."""
+"""How long a call waits for its service to appear before it fails [s]."""
 _FLOATS: Final = ("float32", "float64")
 _INTEGERS: Final = {
     **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
@@ -40,21 +40,21 @@ _INTEGERS: Final = {
     "byte": (0, 255),
     "char": (0, 255),
 }
-"""The integers of ROS 2, and the range of each."""
+"""The integer types of ROS 2, each with its least and greatest value."""
 LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _log = logging.getLogger(__name__)
 
 
 class RosError(MissionError):
-    """A call has failed, or a request is refused; the text says why."""
+    """A call failed, or a request was refused; the text says why."""
 
 
 NONSENSE: Final = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What a message raises that is none; nothing has been done by then."""
+"""What a malformed message raises; it has had no effect by then."""
 
 
 class Refusals(Counter[str]):
-    """How many messages made no sense, by what was wrong, each kind logged once; beyond a hundred they are one."""
+    """Counts malformed messages by what is wrong; logs each kind once, and counts kinds beyond a hundred as one."""
 
     def add(self, error: Exception | str) -> str:
         text = (error if isinstance(error, str) else f"{type(error).__name__}: {error}")[:200]
@@ -65,20 +65,20 @@ class Refusals(Counter[str]):
         return text
 
     def hand_on(self, message: Message, hearers: Iterable[Heard]) -> None:
-        """Have a message heard; who fails at it does not keep it from the others."""
+        """Give a message to each hearer; one that raises does not keep it from the others."""
         for heard in hearers:
             try:
                 heard(message)
-            except Exception as error:  # of who hears it, not of the wire
+            except Exception as error:  # an error of the hearer, not of the wire
                 self.add(error)
 
 
 class Node(ABC):
-    """What talks ROS 2: by rosbridge, by rclpy or by DDS. Types are named as ROS 2 does, e.g. "std_msgs/msg/String".
+    """A node of ROS 2, by rosbridge, rclpy or DDS. Types have ROS 2's names, e.g. "std_msgs/msg/String".
 
     Attributes:
-        refused: how many messages made no sense, by what was wrong.
-        is_connected: whether there is a connection, or anybody whose topics are heard.
+        refused: how many messages were malformed, by what was wrong.
+        is_connected: whether there is a connection or, without a server between, another node that publishes to us.
     """
 
     def __init__(self) -> None:
@@ -87,7 +87,7 @@ class Node(ABC):
 
     @abstractmethod
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        """Have a function called with each message of a topic."""
+        """Call a function with each message of a topic."""
 
     @abstractmethod
     def publish(self, topic: str, kind: str, message: Message) -> None:
@@ -99,20 +99,20 @@ class Node(ABC):
 
     @abstractmethod
     def serve(self, service: str, kind: str, answer: Answer) -> None:
-        """Answer the calls of a service; a `RosError` refuses one."""
+        """Answer the calls of a service with a function; when it raises `RosError`, the call is refused."""
 
     @abstractmethod
     def close(self) -> None:
-        """Let go of everything."""
+        """End the connection, its threads and all open calls."""
 
     def watch(self, changed: Callable[[bool, str], object]) -> None:
-        """Have a function called with whether there is a connection, and a sentence, now and when that changes."""
+        """Call a function with `is_connected` and a sentence about it, now and whenever either changes."""
         self._watching.append(changed)
         if self._said:
             changed(self.is_connected, self._said)
 
     def _tell(self, is_connected: bool, text: str) -> None:
-        """Say how the connection is, unless it was said before."""
+        """Tell the watchers the state of the connection, unless it is the one told last."""
         if (is_connected, text) != (self.is_connected, self._said):
             self.is_connected, self._said = is_connected, text
             for changed in self._watching:
@@ -120,14 +120,14 @@ class Node(ABC):
 
 
 def begun() -> "Future[Message]":
-    """Return the answer to a call that is under way: its caller may not wait for it, but not cancel it."""
+    """Return a future for a call that is under way: the caller need not wait for it, but cannot cancel it."""
     future = Future[Message]()
     future.set_running_or_notify_cancel()
     return future
 
 
 class Outbox:
-    """Sends in a thread of its own, so that who is slow or gone holds up nobody; a full queue drops its oldest."""
+    """Sends in a thread of its own, so that a slow receiver holds up nobody; a full queue drops its oldest message."""
 
     def __init__(self, write: Callable[[Any], object]) -> None:
         self._write = write
@@ -142,7 +142,7 @@ class Outbox:
             self._news.notify()
 
     def close(self) -> list[Any]:
-        """Send what there is, for a second at most, and then no more; return what was not sent."""
+        """Send the queued messages for at most a second, then stop; return those that were not sent."""
         with self._news:
             self._is_closed = True
             self._news.notify()
@@ -161,39 +161,39 @@ class Outbox:
                 one = self._queue[0]
             try:
                 self._write(one)
-            except Exception as error:  # who reads of the same connection finds out too, and ends it
+            except Exception as error:  # the thread that reads this connection fails too, and ends it
                 _log.info("nothing more is sent: %s", error)
                 return
             with self._news:
-                if self._queue and self._queue[0] is one:  # else it was pushed out meanwhile
+                if self._queue and self._queue[0] is one:  # otherwise a newer one has pushed it out
                     self._queue.popleft()
 
 
 class Field(NamedTuple):
-    """The type of a field; `length` is None for one, 0 for a sequence, else how many an array has."""
+    """The type of a field; `length` is None for a single value, 0 for a sequence, else the size of an array."""
 
     kind: str
     length: int | None = None
 
 
 class Library(Protocol):
-    """What has types of ROS 2."""
+    """A library that has ROS 2's message types."""
 
     def fields(self, kind: str) -> Mapping[str, Field]:
-        """Return the fields of a message; `RosError` if it is not known."""
+        """Return the fields of a message type; `RosError` if it is not known."""
 
     def find(self, kind: str) -> Any:  # noqa: ANN401  # of the library
-        """Return the class of a message; `RosError` if it is not known."""
+        """Return the class of a message type; `RosError` if it is not known."""
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
-        """Return a message with these values; the other fields are empty."""
+        """Return a message with these values; all other fields are zero or empty."""
 
 
 def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # an object of the library
-    """Return a message that was written as a dict.
+    """Return the library's object for a message that is written as a dict.
 
     Raises:
-        RosError: the type is not known, or a field of it; or a value is none of its field's type.
+        RosError: the type or a field is not known, or a value does not have the type of its field.
     """
     if not isinstance(message, dict):
         raise RosError(f"{kind} is written as an object, not as {message!r:.60}")
@@ -239,7 +239,7 @@ def _value_of(library: Library, kind: str, length: int | None, value: Any) -> ob
 
 @dataclass(eq=False)
 class Reader:
-    """A reader of a topic, opened anew if a publisher does not repeat what is lost; `take` is given what it hears."""
+    """A reader of a topic, which gives messages to `take`; it is opened anew as best-effort if a publisher is."""
 
     topic: str
     kind: Any
@@ -249,7 +249,7 @@ class Reader:
 
 
 class Client(NamedTuple):
-    """What calls a service: whether that is there (`RosError` if it cannot be called), and sends a numbered request."""
+    """Calls a service: tells whether it is served (`RosError` if it cannot be called), and sends numbered requests."""
 
     is_served: Callable[[], bool]
     send: Callable[[int, Any], object]
@@ -257,7 +257,7 @@ class Client(NamedTuple):
 
 @dataclass(eq=False)
 class _Call:
-    """A call that is to be answered, and sent when its service is there."""
+    """A call without an answer yet; it is sent when its service is there."""
 
     service: str
     kind: str
@@ -268,10 +268,10 @@ class _Call:
 
 
 class TypedNode(Node):
-    """What all nodes of a library have in common; a subclass says how the library does it."""
+    """What nodes of all libraries with types have in common; a subclass says how its library does it."""
 
     topics = ""
-    """What topics begin with on the wire."""
+    """The prefix of topic names on the wire."""
 
     def __init__(self, name: str, library: Library) -> None:
         super().__init__()
@@ -280,7 +280,7 @@ class TypedNode(Node):
         self._writers: dict[str, Callable[[Any], object]] = {}
         self._clients: dict[str, Client] = {}
         self._open: dict[int, _Call] = {}
-        self._tell(False, f"{name}: nobody else is there")
+        self._tell(False, f"{name}: no other node is there")
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         found = self._types.find(kind)
@@ -307,30 +307,30 @@ class TypedNode(Node):
         self._serve(service, kind, partial(self._response, kind, answer))
 
     def close(self) -> None:
-        """End what is open; a subclass lets go of its library first."""
+        """Fail the open calls and forget all readers and writers; a subclass closes its library first."""
         for call in self._open.values():
             call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
         self._readers, self._writers, self._clients, self._open = [], {}, {}, {}
 
     @abstractmethod
     def _open_reader(self, reader: Reader) -> None:
-        """Open a reader, in place of what is open."""
+        """Open a reader; if it is open already, replace it."""
 
     @abstractmethod
     def _publishers(self, reader: Reader) -> tuple[bool, bool]:
-        """Tell whether a topic has publishers, and whether one of them is not heard by a reliable reader."""
+        """Tell whether a topic has publishers, and whether one is best-effort: no reliable reader hears that."""
 
     @abstractmethod
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of the library
-        """Return what publishes on a topic."""
+        """Return a function that publishes on a topic."""
 
     @abstractmethod
     def _client(self, service: str, kind: str) -> Client:
-        """Return what calls a service; `_finish` is given the number of a request, and what came of it."""
+        """Return a client of a service; it gives `_finish` the number of each request and its answer or error."""
 
     @abstractmethod
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
-        """Have each request of a service responded to."""
+        """Answer each request of a service with what `respond` returns."""
 
     def _hear(self, topic: str, kind: Any, take: Callable[[Any], object]) -> Reader:  # noqa: ANN401  # of the library
         reader = Reader(topic, kind, take)
@@ -342,11 +342,11 @@ class TypedNode(Node):
     def _take(self, reader: Reader, thing: Any) -> None:  # noqa: ANN401  # of the library
         try:
             reader.take(thing)
-        except Exception as error:  # of what was sent, or of who hears it; the next may be better
+        except Exception as error:  # a malformed message, or an error of the hearer; go on with the next
             self.refused.add(error)
 
     def _look(self) -> None:
-        """See who is there; send calls that waited for that, and end those that nobody answers."""
+        """Look which other nodes are there; send the calls that waited for a service, and fail those nobody answers."""
         with self._lock:
             is_there = False
             for reader in self._readers:
@@ -358,7 +358,7 @@ class TypedNode(Node):
             for number in list(self._open):
                 self._send_call(number)
         if is_there != self.is_connected:
-            self._tell(is_there, f"{self._name}: {'others are there' if is_there else 'everybody else is gone'}")
+            self._tell(is_there, f"{self._name}: {'other nodes are there' if is_there else 'all other nodes are gone'}")
 
     def _send_call(self, number: int) -> None:
         call = self._open[number]
@@ -372,7 +372,7 @@ class TypedNode(Node):
             call.is_sent = True
             client.send(number, call.request)
         elif not is_there and (call.is_sent or monotonic() > call.until_s):
-            why = f"who served {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
+            why = f"the server of {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
             self._finish(number, RosError(why))
 
     def _finish(self, number: int, answer: Any) -> None:  # noqa: ANN401  # of the library, or what was raised
@@ -387,11 +387,11 @@ class TypedNode(Node):
             call.future.set_result(message_of(self._types, f"{call.kind}_Response", answer))
 
     def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of the library
-        """Return the answer to a call; refused, or failed, it is an empty one, as ROS 2 has no other word."""
+        """Return the response to a call; if it is refused or fails, an empty one, as ROS 2 has no error response."""
         try:
             return made(self._types, f"{kind}_Response", answer(message_of(self._types, f"{kind}_Request", request)))
         except RosError as error:
             _log.warning("a call of %s is refused: %s", kind, error)
-        except Exception as error:  # ours is not the caller's to suffer
+        except Exception as error:  # our own error must not end the node
             _log.warning("a call of %s could not be answered: %s: %s", kind, type(error).__name__, error, exc_info=True)
         return self._types.new(f"{kind}_Response", {})

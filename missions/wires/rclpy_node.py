@@ -1,4 +1,4 @@
-"""ROS 2 by rclpy, where it is installed: with ROS 2 itself, from pixi or RoboStack, or on a robot."""
+"""ROS 2 by rclpy, where that is installed: it comes with ROS 2, pixi or RoboStack."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -11,14 +11,14 @@ from missions.engine.mission import MissionError
 from missions.wires.node import Client, Field, Message, Reader, RosError, TypedNode
 
 _LOOK_S: Final = 0.2
-"""How often it is looked who is there [s]."""
+"""The period of looking which other nodes are there [s]."""
 _TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
-"""A type as messages of rclpy write it: `sequence<double, 3>`, `std_msgs/Header`, `string<10>`, `double[36]`."""
+"""A field's type as rclpy writes it: `sequence<double, 3>`, `std_msgs/Header`, `string<10>`, `double[36]`."""
 _NAMES: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64", "wstring": "string"}
 
 
 class Messages:
-    """Types of ROS 2 as the classes of its message packages."""
+    """ROS 2's types as the classes of its message packages."""
 
     def __init__(self) -> None:
         self._fields: dict[str, Mapping[str, Field]] = {}
@@ -60,7 +60,7 @@ def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
 
 
 class RclpyNode(TypedNode):
-    """A node of rclpy, in a context and a thread of its own.
+    """A node of rclpy that spins in a context and a thread of its own.
 
     Raises:
         MissionError: rclpy is not installed.

@@ -1,4 +1,4 @@
-"""ROS 2's messages without ROS: their types, and what we say in them, written as dicts in the shape of ROS 2's JSON."""
+"""ROS 2's messages without ROS: their types, and functions that make our messages as dicts like ROS 2's JSON."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,18 +21,18 @@ STRING: Final = "std_msgs/msg/String"
 TF: Final = "tf2_msgs/msg/TFMessage"
 TREE_LOG: Final = "nav2_msgs/msg/BehaviorTreeLog"
 INFO, WARN = 20, 30
-"""Levels of rcl_interfaces/Log."""
+"""Severity levels of rcl_interfaces/Log."""
 FRAME, BODY = "map", "base_link"
-"""The world frame, z up, and the robot's, by REP 105."""
+"""The world frame (z up) and the robot's frame, named as in REP 105."""
 _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
-"""Messages and services that ROS 2's core, as `rosbags` has it, lacks."""
+"""Definitions of the messages and services that `rosbags` does not have."""
 NOTHING: Final = "structure_needs_at_least_one_member"
-"""What a message without fields has on the wire."""
+"""The field that a message without fields has on the wire."""
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
 class Types:
-    """Types of ROS 2 as `rosbags` has them; makes, writes and reads messages as the CDR of ROS 2."""
+    """ROS 2's types as `rosbags` has them; makes messages, and encodes and decodes them as CDR."""
 
     def __init__(self, store: "Typestore") -> None:
         self.store = store
@@ -56,7 +56,7 @@ class Types:
         return self.find(kind)(**whole or {NOTHING: 0})
 
     def definition(self, kind: str) -> str:
-        """Return the definition of a type with those that it is made of, as files of recordings hold it."""
+        """Return the text that defines a type and the types in it, as recordings hold it."""
         return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
     def encode(self, kind: str, message: Message) -> bytes:
@@ -80,7 +80,7 @@ def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has i
 
 @cache
 def types() -> Types:
-    """Return the types; made once, as that takes a fifth of a second.
+    """Return ROS 2's types; they are made once, in 0.2 s.
 
     Raises:
         MissionError: the extra `mcap` is missing.
@@ -118,7 +118,7 @@ def json_text(value: object) -> Message:
 
 
 def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message:
-    """Return an array of what a message of ours says; each status has `name`, `message` and `values`."""
+    """Return a DiagnosticArray at a time [s]; each status has `name`, `message` and `values`."""
     statuses = [
         {
             "name": str(one.get("name", "")),
@@ -131,7 +131,7 @@ def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message
 
 
 def log_of(event: Event, more: str = "") -> Message:
-    """Return what an event says in words: of a plan with its reason, of a failed component as a warning."""
+    """Return a log message for an event: a plan with its reason, a failed component as a warning."""
     why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
     return log(event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}")
 
@@ -149,19 +149,19 @@ def tree_log(time_s: float, changes: Sequence[tuple[str, int, str, str]]) -> Mes
 
 
 def pose(time_s: float, position: Sequence[float]) -> Message:
-    """Return where the robot is, (x, y, z) [m] in the world frame; upright, as its attitude is not known."""
+    """Return a pose at (x, y, z) [m], world frame; upright, as the attitude is not known."""
     where = dict(zip("xyz", position, strict=True))
     return {"header": _header(time_s, FRAME), "pose": {"position": where, "orientation": _UPRIGHT}}
 
 
 def transform(time_s: float, position: Sequence[float]) -> Message:
-    """Return the same as a transform from the world frame to the robot's."""
+    """Return the same pose as a transform from the world frame to the robot's frame."""
     moved = {"translation": dict(zip("xyz", position, strict=True)), "rotation": _UPRIGHT}
     return {"transforms": [{"header": _header(time_s, FRAME), "child_frame_id": BODY, "transform": moved}]}
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:
-    """Return what the bytes of a DiagnosticArray say, as a message of ours says it."""
+    """Return the statuses in the CDR bytes of a DiagnosticArray, each with `name`, `message` and `values`."""
     return [
         {"name": one.name, "message": one.message, "values": {pair.key: pair.value for pair in one.values}}
         for one in types().decode(DIAGNOSTICS, data).status

@@ -1,4 +1,4 @@
-"""ROSA's own services: what the original's node `rosa_kb` answers, so that trees and planners elsewhere ask us."""
+"""ROSA's own services, as the original's node `rosa_kb` serves them: trees and planners elsewhere can ask us."""
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -13,17 +13,17 @@ from missions.wires.node import Answer, Message, Node, RosError
 
 LOG: Final = "/rosa/log"
 _KINDS: Final = {"fds": "design", "c_configs": "configuration"}
-"""What the things of a field are, where its name does not say so."""
+"""The kind of the elements in a field whose name does not say it."""
 _log = logging.getLogger(__name__)
 _BY_TYPE: Final = {bool: (1, "bool"), int: (2, "integer"), float: (3, "double"), str: (4, "string")}
-"""Types of a parameter in rcl_interfaces/ParameterValue; an array of one has the type 5 more."""
+"""Codes and names of types in rcl_interfaces/ParameterValue; the code of an array is 5 more."""
 _OF_COMPONENT: Final = ("package", "executable", "is_active", "always_improve")
 
 
 class RosaServices:
-    """Serves ROSA's table of services under `/rosa_kb/` with a knowledge base; requests go through its gate.
+    """Serves ROSA's services under `/rosa_kb/` from a knowledge base, which refuses what is unfeasible.
 
-    What has a text from the original's own types keeps its name; times are ISO 8601, of the knowledge base's clock.
+    Services, types and fields have the original's names; times are ISO 8601, by the knowledge base's clock.
     """
 
     def __init__(self, kb: KnowledgeBase, node: Node) -> None:
@@ -33,13 +33,15 @@ class RosaServices:
             package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
             try:
                 node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", partial(self._answer, name, answer))
-            except RosError:  # this node does not have its type
+            except RosError:  # the node's library does not have this type
                 unknown.append(name)
         if unknown:
-            _log.warning("of /rosa_kb/ is not served, as their types are not there: %s", ", ".join(unknown))
+            _log.warning(
+                "these services of /rosa_kb/ are not served, as their types are not known: %s", ", ".join(unknown)
+            )
 
     def _table(self) -> Iterator[tuple[str, str, Answer]]:
-        """Yield the original's table: what is served under `/rosa_kb/`, of which type, and the answer to a request."""
+        """Yield each service: its name under `/rosa_kb/`, its type, and the function that answers a request."""
         kb, configurations = self._kb, self._kb.selectable_configurations
         for kind in ("action", "function", "component"):
             yield f"{kind}/insert", f"{kind.capitalize()}Query", partial(self._insert, kind)
@@ -71,7 +73,7 @@ class RosaServices:
         )
 
     def _answer(self, name: str, answer: Answer, request: Message) -> Message:
-        """Say in each answer `success`; why something is refused, for which it has no field, is logged."""
+        """Add `success` to an answer; the reason of a refusal goes to `/rosa/log`, as answers have no field for it."""
         try:
             return {**answer(request), "success": True}
         except (KnowledgeBaseError, RosError) as error:
@@ -82,7 +84,7 @@ class RosaServices:
     # ---------------------------------------------------------------- what requests do
 
     def _request_action(self, one: Message) -> Message:
-        """Request an action, or cancel it where `is_required` is false, as the original's tree does."""
+        """Request an action, or cancel it if `is_required` is false, as the original's tree does."""
         name = _name(one, "action")
         if not one["action"].get("is_required"):
             self._kb.cancel_action(name)
@@ -169,10 +171,10 @@ class RosaServices:
         model.change(action, functions=[model.functions[name] for name in names])
         return {"functional_requirement": given}
 
-    # ---------------------------------------------------------------- things as the original's types have them
+    # ---------------------------------------------------------------- elements as messages of the original's types
 
     def _all(self, field: str, names: Iterable[str]) -> Message:
-        """Return a field of an answer: these things, each as the type that its field is of."""
+        """Return a field of an answer: these elements, as messages of the field's type."""
         return {field: self._things(_KINDS.get(field, field.removesuffix("s")), names)}
 
     def _things(self, kind: str, names: Iterable[str]) -> list[Message]:
@@ -230,7 +232,7 @@ def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
 
 def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     is_list = isinstance(value, list)
-    kinds = type((value or [0.0])[0] if is_list else value).__mro__  # what is of numpy is of a type below one of these
+    kinds = type((value or [0.0])[0] if is_list else value).__mro__  # numpy's numbers are subclasses of these
     code, name = next(_BY_TYPE[kind] for kind in kinds if kind in _BY_TYPE)
     return {"type": code + 5, f"{name}_array_value": value} if is_list else {"type": code, f"{name}_value": value}
 

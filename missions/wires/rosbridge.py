@@ -1,7 +1,7 @@
-"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a node on a robot's rosbridge, and the other side of it.
+"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a client of a robot's rosbridge, and a server of our own.
 
-The server is a `Node` too, one of its own clients without a connection: so roslib, Foxglove, other bridges and robots
-connect to us, without ROS.
+With the server, roslib, Foxglove, other bridges and robots connect to us without ROS. It is a `Node` too: one of its
+own clients, without a connection.
 """
 
 import json
@@ -25,14 +25,14 @@ from missions.wires.node import LOOPBACK, NONSENSE, QUEUED, Answer, Heard, Messa
 
 PORT: Final = 9090
 _LARGEST: Final = 2**20
-"""Of a message [bytes]."""
+"""The longest message [bytes]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
 _MOST_CLIENTS: Final = 200
 _log = logging.getLogger(__name__)
 
 
 class Peer(Outbox):
-    """One connection."""
+    """One connection, with a queue of messages to send."""
 
     def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
         super().__init__(lambda message: socket.send(json.dumps(message)))
@@ -52,10 +52,10 @@ class Peer(Outbox):
 
 
 class Wire(Node):
-    """A node by rosbridge's messages, whatever carries them.
+    """A node that speaks rosbridge's messages, without saying what carries them.
 
     Args:
-        sending: held while something is sent that goes with what is open.
+        sending: a lock, held while a message is sent and what it opens or declares is noted.
     """
 
     def __init__(self, sending: AbstractContextManager[object]) -> None:
@@ -83,7 +83,7 @@ class Wire(Node):
         future, number = begun(), f"call_service:{next(self._ids)}"
         made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
         with self._sending:
-            self._open[number] = future  # before it is sent: the answer may be there at once
+            self._open[number] = future  # before it is sent, as the answer may come at once
             if not self._send(made):
                 del self._open[number]
                 future.set_exception(RosError(f"{service} cannot be called: there is no connection"))
@@ -95,12 +95,12 @@ class Wire(Node):
             self._declare({"op": "advertise_service", "service": service, "type": kind})
 
     def _declare(self, message: Message) -> None:
-        """Say what holds from now on, to whoever is the other side then, too."""
+        """Send a declaration (subscribe, advertise), now and again after each reconnection."""
         self._declared.append(message)
         self._send(message)
 
     def _send(self, message: Message) -> bool:
-        """Send a message to the other side; tell whether it is there."""
+        """Send a message to the other side; return whether there is a connection."""
         raise NotImplementedError
 
     def _hear(self, message: Message) -> None:
@@ -117,21 +117,21 @@ class Wire(Node):
 
 
 class Rosbridge(Wire):
-    """A node on a robot's rosbridge; connects again by itself, at longer and longer intervals up to 8 s.
+    """A client of a robot's rosbridge; it reconnects by itself, at intervals that grow up to 8 s.
 
     Args:
         url: e.g. "ws://127.0.0.1:9090"; `wss://` for an encrypted one.
-        token: sent as `Authorization: Bearer`, where the other side asks for one.
+        token: sent as `Authorization: Bearer TOKEN`, if the server asks for one.
 
     Raises:
-        MissionError: the extra `ros2` is missing, or this is no address.
+        MissionError: the extra `ros2` is missing, or `url` is not the address of a rosbridge.
     """
 
     def __init__(self, url: str, token: str = "") -> None:
         with needs("ros2", "rosbridge"):
             import websockets.sync.client as client
         if urlsplit(url).scheme not in ("ws", "wss") or not urlsplit(url).hostname:
-            raise MissionError(f"{url!r} is no address of a rosbridge; write ws://HOST:{PORT}")
+            raise MissionError(f"{url!r} is not the address of a rosbridge; write ws://HOST:{PORT}")
         super().__init__(Lock())
         self._connect = client.connect
         self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
@@ -143,12 +143,12 @@ class Rosbridge(Wire):
 
     def close(self) -> None:
         self._closing.set()
-        if (peer := self._peer) is not None:  # read once: the connection may end meanwhile
+        if (peer := self._peer) is not None:  # read once, as the connection may end meanwhile
             peer.close()
         self._thread.join()
 
     def _send(self, message: Message) -> bool:
-        """Send a message; without a connection the last 10,000 that are to be published are kept until there is one."""
+        """Send a message; without a connection, keep the last 10,000 publications until there is one."""
         peer = self._peer
         if peer is not None:
             peer.send(message)
@@ -164,9 +164,11 @@ class Rosbridge(Wire):
                 with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
                     wait_s = _FIRST_WAIT_S
                     self._talk(socket)
-            except Exception as error:  # refused, unknown, no WebSocket, wrong token: all are tried again
-                said = f"no connection to {self._url}: {error or type(error).__name__}; it is tried again, every "
-                said += f"{_LONGEST_WAIT_S:g} s at last: is a rosbridge started there, and is it that address (--url)?"
+            except Exception as error:  # refused, unknown host, no WebSocket, wrong token: try again
+                said = (
+                    f"no connection to {self._url}: {error or type(error).__name__}; it tries again, in the end every "
+                )
+                said += f"{_LONGEST_WAIT_S:g} s: does a rosbridge run there, and is the address right (--url)?"
                 self._tell(False, said)
                 self._closing.wait(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
@@ -175,14 +177,14 @@ class Rosbridge(Wire):
         why = ""
         self._begin(Peer(socket), time.monotonic() - self._away_since)
         try:
-            if self._closing.is_set():  # closed while it was being connected: nobody else ends it
+            if self._closing.is_set():  # `close` came while it connected and did not see this socket
                 socket.close()
             for text in socket:
                 try:
                     self._hear(_read(text))
                 except NONSENSE as error:
                     self.refused.add(error)
-        except Exception as error:  # also one that was cut
+        except Exception as error:  # also of a connection that was cut
             why = f": {error}"
         self._away_since = time.monotonic()
         self._end(f"the connection to {self._url} has ended{why}")
@@ -191,12 +193,12 @@ class Rosbridge(Wire):
         with self._sending:
             for message in self._declared:
                 peer.send(message)
-            late = deque(self._unsent, maxlen=QUEUED - len(self._declared))  # more would push out what is declared
+            late = deque(self._unsent, maxlen=QUEUED - len(self._declared))  # more would push out the declarations
             for message in late:
                 peer.put(message)
             self._unsent.clear()
             self._peer = peer
-        missed = f"what was published there meanwhile is missed, {len(late)} of ours are sent now"
+        missed = f"messages published there meanwhile are missed, {len(late)} of ours are sent now"
         self._tell(True, f"connected to {self._url} after {away_s:.1f} s; {missed}")
 
     def _end(self, why: str) -> None:
@@ -214,14 +216,14 @@ class Rosbridge(Wire):
 
 
 class _Client:
-    """Who takes part: what it publishes, subscribes to and serves, with types, by op; `send` hands it a message."""
+    """A client of the server: types of what it advertises, subscribes to and serves; `send` gives it a message."""
 
     def __init__(self, send: Callable[[Message], object]) -> None:
         self.send = send
         self.said: dict[str, dict[str, str]] = {"advertise": {}, "subscribe": {}, "advertise_service": {}}
 
     def say(self, op: str, message: Message) -> None:
-        """Note that it does so from now on, or no more if the op begins with "un"."""
+        """Note a declaration, or its end if the op begins with "un"; raise ValueError if there are too many."""
         what = op.removeprefix("un")
         said, name = self.said[what], _text_of(message, "service" if what == "advertise_service" else "topic")
         if op != what:
@@ -233,7 +235,7 @@ class _Client:
 
 
 class _Call(NamedTuple):
-    """A call that a client is to answer, and whose it is, by what number there."""
+    """A call that one client made and another is to answer; `number` is the id that the caller gave it."""
 
     server: _Client | None
     service: str
@@ -246,8 +248,8 @@ class RosbridgeServer(Wire):
 
     Args:
         port: TCP port; 0 for any that is free.
-        host: where to listen; anything but this machine needs a token.
-        token: what a client has to give, as `Authorization: Bearer TOKEN` or `?token=TOKEN`.
+        host: the address to listen on; any other than this machine's loopback needs a token.
+        token: the token that clients must give, as `Authorization: Bearer TOKEN` or `?token=TOKEN`.
 
     Raises:
         MissionError: the port is taken, a token is missing, or the extra `ros2` is.
@@ -258,7 +260,7 @@ class RosbridgeServer(Wire):
             from websockets.sync.server import serve
         if host not in LOOPBACK and not token:
             raise MissionError(f"{host} is not this machine only: give a token that clients have to give too")
-        super().__init__(nullcontext())  # its own connection never ends
+        super().__init__(nullcontext())  # it needs no lock, as its own connection never ends
         self._token, self._lock, self._numbers = token, RLock(), count(1)
         self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
         self._clients: dict[_Client, Peer | None] = {self._own: None}
@@ -275,13 +277,13 @@ class RosbridgeServer(Wire):
         self._thread.start()
 
     def close(self) -> None:
-        with ThreadPoolExecutor(_MOST_CLIENTS) as pool:  # at once: each may take a second
+        with ThreadPoolExecutor(_MOST_CLIENTS) as pool:  # all at once, as each may take a second
             list(pool.map(Peer.close, filter(None, list(self._clients.values()))))
         self._server.shutdown()
         self._thread.join()
 
     def _admit(self, connection: Any, request: Any) -> Any:  # noqa: ANN401  # websockets is imported late
-        """Refuse who has no token where one is asked for; and a page of another site, which a browser would let in."""
+        """Refuse a client without the token; where none is asked for, a web page of another site."""
         query = parse_qs(urlsplit(request.path).query)
         given = request.headers.get("Authorization", "").removeprefix("Bearer ") or query.get("token", [""])[0]
         if self._token:
@@ -301,14 +303,14 @@ class RosbridgeServer(Wire):
         try:
             for text in socket:
                 self._take(client, text)
-        except Exception as error:  # cut off, or too big: this client only
+        except Exception as error:  # cut off, or a message too big: this client only
             _log.info("a rosbridge client is gone: %s", error)
         finally:
             with self._lock:
                 del self._clients[client]
                 left = [number for number, call in self._forwarded.items() if client in (call.server, call.caller)]
             for number in left:
-                self._respond(number, {"values": "who served it is gone", "result": False})
+                self._respond(number, {"values": "the client that served it has disconnected", "result": False})
             peer.close()
 
     def _take(self, client: _Client, text: str | bytes) -> None:
@@ -339,7 +341,7 @@ class RosbridgeServer(Wire):
             one.send({"op": "publish", "topic": topic, "msg": content})
 
     def _op_call_service(self, client: _Client, message: Message) -> None:
-        """Have the client that serves it answer a call."""
+        """Forward a call to the client that serves it."""
         service = _text_of(message, "service")
         request = _dict_of(message, "args")
         with self._lock:
@@ -367,7 +369,7 @@ class RosbridgeServer(Wire):
     def _respond(self, own: str, answer: Message) -> None:
         with self._lock:
             call = self._forwarded.pop(own, None)
-        if call is None:  # it was answered while who had asked, or who served it, was going
+        if call is None:  # it was answered already, while caller or server disconnected
             return
         made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
         made |= {"result": answer.get("result", True)} | ({} if call.number is None else {"id": call.number})
@@ -387,7 +389,7 @@ class RosbridgeServer(Wire):
             self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
 
     def _known(self, *ops: str) -> dict[str, str]:
-        """Return the topics or services of all who take part, with their types; who names one first counts."""
+        """Return the topics or services of all clients with their types; the first type that is given counts."""
         with self._lock:
             found = [one for client in self._clients for op in ops for one in list(client.said[op].items())]
         return {**dict(found), **dict(one for one in reversed(found) if one[1])}
@@ -430,12 +432,12 @@ def _answered(answer: Answer, message: Message) -> Message:
         return {**made, "values": answer(_dict_of(message, "args")), "result": True}
     except RosError as error:
         return {**made, "values": str(error), "result": False}
-    except Exception as error:  # ours is not the caller's to suffer
+    except Exception as error:  # our own error must not end the connection
         _log.exception("%s could not be answered", message["service"])
         return {**made, "values": f"{type(error).__name__}: {error}", "result": False}
 
 
 def _is_of_this_machine(origin: str) -> bool:
-    """Tell whether a page comes from this machine; "null" is what frames of other sites can call themselves."""
+    """Tell whether a page comes from this machine; "null" does not count, as frames of other sites may send it."""
     place = urlsplit(origin)
     return place.scheme == "file" or place.hostname in LOOPBACK

@@ -225,7 +225,7 @@ def test_nonsense_is_answered_in_a_word_and_ten_megabytes_of_it_close_the_door(r
         "[" * 5000,
     ):
         (*_, answer) = talk(view, said, until=lambda one: "error" in one)
-        assert "nothing a page says" in answer["error"] or "may look" in answer["error"], said
+        assert "not a message of a page" in answer["error"] or "may look" in answer["error"], said
 
     with connect(address(view), max_size=None) as page, pytest.raises(websockets.ConnectionClosed) as closed:
         list(page if page.send("x" * 10_000_000) is None else ())
