@@ -1,4 +1,4 @@
-"""`rosa bridge`: the knowledge base of a robot in ROS 2, connected with it, in the time of the wall clock."""
+"""`rosa bridge`: connects a knowledge base with a robot in ROS 2, by the wall clock."""
 
 import logging
 import math

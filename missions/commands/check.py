@@ -1,4 +1,4 @@
-"""`rosa check`: a model, from files or of a mission, judged together with the trees and domains that use it."""
+"""`rosa check`: judges a model, from files or of a mission, together with the trees and domains that use it."""
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -27,7 +27,7 @@ ACTION_SUFFIX: Final = "_action"
 COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
 Uses = list[tuple[str, str]]
-"""Names of actions, each with the place where it stands; an empty name is one that a tree only gets as it runs."""
+"""Names of actions, each with the place that uses it; an empty name is one that a tree gets only when it runs."""
 
 
 def check(
@@ -58,7 +58,7 @@ def check(
 
 
 def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]) -> Judged:
-    """Return a model's name and what is found about it, from files or else the mission's, with what uses it.
+    """Return the name and findings of a model, from files or else of the mission, and of what uses it.
 
     Trees are given as module:callable.
 
@@ -82,14 +82,14 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
     places: dict[str, list[str]] = {}
     for name, place in uses:
         places.setdefault(name, []).append(place)
-    is_complete = "" not in places  # what a tree is given later may be any action
+    is_complete = "" not in places  # a tree may get any action later
     places.pop("", None)
     findings = [*_placed(model.check(places), places, is_complete), *unguarded]
     return model.name, (*findings, *(() if mission is None else _oversights(mission, model, findings)))
 
 
 def _oversights(mission: Mission, model: Model, findings: Sequence[Finding]) -> Iterator[Finding]:
-    """Yield what planning for a mission would pass over, where it can be planned and nothing says so yet."""
+    """Yield what planning for a mission would ignore without a word, unless another finding says it."""
     said = [f" {one.element.removeprefix('action ')!r} " for one in findings if one.code == "unmentioned-action"]
     if mission.problem is not None and not any(one.code == "unknown-action" for one in findings):
         for note in mission_domain(mission).check(KnowledgeBase(model)):
@@ -116,7 +116,7 @@ def _placed(findings: Iterable[Finding], places: Mapping[str, Sequence[str]], is
 
 
 def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[str]:
-    """Have a reasoner of OWL judge a model: OWL files as they stand, anything else as the ontology that it makes."""
+    """Yield the contradictions that an OWL reasoner finds: in OWL files as they are, in other models as OWL."""
     from kb.owl.files import inconsistency, owl_text
 
     model = model_of(files, mission)
@@ -128,7 +128,7 @@ def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[
 
 
 def _of(severity: str, findings: Iterable[Finding]) -> list[Finding]:
-    """Return those that are as bad as that: "error" or "warning"."""
+    """Return the findings of a severity, "error" or "warning"."""
     return [one for one in findings if one.severity == severity]
 
 
@@ -147,16 +147,16 @@ def _print(model: str, findings: Iterable[Finding]) -> None:
 
 
 class _Tolerant(KnowledgeBase):
-    """A knowledge base of which trees may ask for actions that there are not, so that they can be built and judged."""
+    """A knowledge base that lets trees ask for unknown actions, so that they can be built and judged."""
 
     def is_feasible(self, action: str) -> bool:
         return True
 
 
 def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tuple[Uses, Uses]:
-    """Return the actions that the behaviours of a tree are about; and those that go on when they become unfeasible.
+    """Return the actions that a tree uses, and those that it goes on with when they become unfeasible.
 
-    It is built with a knowledge base and percepts, or with as many of these as it needs.
+    `build` is called with a knowledge base and percepts, or as many of them as it takes.
     """
     root = built(title, Behaviour, build, _Tolerant(model), Percepts())  # type: ignore[type-abstract]  # only asked about
     asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
@@ -174,9 +174,9 @@ def _action(behaviour: IsActionFeasible | RosaAction) -> str:
 
 
 def names_in_pddl(paths: Iterable[Path]) -> Uses:
-    """Return the actions that PDDL files are about: the constants and objects of type action or of a type below it.
+    """Return the actions that PDDL files use: the constants and objects of type action or a subtype.
 
-    A domain by itself may have none; then each predicate `(NAME_action ?a)` of one action stands for the action NAME.
+    If there are none, each predicate `(NAME_action ?a)` with one parameter of type action stands for the action NAME.
     """
     sources = [read_source(path) for path in paths]
     parents = {name.lower: of for source in sources for name, of in _declared(source, section(source, ":types"))}
@@ -190,7 +190,7 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
 
 
 def planned_names(mission: Mission) -> Uses:
-    """Return the ROSA actions that the planned task layer of a mission is about."""
+    """Return the ROSA actions that the planned task layer of a mission uses."""
     declared = declarations_of(mission)
     if declared is not None:
         objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
@@ -207,7 +207,7 @@ def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[
 
 
 def _declared(source: Source, nodes: Iterable[Node]) -> list[tuple[Node, str]]:
-    """Return what a list declares, each with its type in lower case; what has no type is an object."""
+    """Return the names in a list of declarations with their types in lower case; the default is object."""
     return [(name, "object" if of is None else of.lower) for name, of in typed(source, nodes)]
 
 

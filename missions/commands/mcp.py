@@ -1,4 +1,4 @@
-"""`rosa mcp`: an assistant may ask a robot's knowledge base."""
+"""`rosa mcp`: lets an assistant ask a robot's knowledge base."""
 
 import time
 from contextlib import ExitStack
@@ -41,7 +41,7 @@ def mcp(
 
 
 def _connect(kb: KnowledgeBase, config: Path, token: str, stack: ExitStack) -> None:
-    """Have the knowledge base hear its robot, and its components managed, in a thread."""
+    """Connect the knowledge base with its robot, and manage its components in a thread."""
     settings, over = BridgeSettings.load(config), Event()
     bridge = Bridge(kb, Rosbridge(settings.url, token), settings)
     stack.callback(bridge.close)

@@ -1,4 +1,4 @@
-"""`rosa replay` and `rosa record`: what was recorded, decided once more, looked at, and put in another form."""
+"""`rosa replay` and `rosa record`: decide a recording once more, look into it, or convert it."""
 
 import gc
 from collections.abc import Iterable, Sequence
@@ -28,10 +28,10 @@ from missions.wires.mcap import Bag, is_bag, messages, read_bag, write_in_chunks
 record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
 
 _DECISIVE: Final = ("request_action", "cancel_action", "select", "finish_plan")
-"""The verbs of what was decided, and of how it ended."""
+"""The verbs of decisions and of their results."""
 _SLACK_S: Final = 1e-6
 _SHOWN: Final = 6
-"""How many differences are shown at most."""
+"""The largest number of differences to show."""
 
 
 def replay(
@@ -45,7 +45,7 @@ def replay(
 
     A recording is a file of `rosa run --record`, or any rosbag2 with diagnostics, with MCAP or sqlite3.
     """
-    gc.disable()  # what is heard and known is held to the end: to look for garbage in it takes a third of the time
+    gc.disable()  # messages and events are kept to the end; looking for garbage among them costs a third of the time
     try:
         bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
         run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
@@ -114,7 +114,7 @@ def convert(recording: Path, output: Path) -> None:
     if output.suffix not in (".mcap", ".jsonl"):
         raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
     bag = Bag()
-    with files_tried(f"write {output}"), draft(output) as part:  # what is there stays until the new one is whole
+    with files_tried(f"write {output}"), draft(output) as part:  # an existing file stays until the new one is complete
         if output.suffix == ".jsonl":
             bag = read_bag(recording)
             part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
@@ -136,18 +136,18 @@ def _print_differences(console: Console, lines: Sequence[str]) -> None:
 
 
 def _differences(then: Sequence[str], now: Sequence[str]) -> list[str]:
-    """Return the lines that are only in one of two texts, "-" before those of the first and "+" of the second."""
+    """Return the lines that only one of two texts has, "-" before those of the first, "+" of the second."""
     changed = unified_diff(then, now, n=0, lineterm="")
     return [f"{line[0]} {line[1:]}" for line in islice(changed, 2, None) if not line.startswith("@@")]
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
-    """Return what was decided, a line for each; without what comes after the end of the recording."""
+    """Return a line for each decision up to the end of the recording."""
     end_s = max(one.time for one in bag.events) + (-_SLACK_S if bag.cut else _SLACK_S)
     return [_line(one) for one in events if one.verb in _DECISIVE and one.time <= end_s]
 
 
 def _line(event: Event) -> str:
-    decided = event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments  # without why
+    decided = event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments  # no reason
     values = ", ".join(str(one) for one in decided if one not in (None, "", (), {}))
     return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {values}"

@@ -1,4 +1,4 @@
-"""What a run shows on the console: what happens while it happens, and what came of it."""
+"""Prints a run on the console: what happens, as it happens, and the result."""
 
 import time
 from collections.abc import Mapping
@@ -21,12 +21,12 @@ COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
 
 
 def _progress(console: Console, *columns: ProgressColumn) -> Progress:
-    """Return what shows a bar while it is open; not on anything but a terminal."""
+    """Return a progress bar that is shown while it is open, and on a terminal only."""
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 class Narrator(Listener):
-    """Prints what happens, above a bar of so many simulated seconds, which is there while `progress` is open."""
+    """Prints what happens, above a bar of `duration_s` simulated seconds, shown while `progress` is open."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
         begin, end = TextColumn("{task.completed:5.1f} s"), TextColumn("{task.total:.0f} s  {task.description}")
@@ -61,9 +61,9 @@ class Narrator(Listener):
 
 
 class CampaignProgress:
-    """Shows how far a campaign is, how fast it goes and how long it will take, and each run that crashes.
+    """Shows how far a campaign is, its rate and the time left, and each run that crashes.
 
-    The bar is there while `progress` is open.
+    The bar is shown while `progress` is open.
     """
 
     def __init__(self, console: Console) -> None:
@@ -99,7 +99,7 @@ class CampaignProgress:
 
 
 def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool) -> None:
-    """Print the figures of a run that has ended and how it ended, and perhaps its adaptations."""
+    """Print the figures and the verdict of a run that has ended, and its adaptations if asked for."""
     for adaptation in run.adaptations if with_adaptations else ():
         _print_adaptation(console, adaptation)
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}

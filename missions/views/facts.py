@@ -1,4 +1,4 @@
-"""What a page shows of a knowledge base: its elements, why each is as it is, what would be if, what led to what."""
+"""What a page shows of a knowledge base: elements, reasons, what-if cases, and causes of adaptations, as plain data."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -15,11 +15,11 @@ from missions.engine.adaptations import Adaptation
 from missions.views.output import plain
 
 CHOSEN = ("function", "component")
-"""The kinds for which something is chosen."""
+"""The kinds of elements for which a design or a configuration is chosen."""
 
 
 def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
-    """Return what an element is, as plain values; other elements are given by their indices."""
+    """Return an element as plain values; the elements that it refers to are given by their indices."""
     one, parts, wholes = node.element, [part.index for part in node.parts], [whole.index for whole in node.wholes]
     shown: dict[str, Any] = {"kind": node.kind, "name": node.name}
     if isinstance(one, Constraint):
@@ -59,7 +59,7 @@ def choice_of(kb: KnowledgeBase, node: Node) -> dict[str, Any]:
 
 
 def supposed(situation: Situation) -> dict[str, Any]:
-    """Return what would be feasible in a situation, and what would be selected then, by priority."""
+    """Return what would be feasible in a situation, and what would be selected in it, by priority."""
     with situation.reading() as state:
         assert isinstance(state, Overlay)
         network, choice = state.network, choice_by_priority(state) or Choice({}, {})
@@ -77,9 +77,9 @@ def supposed(situation: Situation) -> dict[str, Any]:
 
 
 def cases(kb: KnowledgeBase, most: int = 60) -> list[dict[str, Any]]:
-    """Return what would be if each measured attribute lay in another interval between its thresholds, at most so many.
+    """Return what would be feasible with another value of each measured attribute; at most `most` cases.
 
-    Within an interval nothing turns: what holds for one value of it holds for all.
+    One value of each interval between thresholds is tried: all values in an interval give the same statuses.
     """
     with kb.reading() as state:
         intervals = [
@@ -110,7 +110,7 @@ def _intervals(attribute: Node, state: State) -> Iterator[tuple[float, float]]:
 
 _OPPOSITE: Final = {">=": "<", ">": "<=", "<=": ">", "<": ">="}
 _NAMED: Final = 3
-"""How many elements a link names before it counts the rest."""
+"""How many elements a link names; it counts the rest."""
 
 Names = Mapping[tuple[str, str], int]
 
@@ -125,9 +125,9 @@ def chain_of(
     names: Names,
     nodes: Mapping[int, Sequence[int]],
 ) -> list[dict[str, Any]]:
-    """Return the links of the chain in order of cause and effect.
+    """Return the links of the chain from news to effect, in that order.
 
-    Elements are given by indices, by kind and name; behaviours by the index of the action that they are about.
+    `names` gives the index of an element by kind and name, `nodes` the ids of the behaviours that use an action.
     """
     links: list[dict[str, Any]] = []
 
@@ -176,7 +176,7 @@ def chain_of(
 
 
 def _news(event: Event) -> str:
-    """Say what was news: a measurement beside the threshold that it has crossed."""
+    """Return an event in words; for a measurement, with the threshold that it crossed."""
     for change in event.changes:
         if event.verb == "measure" and change.kind == "constraint" and " just " not in event.text:
             _, operator, threshold = change.name.split(" ", 2)
@@ -192,7 +192,7 @@ def _subjects(event: Event, names: Names) -> list[int]:
 
 
 def _telling(event: Event) -> list[Any]:
-    """Return the changes that say most: those of actions that can be done or not, else of what can be chosen or not."""
+    """Return the most telling changes: feasibility of actions, else of other elements, else any other."""
     turned = [one for one in event.changes if (one.old is Status.UNFEASIBLE) != (one.new is Status.UNFEASIBLE)]
     actions = [one for one in turned if one.kind == "action"]
     others = [one for one in event.changes if one.kind not in ("constraint", "action")]

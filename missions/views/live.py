@@ -1,7 +1,7 @@
-"""The page while it runs: a small server in a thread of its own, which no page can hold up, and which holds up no tick.
+"""The live page: a small server in a thread of its own, which does not slow the robot's ticks.
 
-What a page has got is a number: the row that it gets next. There is no queue to fill: one that is too slow is given the
-present instead of all that it has missed, and learns how much that was.
+For each page the server only keeps the number of the next row to send, so no queue can grow. A page that is too slow
+gets the present state instead of the rows that it has missed, and is told how many those were.
 """
 
 import asyncio
@@ -36,23 +36,23 @@ if TYPE_CHECKING:
 
 PORT: Final = 8420
 FASTEST: Final = 1000.0
-"""Times real time, at most."""
+"""The highest speed [times real time]."""
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 KEEP: Final = 100_000
-"""How many rows a live page can look back."""
+"""How many rows a live page can look back at."""
 BEAT_S: Final = 0.1
-"""From one frame to the next [s], of this machine's time."""
+"""The period of sending new rows [s], wall clock."""
 _SILENCE: Final = 10
-"""After how many beats without news a page hears of the time."""
+"""After how many beats without new rows the pages are sent the time."""
 _BEHIND: Final = 5_000
-"""So many rows a page may be behind before it is given the present instead."""
+"""How many rows a page may be behind before it gets the present state instead."""
 _PAST: Final = 20_000
-"""How many rows of the past are given in one answer."""
+"""The largest number of past rows in one answer."""
 _LONGEST: Final = 65_536
 """The longest message that a page may send [bytes]."""
 _MOST_PAGES: Final = 200
 _PATIENCE_S: Final = 2.0
-"""How long pages get for the last rows when the view is closed [s], of this machine's time."""
+"""How long pages may take for the last rows when the view is closed [s], wall clock."""
 _HEADERS: Final = {
     "Content-Type": "text/html; charset=utf-8",
     "Cache-Control": "no-store",
@@ -62,15 +62,15 @@ _HEADERS: Final = {
 }
 _SERVER: Final[dict[str, Any]] = {
     **{"compression": None, "max_size": _LONGEST, "server_header": None, "close_timeout": 1},
-    "logger": logging.Logger("live page", logging.CRITICAL),  # what a page does wrong is reported to the page
+    "logger": logging.Logger("live page", logging.CRITICAL),  # errors of a page are reported to the page
 }
 
 
 class Steering(Listener):
-    """Holds a simulated run to the pace that is asked for, and has it hear what is put in place of what was measured.
+    """Paces and pauses a simulated run, and replaces measurements that the robot hears by injected ones.
 
     Args:
-        speed: times real time; 0 for as fast as it can.
+        speed: times real time; 0 for as fast as possible.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
@@ -85,7 +85,7 @@ class Steering(Listener):
 
     @property
     def state(self) -> dict[str, Any]:
-        """Whether it is held, how fast it goes, and what is put in place of what is measured."""
+        """Whether the run is paused, its speed, and the injected values by attribute."""
         with self._change:
             return {"paused": self._is_paused, "speed": self._speed, "held": dict(self._held)}
 
@@ -93,10 +93,10 @@ class Steering(Listener):
         self._model, run.alter = run.model, self.alter
 
     def do(self, asked: Mapping[str, Any]) -> None:
-        """Do what a page asks for; see `docs/see_it.md`.
+        """Do what a page asks for: `asked["do"]` is pause, resume, step, speed or inject.
 
         Raises:
-            MissionError, kb.UnknownName: there is no such thing to be done, or not with that.
+            MissionError, kb.UnknownName: there is no such command or element, or its value is not allowed.
         """
         what = asked.get("do")
         with self._change:
@@ -123,7 +123,7 @@ class Steering(Listener):
         self._said += [("measure", name) for name in values] + told
 
     def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
-        """Return what the robot hears in place of what was published by now [s]."""
+        """Return the messages that the robot hears at a time [s], with injected values and failures."""
         with self._change:
             said, self._said, held = self._said, [], dict(self._held)
         if held:
@@ -142,7 +142,7 @@ class Steering(Listener):
             self._steps = max(0, self._steps - 1)
 
     def _left(self, simulated: float) -> float:
-        """Return how long the run has to wait at a simulated time [s]; infinity while it is held."""
+        """Return how long the run must wait at a simulated time [s]; infinity while it is paused."""
         if self._is_paused or not self._speed:
             return inf if self._is_paused and not self._steps else 0.0
         now = time.monotonic()
@@ -158,14 +158,14 @@ class LiveView(AbstractContextManager["LiveView"]):
         ...                                  # the robot does its work
         view.close()
 
-    It listens on this machine only. Elsewhere (`host`) whoever looks needs the token that is part of `url`.
+    It listens on this machine only; with another `host`, a page needs the token, which is part of `url`.
 
     Args:
-        tree: what decides; see `Recorder`, whose other arguments can be given too.
-        port: where to listen; 0 for any that is free.
-        token: what pages have to know; None for one that is made up, and for none on this machine.
-        recorder: what writes down what there is to see, if there is one already.
-        steering: what a page may do to a simulation; None for nothing.
+        tree: the tree that decides; see `Recorder`, whose other arguments can be given too.
+        port: TCP port; 0 for any that is free.
+        token: the token that pages need; None for none on this machine, and a random one elsewhere.
+        recorder: the recorder to show; None to make one.
+        steering: lets pages control a simulated run; None if they may only look.
 
     Raises:
         MissionError: the extra `live` is not installed, or it cannot listen there.
@@ -209,7 +209,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._thread.start()
 
     def close(self) -> None:
-        """Give the pages the last rows, as far as they take them in time, and listen no more."""
+        """Send the pages the last rows, for 2 s at most, and stop listening."""
         if not self._is_closing:
             self.recorder.close()
             self._is_closing = True
@@ -222,7 +222,7 @@ class LiveView(AbstractContextManager["LiveView"]):
     # ---------------------------------------------------------------- the server's own thread
 
     async def _serve(self) -> None:
-        """Wake the pages whenever there is something new, again and again, until they have the last of it."""
+        """Wake the pages at each beat with new rows, until the view is closed and they have the last rows."""
         from websockets.asyncio.server import serve
 
         silent, closing_s = 0, 0.0
@@ -238,7 +238,7 @@ class LiveView(AbstractContextManager["LiveView"]):
                 await asyncio.sleep(BEAT_S)
 
     def _framed(self, start: int) -> tuple[int, str]:
-        """Return the number of the first row from one on, and all up to the last beat, written once for all pages."""
+        """Return the first row's number and the message with the rows up to the last beat; made once for all pages."""
         if start not in self._frames:
             first, rows = self._rows.since(start, self._end - start)
             text = encoded({"rows": rows, "from": first, "now": self._now, "state": self._state})
@@ -255,7 +255,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         return round(max(self._rows.now, self._kb.now), 3)
 
     def _refusal(self, headers: Mapping[str, str], token: str) -> str:
-        """Return why somebody may not look; empty if nothing is in the way."""
+        """Return why a request is refused; empty if it is not."""
         host, origin = headers.get("host", ""), headers.get("origin")
         if origin is not None and urlsplit(origin).netloc != host:
             return f"a page from {origin} may not look at this robot; open {self._place} itself"
@@ -266,16 +266,16 @@ class LiveView(AbstractContextManager["LiveView"]):
         return f"the token is {'wrong' if token else 'missing'}; open the address that was printed when the view began"
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
-        """Answer who asks for the page, or who may not look; None to whom its socket is given."""
+        """Answer a request for the page, or refuse it; return None to open the WebSocket."""
         try:
             path = urlsplit(request.path)
             refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
             if refusal:
                 return connection.respond(403, refusal + "\n")
-        except (LookupError, ValueError):  # a header twice, an address or a text that is none
+        except (LookupError, ValueError):  # a header twice, a malformed address or text
             return connection.respond(400, f"the address, host or origin is malformed; open {self._place}\n")
-        if path.path == "/ws" and len(self._pages) >= _MOST_PAGES:  # each takes a file, of which the robot has few
-            return connection.respond(503, f"{_MOST_PAGES} pages look already\n")
+        if path.path == "/ws" and len(self._pages) >= _MOST_PAGES:  # each takes a file descriptor of the robot
+            return connection.respond(503, f"{_MOST_PAGES} pages are open already\n")
         if path.path == "/ws":
             return None
         response = connection.respond(200, self._page) if path.path == "/" else connection.respond(404, "\n")
@@ -294,7 +294,7 @@ class LiveView(AbstractContextManager["LiveView"]):
             del self._pages[page]
 
     async def _show(self, page: "_Page") -> None:
-        """Send what is new as it comes, as fast as this page takes it."""
+        """Send new rows as they come, as fast as this page takes them."""
         from websockets.exceptions import ConnectionClosed
 
         with suppress(ConnectionClosed):
@@ -320,7 +320,7 @@ class LiveView(AbstractContextManager["LiveView"]):
         page.next = following
 
     async def _listen(self, page: "_Page") -> None:
-        """Answer what a page asks, until it goes."""
+        """Answer what a page asks, until it disconnects."""
         async for text in page.websocket:
             asked: Any = None
             try:
@@ -329,7 +329,7 @@ class LiveView(AbstractContextManager["LiveView"]):
             except (KnowledgeBaseError, MissionError) as error:
                 answer = {"error": str(error)}
             except (ValueError, ArithmeticError, TypeError, KeyError, AttributeError, RecursionError) as error:
-                answer = {"error": f"that is nothing a page says: {type(error).__name__}"}
+                answer = {"error": f"that is not a message of a page: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
                 await page.websocket.send(encoded(answer if number is None else {"id": number, **answer}))
@@ -349,7 +349,7 @@ class LiveView(AbstractContextManager["LiveView"]):
 
 
 class _Page:
-    """A page that looks: the number of the row that it gets next, and how many it was too slow for."""
+    """A page in a browser: the number of the next row to send, and how many rows it missed."""
 
     def __init__(self, websocket: "ServerConnection") -> None:
         self.websocket = websocket
@@ -368,7 +368,7 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 def _with(message: Message, held: Mapping[str, float]) -> Message:
-    """Return a message with other values in place of those that are held."""
+    """Return a message with the injected values in place of the measured ones."""
     statuses = [
         {**one, "values": {key: repr(held[key]) if key in held else value for key, value in one["values"].items()}}
         if str(one["message"]).strip().casefold() in MEASUREMENTS

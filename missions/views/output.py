@@ -1,6 +1,6 @@
-"""What a run leaves in files: its result as data that depends on nothing but mission, settings and seed, as JSON.
+"""The files of a run: results as JSON, which depend on mission, settings and seed only.
 
-A file is tried before the run, and complete or not there at all after it.
+That a file can be written is tried before the run. After the run it is complete, or not there at all.
 """
 
 import json
@@ -23,12 +23,12 @@ UNITS: Final = {
     **{"j": "J", "kj": "kJ", "w": "W", "wh": "Wh", "v": "V", "hz": "Hz", "percent": "%"},
     **{"m_s": "m/s", "rad_s": "rad/s"},
 }
-"""How a unit is written that is the end of a figure's name."""
+"""How to write a unit, by the ending of a figure's name."""
 
 
 @contextmanager
 def files_tried(what: str, advice: str = "") -> Iterator[None]:
-    """Raise MissionError instead if what is tried with files, such as "read x.toml", cannot be done."""
+    """Turn errors of files into a MissionError: cannot do `what`, such as "read x.toml"."""
     try:
         yield
     except (OSError, sqlite3.Error) as error:
@@ -37,12 +37,12 @@ def files_tried(what: str, advice: str = "") -> Iterator[None]:
 
 
 class OutputFile:
-    """A file that appears under its name, in the place of another one, only when it is complete.
+    """A file that replaces the one of its name only when it is complete; its content is in memory until then.
 
     A device such as /dev/stdout is written directly.
 
     Raises:
-        MissionError: it cannot be written there, which is said at once, or there is no room for it.
+        MissionError: it cannot be written there (raised at once), or the disk is full.
     """
 
     def __init__(self, path: Path) -> None:
@@ -54,15 +54,15 @@ class OutputFile:
             if path.is_file() and not os.access(path, os.W_OK):
                 raise PermissionError("the file there is read-only")
             if not self._direct:
-                with draft(path.resolve()):  # it is only tried
+                with draft(path.resolve()):  # only to try it
                     pass
 
     def write(self, content: str | bytes) -> None:
-        """Append text or bytes, which are written when it is complete."""
+        """Append text or bytes, which `finish` writes."""
         self._parts.append(content.encode() if isinstance(content, str) else content)
 
     def finish(self, content: str | bytes = b"") -> None:
-        """Append the last text or bytes, and put the file, which is complete now, in its place."""
+        """Append the last text or bytes, and write the complete file."""
         self.write(content)
         with files_tried(f"write {self._path}"):
             if self._direct:
@@ -72,7 +72,7 @@ class OutputFile:
 
 
 def open_files(paths: Mapping[str, Path | None]) -> dict[str, OutputFile]:
-    """Try every file that an option asks for, so that it is found out first if one cannot be written."""
+    """Return the files that options ask for; raise before any work is done if one cannot be written."""
     return {name: OutputFile(path) for name, path in paths.items() if path is not None}
 
 
@@ -112,12 +112,12 @@ def _fields(one: object, *names: str) -> dict[str, Any]:
 
 
 def as_json(data: Mapping[str, Any]) -> str:
-    """Write data as JSON text; numbers to 6 decimals, so that no rounding of sums shows."""
+    """Return data as JSON text; numbers have 6 decimals, so that rounding errors of sums do not show."""
     return json.dumps(plain(data, digits=6), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # whatever JSON holds
-    """Return a value as JSON can hold it: numbers to so many decimals, NaN and infinity as null, objects as text."""
+    """Return a value that JSON can hold: floats rounded to `digits`, NaN and infinity as None, objects as text."""
     if isinstance(value, Mapping):
         return {str(key): plain(one, digits) for key, one in value.items()}
     if isinstance(value, float):
@@ -128,7 +128,7 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # w
 
 
 def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
-    """Return how long a run took on this machine: whole, and the compute time of each part and each reaction [s]."""
+    """Return how long a run took on this machine: in all, and the compute time of each part and reaction [s]."""
     return {
         "simulated_s": run.world.now,
         "wall_s": wall_s,
@@ -139,10 +139,9 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
 
 
 def figure_in_words(name: str, value: float | None, model: Model | None = None) -> tuple[str, str, str]:
-    """Return what a figure is of, its unit and its value: "energy_used_j" is "energy used", "J" and "3152.6".
+    """Return the words, unit and value of a figure as texts: "energy_used_j" gives "energy used", "J" and "3152.6".
 
-    The unit is that of the model's attribute of this name, or else the end of the name, or empty; a value that did not
-    come about is "-".
+    The unit is that of the model's attribute of this name, else the ending of the name, else empty. None gives "-".
     """
     ends = [end for end in UNITS if name.endswith(f"_{end}")]
     unit = max(ends, key=len, default="")

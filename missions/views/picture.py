@@ -1,4 +1,4 @@
-"""A finished run as one picture, drawn of the page's rows: where the robot went, what it measured, how it adapted."""
+"""Draws a finished run as one picture: where the robot went, what it measured, how it adapted."""
 
 import re
 import textwrap
@@ -23,28 +23,28 @@ from missions.views.report import Recorded
 
 Array = NDArray[np.float64]
 Span = tuple[str, float, float]
-"""A name, and from when to when it holds [s]."""
+"""A name, and the start and end of the time during which it holds [s]."""
 Entry = Mapping[str, Any]
 
 SAMPLED_S: Final = 0.6
-"""From one sample of a run to the next, at most."""
+"""The longest time between two samples of a run [s]."""
 REPORTED_S: Final = 2.0
-"""How long after it has happened a failure may be reported, at most."""
+"""The longest time between a failure and its report [s]."""
 _ALL: Final = {"function design": ("function", "designs"), "configuration": ("component", "configurations")}
 
 
 class RunTimeline:
-    """A recorded run.
+    """The data of a run as the picture needs them.
 
     Attributes:
-        end: when it ended [s].
-        times: of its poses (n,) [s].
-        xy: where the robot was (n, 2) [m], world frame; `places` are those of the scene, points (n, 2) [m] by name.
-        actions, designs, configurations: what was done, and what was chosen where there was a choice.
-        courses: what was measured (2, n), times [s] and values, by name; units by name.
-        limits: labels of the thresholds by attribute and value.
-        adaptations, disturbances: as in the page, in order of time; `unseen` are those that no panel shows.
-        panels: the courses worth one, each with those that share it since their names end with its name.
+        end: time of the end [s].
+        times: of the poses (n,) [s].
+        xy: positions of the robot (n, 2) [m], world frame; `places` are those of the scene, points (n, 2) [m] by name.
+        actions, designs, configurations: spans of actions, and of selected elements where there was a choice.
+        courses: measurements (2, n) by name: times [s] and values; `units` by name.
+        limits: labels of thresholds, by attribute and value.
+        adaptations, disturbances: as in the page, in order of time; `unseen` are the disturbances that no panel shows.
+        panels: the courses that get a panel, each with those that share it because their names end with its name.
     """
 
     def __init__(self, run: Recorded) -> None:
@@ -66,11 +66,11 @@ class RunTimeline:
         self.unseen = [one for one in self.disturbances if not one["words"].startswith(tuple(self.panels))]
 
     def where(self, time: float) -> Array:
-        """Return where the robot was at a time [s]: (2,) [m]."""
+        """Return the position of the robot (2,) [m] at a time [s]."""
         return np.array([np.interp(time, self.times, column) for column in self.xy.T])
 
     def legs(self) -> Iterator[tuple[str, str, Array]]:
-        """Yield each part of the way with one action and one choice: these, and places (n, 2) [m]."""
+        """Yield each part of the path with the same action and choice: action, choice and positions (n, 2) [m]."""
         at_poses = groupby(zip(self.times, self.xy, strict=True), key=lambda pose: self._doing(pose[0]))
         for (done, choice), poses in at_poses:
             if done and choice:
@@ -84,7 +84,7 @@ class RunTimeline:
         return str(self._elements[key]["name"])
 
     def _chosen(self, kind: str) -> Iterator[Span]:
-        """Yield when each was selected that has others beside it, unless it says no more than the action."""
+        """Yield when elements with alternatives were selected, unless the action alone determines them."""
         of, parts = _ALL[kind]
         since: dict[int | str, float] = {}
         spans: defaultdict[int, list[Span]] = defaultdict(list)
@@ -106,7 +106,7 @@ class RunTimeline:
             signal, _, unit = str(key).partition(" [")
             name = signal if unit or key not in self._elements else self._name(key).replace("_", " ")
             self.units[name] = unit.rstrip("]") if unit else self._elements.get(key, {}).get("unit", "")
-            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is recorded when it changes
+            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is recorded only when it changes
                 points[name].append((time - SAMPLED_S, points[name][-1][1]))
             points[name].append((time, np.nan if value is None else value))
         worth = [str(name).replace("_", " ") for name in self.run.header.get("signals", ())] or list(points)
@@ -127,7 +127,7 @@ class RunTimeline:
         return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
 
     def _failures(self, disturbances: Sequence[Entry]) -> Iterator[Entry]:
-        """Yield the failures that were reported, but for those that a disturbance just before stands for."""
+        """Yield the reported failures, except those that a disturbance just before explains."""
         for time, _, event in self.run.track("event"):
             is_listed = any(0 <= time - one["t"] <= REPORTED_S for one in disturbances)
             if event["verb"] == "component_failed" and not is_listed:
@@ -139,7 +139,7 @@ def _at(spans: Sequence[Span], time: float) -> str:
 
 
 def brief(text: str, most: int = 26) -> str:
-    """Return a text as a picture has room for it, with signs instead of ASCII."""
+    """Return a text of at most so many characters, with signs such as ≥ instead of ASCII."""
     short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
     return short if len(short) <= most else f"{short[: most - 1]}…"
 
@@ -150,7 +150,7 @@ LETTER, TIME_AXIS = 8.4, 1100  # width of a letter, and of the axis of time, abo
 REACH = (0, 8, 18, 30, 45, 65, 90, 120)  # how far from its place a label may go [px]
 INK, MUTED, FAINT, ALARM, LIMIT = "#222222", "#666666", "#b5b5b5", "#d55e00", "#0f6b78"
 HUES: Final = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#8c6d31", "#b8ac00")
-"""Okabe and Ito's colours, but the one for alarms."""
+"""The colours of Okabe and Ito without the one used for alarms."""
 BADGES: Final = {  # how the number of an adaptation looks: face, edge, digits
     "task": (INK, INK, "white"),
     "structural": ("white", INK, INK),
@@ -158,7 +158,7 @@ BADGES: Final = {  # how the number of an adaptation looks: face, edge, digits
 }
 DIAMOND: Final[dict[str, Any]] = {"marker": "D", "markersize": 4.5, "color": ALARM}
 ROUND: Final[dict[str, Any]] = {"marker": "o", "linestyle": ""}
-CROWD, LONELY_M = 20, 1.0  # of more places only those are named that the way comes so near to
+CROWD, LONELY_M = 20, 1.0  # if there are more places, only those so near to the path are named
 LONGEST, FIGURES = 420, 3  # letters of a reason, and figures in the title at most
 TICKS = {"color": FAINT, "labelcolor": INK, "labelsize": 8, "major.size": 3}
 STYLE: Final[dict[Any, Any]] = {
@@ -204,7 +204,7 @@ def picture(run: Recorded) -> Figure:
     listed = figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[]) if has_list else None
     if seen is not None:
         _map(seen, timeline, hues)
-    figure.draw_without_rendering()  # what is written from here on is put where there is room
+    figure.draw_without_rendering()  # texts from here on go where there is room
     figure.set_layout_engine("none")
     for axes in figure.axes:  # the layout is exact to a rounding only
         axes.set_position(np.round(axes.get_position().bounds, 3).tolist())
@@ -252,12 +252,12 @@ def _map(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
     axes.plot(*timeline.xy.T, color=FAINT, linewidth=1.8, zorder=3)
     for number, (name, start, end) in enumerate(timeline.actions):
         inside = timeline.xy[(start <= timeline.times) & (timeline.times <= end)]
-        width = 4.6 - 2.8 * number / len(timeline.actions)  # an earlier passage stays in sight below
+        width = 4.6 - 2.8 * number / len(timeline.actions)  # so an earlier passage stays visible below
         axes.plot(*inside.T, color=hues[name], linewidth=width, solid_capstyle="round", zorder=4)
 
 
 class _Room:
-    """Finds room on a map for what is written there: near what it names and off the path."""
+    """Finds room for texts on a map: near what they name, and off the path."""
 
     def __init__(self, axes: Axes, xy: Array) -> None:
         self.axes, self._path = axes, axes.transData.transform(xy)
@@ -265,7 +265,7 @@ class _Room:
         self._high: Array = np.empty((0, 2))
 
     def write(self, xy: Array, text: str, pad: float = 2.0, **style: Any) -> None:  # noqa: ANN401  # of a text
-        """Write a text near a point [m], with a line from there; `pad` is the width of its rim [px]."""
+        """Write a text near a point [m], with a line to it; `pad` is the width of the text's margin [px]."""
         line = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
         style = {"ha": "center", "va": "center", "zorder": 7, "arrowprops": line, **style}
         label = self.axes.annotate(text, (xy[0], xy[1]), (0, 0), textcoords="offset pixels", **style)
@@ -278,7 +278,7 @@ class _Room:
         self._high = np.vstack([self._high, anchor + half + best, anchor + 5])
 
     def _costs(self, anchor: Array, half: Array, offsets: Array) -> Array:
-        """Return how bad it is to put a box of half that size at each offset (n, 2) from its anchor [px]."""
+        """Return the cost of putting a box of half size `half` at each offset (n, 2) from its anchor [px]."""
         low, high = anchor - half + offsets, anchor + half + offsets
         leads = anchor + np.linspace(0.3, 0.8, 6)[:, None, None] * offsets
         hidden = _are_within(self._path[:, None], low, high).sum(axis=0)
@@ -337,7 +337,7 @@ def _badge(kind: str) -> dict[str, Any]:
 
 
 def _list(axes: Axes, entries: Sequence[Entry]) -> None:
-    """Write what set each adaptation off and what was changed, as large and as fully as there is room."""
+    """Write cause and change of each adaptation, in the largest letters and the fullest form that fit."""
     width, height = axes.bbox.width * 72 / DPI, axes.bbox.height * 72 / DPI - 20  # [pt]
     axes.set(xlim=(0, width), ylim=(height, -20))
     head = "adaptations: what set them off → what was changed" if entries else "no adaptation"
@@ -372,7 +372,7 @@ def _lines(one: Entry, full: bool, width: float) -> list[str]:
 def _rows(
     timeline: RunTimeline, hues: Mapping[str, str], *, has_map: bool
 ) -> Iterator[tuple[float, Callable[[Axes], None]]]:
-    """Yield for each row its height, about [px], and what draws it."""
+    """Yield for each row its approximate height [px] and a function that draws it."""
     if timeline.unseen:
         levels = _levels(timeline.unseen, timeline.end)
         yield EVENT * (1 + max(levels)), partial(_events, timeline=timeline, levels=levels)
@@ -390,7 +390,7 @@ def _rows(
 
 
 def _levels(events: Sequence[Entry], end_s: float) -> list[int]:
-    """Return on which line each text goes so that none is written over another, as far as six lines have room."""
+    """Return the line of each text such that texts do not overlap, as far as six lines have room."""
     ends, levels = [0.0] * 6, list[int]()
     for one in events:
         start = max(0.0, min(one["t"] / end_s * TIME_AXIS, TIME_AXIS - LETTER * len(one["words"])))

@@ -1,6 +1,6 @@
-"""A plan as people see it: its steps with what they need, and a picture of their causal order.
+"""Shows a plan to people: its steps with what they need, and a picture of their causal order.
 
-The picture goes from the top to the goal: below a step and further in is what waits for it.
+The picture goes from top to bottom, to the goal: a step that waits for another is below it and further to the right.
 """
 
 from collections import defaultdict
@@ -16,7 +16,7 @@ from rosa_pddl.domain import UpThing
 from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
 _LETTERS: Final = 38
-"""After how many characters a line in a box is broken."""
+"""The longest line in a box [characters]."""
 _GAP, _ROW_GAP, _INDENT = 24.0, 14.0, 40.0
 """Sizes in pixels."""
 _MARKER: Final = (
@@ -29,7 +29,7 @@ _STEP, _GOAL = (f'fill="{fill}" stroke="{_EDGE}"' for fill in ("#eef3f8", "#d5ec
 
 
 class Link(NamedTuple):
-    """A step, by its number from 0, makes so what another one, or the goal after the last, needs: (negated) atoms."""
+    """A step (numbered from 0) makes true the (negated) atoms that a later step needs, or the goal, which is last."""
 
     source: int
     target: int
@@ -37,16 +37,16 @@ class Link(NamedTuple):
 
 
 class CausalOrder(NamedTuple):
-    """Why the steps of a plan come in their order; what it leaves open could come the other way round."""
+    """Why the steps of a plan come in their order; steps that it does not order may change places."""
 
     steps: tuple[Step, ...]
     links: tuple[Link, ...]
     orders: tuple[tuple[int, int], ...]
-    """(earlier, later) where the later step would spoil what the earlier one needs or does, if no links say so."""
+    """(earlier, later): the later step would undo what the earlier one needs or does, and no links order them."""
 
 
 def lines_of(answer: Answer) -> Iterator[str]:
-    """Yield a plan, a line for each step with the steps that it needs, or why there is none."""
+    """Yield a plan, a line for each step with the steps that it needs; or the reason why there is no plan."""
     question, result = answer.question, answer.result
     if not result.outcome.is_solved:
         yield f"no plan: {result.message or result.outcome}"
@@ -68,7 +68,7 @@ def as_data(result: PlanningResult) -> dict[str, object]:
 
 
 def certificate_lines(certificate: Certificate) -> Iterator[str]:
-    """Yield a table of what to do for each combination of unfeasible actions, and which failures end the mission."""
+    """Yield a table: the plan for each combination of unfeasible actions, and the failures that end the mission."""
     rows = [("unfeasible", "cost", "plan")]
     for out, result in certificate.entries.items():
         plan = ", ".join(map(str, result.steps)) or "nothing is left to do"
@@ -92,7 +92,7 @@ def causes_of(answer: Answer) -> CausalOrder:
 
 
 def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:
-    """Return why the steps of a plan, from a state to the goals, come in their order."""
+    """Return why the steps of a plan from a state to the goals come in their order."""
     changer: dict[str, int] = {}
     touched: defaultdict[str, set[int]] = defaultdict(set)
     links: list[Link] = []
@@ -115,7 +115,7 @@ def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Ite
 
 
 def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State, State]:
-    """Return what a step looks at, what it changes, and the state after it."""
+    """Return the atoms that a step needs, the atoms that it changes, and the state after it."""
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     needed = set(mentioned_atoms(domain, schema.start, schema.start_effects, binding))
     meanwhile = started(domain, step, state)
@@ -126,14 +126,14 @@ def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State
 
 
 def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: int) -> tuple[tuple[int, int], ...]:
-    """Return the orders that no chain of links and other orders says already."""
+    """Return the threats that do not follow from a chain of links and other orders."""
     linked = {(link.source, link.target) for link in links}
     before: list[set[int]] = [set() for _ in range(count)]
     orders: list[tuple[int, int]] = []
     for later in range(count):
         for source in {source for source, target in linked if target == later}:
             before[later] |= {source, *before[source]}
-        # the latest first: what comes before it is then said already
+        # the latest first: what comes before it then follows
         for earlier in sorted((one for one, other in threats if other == later), reverse=True):
             if earlier not in before[later]:
                 orders.append((earlier, later))
@@ -142,7 +142,7 @@ def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: in
 
 
 def svg_of(order: CausalOrder, title: str) -> str:
-    """Draw a plan: an arrow for what one step makes so and another one needs, a dashed one for what must wait."""
+    """Draw a plan: an arrow for what one step makes true for another, a dashed one for a step that must wait."""
     goal, boxes, depths, height = len(order.steps), list[_Box](), list[int](), 2 * _GAP
     for number in range(goal + 1):
         links = [link for link in order.links if link.target == number]
@@ -173,7 +173,7 @@ def svg_of(order: CausalOrder, title: str) -> str:
 
 
 class _Box(NamedTuple):
-    """A step or the goal: where its upper left corner is [px], what it says, and how wide and high that is [px]."""
+    """A step or the goal: upper left corner [px], lines of text, width and height [px]."""
 
     x: float
     y: float

@@ -1,4 +1,4 @@
-"""Makes the rows of a page from what a knowledge base and a tree do: the same live, afterwards and for a recording."""
+"""Makes the rows of a page from a knowledge base and a tree: the same for live pages, reports and recordings."""
 
 import logging
 from collections import Counter, deque
@@ -44,25 +44,25 @@ _REMEMBERED: Final = 2000  # events, for the chains that end with them
 
 
 class Recorder:
-    """Writes down what there is to see of a robot: in three lines of its own program, from before the first tick.
+    """Writes down what a robot knows and does, as rows; create it in the robot's program before the first tick.
 
         recorder = Recorder(kb, tree)
         ...                                  # the robot does its work
         recorder.report("run.html")
 
     Args:
-        tree: what decides: a `TreeRunner`, a py_trees tree; None if none does. A tree that changes is followed.
-        title: what the page is called; by default the name of the model.
+        tree: the tree that decides, a `TreeRunner` or a py_trees tree; None if there is none. It may change.
+        title: of the page; by default the name of the model.
         units: of attributes, by name, e.g. {"water_visibility": "m"}.
-        pose: returns where the robot is, (x, y, z) [m], world frame, z up; asked at most twice a second.
-        scene: what a map of the place shows: points (n, 2) [m] by name.
-        keep: how many rows to keep, the newest; None for all.
-        what_if: whether to work out, for each instant at which news has changed something, what would have been
-            possible if another value had been measured.
-        header: of a run whose adaptations are given by `adapted` or as rows, and not found here; its units count.
+        pose: returns the robot's position (x, y, z) [m], world frame, z up; called at most twice a second.
+        scene: what the map shows: points (n, 2) [m], world frame, by name.
+        keep: how many of the newest rows to keep; None for all.
+        what_if: whether to work out, whenever news changes a status, what would be feasible if another value had
+            been measured.
+        header: of a run whose adaptations come by `adapted` or as rows, and are not looked for here; has the units.
 
     Raises:
-        MissionError: the tree is none that ticks.
+        MissionError: `tree` is a behaviour, not a tree that ticks one.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Recorder:
         self._stop = kb.subscribe(self._hear)
 
     def show(self, scene: Mapping[str, Iterable[Sequence[float]]]) -> None:
-        """Say what a map of the place shows from now on: points (n, 2) [m], world frame, by name."""
+        """Set what the map shows from now on: points (n, 2) [m], world frame, by name."""
         shown = []
         for name, points in scene.items():
             pairs = [[round(float(point[0]), 3), round(float(point[1]), 3)] for point in points]
@@ -123,11 +123,11 @@ class Recorder:
         return Recorded(self.header, self.rows.since(0)[1])
 
     def report(self, path: str) -> None:
-        """Write the run up to now as one self-contained page."""
+        """Write the run up to now to a file, as one self-contained page."""
         write_report(path, self.recorded)
 
     def close(self) -> None:
-        """Hear no more of the robot; what there was to see stays."""
+        """Stop recording; the rows stay."""
         if self._own is not None:
             self._own.settle()
         self._stop()
@@ -138,7 +138,7 @@ class Recorder:
     def _repr_html_(self) -> str:
         return framed(self.recorded)
 
-    # ---------------------------------------------------------------- what the knowledge base tells
+    # ---------------------------------------------------------------- events of the knowledge base
 
     def _hear(self, event: Event) -> None:
         time = event.time
@@ -190,7 +190,7 @@ class Recorder:
         self._nodes = {(node.kind, node.name): node.index for node in present.values()}
 
     def _explain(self, time: float, present: Collection[Node], changed: Iterable[Node]) -> None:
-        """Say why each of these is as it is, what would help, and what was chosen for it."""
+        """Write rows for these elements: the reason of the status, remedies, and the choice made for it."""
         chosen_for: dict[Node, None] = {}
         for node in changed:
             if node not in present or node.kind in ("constraint", "attribute"):
@@ -203,7 +203,7 @@ class Recorder:
             self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
 
     def _note_records(self, event: Event) -> None:
-        """Write down what became of actions, plans and parameters."""
+        """Write rows for the action, plan or parameters that an event changed."""
         time, rows, names = event.time, self.rows, self._nodes
         if event.verb in ("request_action", "cancel_action"):
             one = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
@@ -222,16 +222,16 @@ class Recorder:
                 if view.parameters_in_force:
                     rows.put(time, "parameters", names["component", name], plain(view.parameters_in_force))
 
-    # ---------------------------------------------------------------- what the task layer does
+    # ---------------------------------------------------------------- the task layer
 
     def ticking(self) -> None:
-        """Begin a tick: the manager has had its turn since the one before."""
+        """Begin a tick; the manager has been updated since the last one."""
         if self._own is not None:
             self._own.settle()
             self._own.ticking(self.kb.now)
 
     def ticked(self, planning: Iterable[Any]) -> None:
-        """End a tick, in which these behaviours may have planned."""
+        """End a tick in which these behaviours may have made task plans."""
         for one in planning:
             for plan in one.plans[self._heard[one] :]:
                 self._heard[one] += 1
@@ -244,16 +244,16 @@ class Recorder:
             self.posed(self.kb.now, self._pose())
 
     def posed(self, time: float, position: Sequence[float]) -> None:
-        """Say where the robot is, (x, y, z) [m]; what is not known is left out."""
+        """Write the robot's position (x, y, z) [m], unless it is not known (NaN)."""
         if all(map(isfinite, position)):
             self.rows.put(time, "pose", 0, [round(float(one), 3) for one in position])
 
     def acted(self, number: int, one: RequiredAction) -> None:
-        """Write down an action that was begun, or has ended."""
+        """Write an action that has begun or ended."""
         self.put("action", number, {"action": self._nodes["action", one.action], "cause": one.cause, **_ending(one)})
 
     def adapted(self, adaptation: Adaptation) -> None:
-        """Write down an adaptation that is in force, or has failed, with the chain from cause to effect."""
+        """Write an adaptation that is in force or has failed, with the chain from cause to effect."""
         self._adapted += 1
         nodes = {} if self._tree is None else self._tree.about
         shown = {
@@ -271,22 +271,22 @@ class Recorder:
             self.suppose(self.kb.now)
 
     def suppose(self, time: float) -> None:
-        """Work out what would be if something else had been measured."""
+        """Work out and write what would be feasible if other values had been measured."""
         self._supposed += 1
         self.rows.put(time, "whatif", self._supposed, {"t": time, "cases": cases(self.kb)})
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
-        """Return the indices of the actions that a behaviour is about."""
+        """Return the index of the action that a behaviour is for, in a list that is empty if there is none."""
         try:
             action = getattr(behaviour, "action", None)
-        except Exception:  # py_trees raises several kinds when a port is not connected before the tree runs
+        except Exception:  # py_trees raises several kinds if a port is not connected yet
             return []
         index = self._nodes.get(("action", action)) if isinstance(action, str) else None
         return [] if index is None else [index]
 
 
 class _TreeRows(VisitorBase):
-    """Writes down the statuses of a tree after each tick, and the tree itself whenever it has changed."""
+    """Writes the statuses of a tree after each tick, and the tree itself whenever it has changed."""
 
     def __init__(self, recorder: Recorder, tree: BehaviourTree) -> None:
         super().__init__(full=False)
@@ -316,7 +316,7 @@ class _TreeRows(VisitorBase):
         self._harmlessly(self._note)
 
     def _harmlessly(self, look: Callable[[], None]) -> None:
-        """Look at the tree; a robot goes on whatever becomes of that."""
+        """Call `look`; log what it raises, so that the robot goes on."""
         try:
             look()
         except Exception:
@@ -378,13 +378,13 @@ def _ending(one: RequiredAction | ReconfigurationPlan) -> dict[str, Any]:
 
 
 class RunRecorder(Listener):
-    """Listens to a run that is open, and writes down what there is to see; `end` after it.
+    """Listens to a mission's run and writes its rows; call `end` after the run.
 
-    Under a manager without a knowledge base one of our own hears the same messages and says what they mean.
+    If the manager has no knowledge base, one is made here; it hears the same messages, for the statuses and reasons.
 
     Args:
-        keep: how many rows to keep, the newest; None for all.
-        what_if: whether to work out what would have been if something else had been measured.
+        keep: how many of the newest rows to keep; None for all.
+        what_if: whether to work out what would be feasible if other values had been measured.
     """
 
     def __init__(
@@ -433,7 +433,7 @@ class RunRecorder(Listener):
         self._show()
 
     def _show(self) -> None:
-        """Write down what the world shows now, and what has happened in it."""
+        """Write the sample, the scenery and the new disturbances of the world."""
         recorder, run, sample = self.recorder, self._run, self._sample
         if sample is not None:
             recorder.posed(sample.time, sample.position)
@@ -441,7 +441,7 @@ class RunRecorder(Listener):
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
         scenery = run.world.scenery()
-        if tuple(scenery) != self._scene:  # what is special in a place is in its name
+        if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
         for time, text in run.world.disturbances()[self._disturbed :]:
@@ -453,7 +453,7 @@ class RunRecorder(Listener):
 
 
 def _split(signal: str) -> tuple[str, str]:
-    """Return the name of the attribute that a signal is called after, and the unit."""
+    """Return the attribute and the unit in a signal's name, e.g. "water visibility [m]"."""
     name, _, unit = signal.partition(" [")
     unit = unit.rstrip("]")
     return name.replace(" ", "_"), "" if unit == "-" else unit

@@ -1,8 +1,8 @@
-"""Runs as a page shows them, and pages in a file: a run to click through, or two side by side, that can be read again.
+"""Reports: one run as a page to click through, or two side by side; and the rows that pages are made of.
 
-A page is made of rows (time, track, key, value), each an assignment that holds from its time on. The last row of each
-track and key up to an instant is all that there is to see then. A report has all rows, a live page gets the same ones
-as they come, and a recording is the same ones in a file.
+A row (time, track, key, value) is an assignment that holds from its time [s] on. A page shows, for an instant, the last
+row of each track and key up to it. A report has all rows of a run, a live page gets the same rows as they come, and a
+recording holds the same rows in a file.
 """
 
 import json
@@ -22,37 +22,36 @@ from missions.views.output import OutputFile
 
 VERSION: Final = 1
 NUMBERED: Final = frozenset({"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"})
-"""The tracks whose keys are numbers of what happened: only more come, and what is too old to be kept is let go."""
+"""The tracks whose keys are growing numbers, one for each thing that happened; their oldest entries can be dropped."""
 
 VERBATIM: Final = frozenset(
     {"pose", "signal", "scene", "disturbance", "problem", "result", "taskplan", "tree", "node", "tick", "adaptation"}
 )
-"""The tracks that do not follow from the events of a knowledge base: a recording holds these beside the events."""
+"""The tracks that do not follow from the events of a knowledge base: a recording holds them besides the events."""
 
 Row = tuple[float, str, int | str, Any]
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 _POLICY: Final = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
 )
-"""No request leaves the page but that of a live one to where it came from."""
+"""The page makes no requests, except a live page to its own server."""
 _DATA: Final = re.compile(r'<script type="application/json" id="rosa-data">(.*?)</script>', re.DOTALL)
 _MOST: Final = 200
-"""How many differences are shown."""
+"""The largest number of differences to show."""
 _DEFAULT: Final = "the default"
 _LATER_S: Final = 1.0
-"""The same decision counts as different if it came so much later or earlier [s]."""
+"""The same decision counts as a difference if its times in two runs differ by so much [s]."""
 
 
 class Rows:
     """The rows of a run, in order; written by one thread at a time, read by any.
 
     Args:
-        keep: how many to keep at most, the newest; of those before, the last of each track and key is known. None for
-            all.
+        keep: how many of the newest rows to keep, besides the last of each track and key; None for all.
 
     Attributes:
-        first: number of the oldest row that is kept; the first of all is 0.
-        heard: called with each row as it comes; for a file.
+        first: number of the oldest row that is kept; the first row of all has number 0.
+        heard: functions that are called with each new row, e.g. to write it to a file.
     """
 
     def __init__(self, keep: int | None = None) -> None:
@@ -74,7 +73,7 @@ class Rows:
         return self._now
 
     def put(self, time: float, track: str, key: int | str, value: object) -> None:
-        """Append a row, unless it says what holds already; a measurement counts each time."""
+        """Append a row, unless its value is the current one; a measurement is always appended."""
         if isinstance(value, float) and not isfinite(value):
             value = None
         with self._lock:
@@ -90,13 +89,13 @@ class Rows:
             hear(row)
 
     def since(self, number: int, most: int | None = None) -> tuple[int, list[Row]]:
-        """Return the rows from a number on, at most so many, and the number of the first: later if it is not kept."""
+        """Return the number of the first row and the rows from `number` on; later ones if it is no longer kept."""
         with self._lock:
             start = min(max(0, number - self.first), len(self._rows))
             return self.first + start, self._rows[start : None if most is None else start + most]
 
     def snapshot(self) -> tuple[list[Row], int]:
-        """Return the last row of each track and key, by time, and the number of the next row to come."""
+        """Return the last row of each track and key, in order of time, and the number of the next row."""
         with self._lock:
             return sorted(self._latest.values(), key=lambda row: row[0]), self.next
 
@@ -113,9 +112,9 @@ class Recorded:
     """A run as a page shows it: a header, and its rows.
 
     Attributes:
-        header: what was run: title, mission, task, manager, seed, settings, model.
-        rows: all of them, by time.
-        note: what is wrong with it, in a sentence; empty if nothing is.
+        header: title, mission, task, manager, seed, settings, model and so on.
+        rows: all rows, in order of time.
+        note: what is wrong with the run, in a sentence; empty if nothing is.
     """
 
     header: Mapping[str, Any]
@@ -138,10 +137,10 @@ def encoded(value: object) -> str:
 
 
 def page_of(document: Mapping[str, Any], title: str) -> str:
-    """Return the page that shows a document, with all that it needs in it.
+    """Return the self-contained page that shows a document.
 
     Raises:
-        MissionError: the page's own program is not there.
+        MissionError: the page's script or style is not built.
     """
     data = encoded(document).replace("<", "\\u003c")
     script = _built("page.js").replace("</script", "<\\/script").replace("<!--", "<\\!--")
@@ -157,7 +156,7 @@ def page_of(document: Mapping[str, Any], title: str) -> str:
 
 
 def report(run: Recorded, other: Recorded | None = None) -> str:
-    """Return the page of a run, or of two beside each other on the same axis of time.
+    """Return the page of a run, or of two side by side on the same time axis.
 
     Raises:
         MissionError: the runs are of different models.
@@ -174,7 +173,7 @@ def report(run: Recorded, other: Recorded | None = None) -> str:
 
 
 def write_report(path: str | Path, run: Recorded, other: Recorded | None = None) -> None:
-    """Write the page of a run, or of two beside each other; the file is complete or not there at all."""
+    """Write the page of a run, or of two side by side, to a file, which is complete or not there at all."""
     OutputFile(Path(path)).finish(report(run, other))
 
 
@@ -183,10 +182,10 @@ def framed(run: Recorded) -> str:
 
 
 def read_page(path: Path) -> Recorded:
-    """Read a run from a recording, or out of the report that was made of it.
+    """Read a run from a report.
 
     Raises:
-        MissionError: it cannot be read, or holds no run, or one of another version.
+        MissionError: it cannot be read, holds no run or two, or is of another version.
     """
     try:
         found = _DATA.search(path.read_text(encoding="utf-8"))
@@ -210,7 +209,7 @@ def _built(name: str) -> str:
 
 
 class _Moment(NamedTuple):
-    """Something that was decided, or led to a decision: the same in two runs if kind and words are."""
+    """A decision, or a change that led to one; two runs have it in common if kind and words are equal."""
 
     kind: str
     words: str
@@ -219,7 +218,7 @@ class _Moment(NamedTuple):
 
 
 def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
-    """Return how two runs differ, in order of time: what only one did, and what the other did sooner or later, and why.
+    """Return how two runs differ, in order of time: what only one did, what they did at other times, and why.
 
     Raises:
         MissionError: they are of different models.
@@ -258,12 +257,12 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
 
 
 def _unmet(moments: list[_Moment], others: list[_Moment]) -> list[_Moment]:
-    """Return the moments of which none of the others is within a second."""
+    """Return the moments that are more than a second from all the others."""
     return [one for one in moments if all(abs(one.time - other.time) >= _LATER_S for other in others)]
 
 
 def _settings(header: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a run was asked for, by what that is called."""
+    """Return mission, task, manager, seed and settings of a run, by name."""
     asked = {name: header.get(name) for name in ("mission", "task", "manager", "seed")}
     return asked | {f"setting {name}": value for name, value in header.get("settings", {}).items()}
 
@@ -287,7 +286,7 @@ def _because(cause: str) -> str:
 
 
 def _adaptation_at(run: Recorded, time: float) -> int | None:
-    """Return the number of the adaptation that was under way at a time [s], or decided within a second."""
+    """Return the number of the adaptation that was under way at a time [s], within a second; None if none was."""
     for number, one in sorted(run.last("adaptation").items()):
         if one["t"] - _LATER_S <= time <= max(one["in_force"] or one["t"], one["t"] + _LATER_S):
             return int(number)

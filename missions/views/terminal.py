@@ -1,6 +1,6 @@
-"""The view in a terminal, for a robot over ssh: tree, statuses, adaptations with reasons, measurements; at 80 by 24.
+"""The view in a terminal of 80 by 24, e.g. over ssh: tree, statuses, adaptations with reasons, measurements.
 
-It is a fold over the same rows as the page: the last row of each track and key is what there is to see.
+It shows the same rows as the page: the last row of each track and key.
 """
 
 import json
@@ -28,11 +28,11 @@ _STYLES: Final = {
     **{"solved": ("✓", "green"), "feasible": ("○", "green"), "unsolved": ("…", "yellow")},
     **{"unfeasible": ("✕", "red"), "failure": ("✕", "red")},
 }
-"""A sign and a colour of a status, of a node or of an element."""
+"""Sign and colour of a status, of a behaviour or an element."""
 
 
 class RecorderFeed:
-    """The rows of a robot of this process."""
+    """The rows of a robot in this process."""
 
     def __init__(self, recorder: Recorder) -> None:
         self.title = str(recorder.header.get("title", ""))
@@ -46,14 +46,14 @@ class RecorderFeed:
 
 
 class SocketFeed:
-    """The rows of a live view elsewhere: `rosa run … --live`, or `LiveView` in a robot's program.
+    """The rows of a live view in another process: `rosa run … --live`, or `LiveView` in a robot's program.
 
     Args:
         address: HOST:PORT, or the link that the live view printed, with its token.
-        token: which the live view asks for.
+        token: the token that the live view asks for.
 
     Raises:
-        MissionError: this is no address, there is nobody, or the token is refused.
+        MissionError: the address is malformed, no live view is there, or it refuses the token.
     """
 
     def __init__(self, address: str, token: str = "") -> None:
@@ -72,7 +72,7 @@ class SocketFeed:
         self._wrong = ""
         try:
             self._socket = connect(url, max_size=None, open_timeout=5)
-        except Exception as error:  # nobody, no WebSocket, a token that is refused
+        except Exception as error:  # nobody there, no WebSocket, token refused
             raise MissionError(f"no live view at {self.title}: {error}") from None
 
     def take(self) -> tuple[list[Any], str]:
@@ -84,15 +84,15 @@ class SocketFeed:
                 rows += given.get("rows") or []
                 dropped = given.get("dropped")
                 self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
-        except TimeoutError:  # there is no more yet
+        except TimeoutError:  # no more rows yet
             pass
-        except Exception as error:  # closed, by the view or on the way; the reason is in its words
+        except Exception as error:  # closed by the view, or cut off; the error says which
             self._wrong = f"the connection has ended: {error}"
         return rows, self._wrong
 
 
 class Fold:
-    """What there is to see now: the last row of each track and key, and the latest values of each measurement."""
+    """What to show now: the last row of each track and key, and the latest values of each measurement."""
 
     def __init__(self) -> None:
         self.now = 0.0
@@ -113,7 +113,7 @@ class Fold:
         return self._last.get(name, {})
 
     def tree(self) -> Iterator[Text]:
-        """Yield the lines of the trees: status, name, feedback."""
+        """Yield a line for each behaviour: status, name, feedback."""
         for tree in self.track("tree").values():
             depths: dict[int, int] = {}
             for uid, parent, _, name, _, _ in tree["nodes"]:
@@ -123,7 +123,7 @@ class Fold:
                 yield line.append(f"  {feedback}", "dim") if feedback else line
 
     def known(self) -> Iterator[Text]:
-        """Yield actions, functions and components with status, what is selected for them, and why."""
+        """Yield actions, functions and components with status, selection and reason."""
         status, elements = self.track("status"), self.track("element")
         for kind, chosen_by in (("action", ""), ("function", "designs"), ("component", "configurations")):
             yield Text(f"{kind}s", "bold")
@@ -141,7 +141,7 @@ class Fold:
                 yield line.append(f"  {why}", "dim") if why else line
 
     def adaptations(self) -> Iterator[Text]:
-        """Yield what was adapted, the latest first: when, why, what."""
+        """Yield the adaptations, the latest first: time, change and cause."""
         for one in reversed(list(self.track("adaptation").values())):
             yield (
                 Text(f"{one['t']:7.1f} s  ", "dim")
@@ -150,7 +150,7 @@ class Fold:
             )
 
     def measurements(self, width: int) -> Iterator[Text]:
-        """Yield each measurement with its value and its course."""
+        """Yield each measurement with its latest value, and a line of its latest values."""
         elements = self.track("element")
         for key, values in self._values.items():
             name, unit = (elements[key]["name"], elements[key]["unit"]) if key in elements else (str(key), "")
@@ -172,7 +172,7 @@ def _course(values: deque[float], width: int) -> str:
 
 
 class TerminalView(App[None]):
-    """Shows a feed until it is left with `q`."""
+    """Shows the rows of a feed until the user leaves with `q`."""
 
     CSS = """
     Screen { layout: grid; grid-size: 2 2; }
