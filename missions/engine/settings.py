@@ -60,7 +60,7 @@ class Setting:
             is_allowed = isinstance(value, kind)
         else:
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
-            is_fit = is_number and (kind is float or float(value).is_integer())
+            is_fit = is_number and (kind is float or value % 1 == 0)
             is_allowed = is_fit and self.low <= value <= self.high
         if is_allowed:
             return value  # type: ignore[no-any-return]  # it was checked

@@ -64,6 +64,16 @@ def quick(capsys, monkeypatch):
     return run
 
 
+NEVER_SYNCED = """
+from missions.cli import main
+from missions.experiments import results
+
+results.SYNC_S = float("inf")
+main()
+"""
+"""On a slow machine each run would be synced before the next, and the file beside the store would never be full."""
+
+
 def rosa(*arguments, cwd, most_bytes=None):
     """Start the command line in a process of its own, perhaps on a disk with little room."""
 
@@ -71,7 +81,8 @@ def rosa(*arguments, cwd, most_bytes=None):
         if most_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, resource.RLIM_INFINITY))
 
-    command = [sys.executable, "-m", "missions", *map(str, arguments)]
+    program = ["-m", "missions"] if most_bytes is None else ["-c", NEVER_SYNCED]
+    command = [sys.executable, *program, *map(str, arguments)]
     settings = {**os.environ, "PYTHONPATH": str(ROOT)}
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     return subprocess.Popen(command, preexec_fn=limit, env=settings, cwd=cwd, **pipes)
