@@ -1,4 +1,4 @@
-"""What a mission is: its knowledge, its task logic twice, its world, and when it has succeeded."""
+"""What a mission is: its model, its task logic as a tree and as PDDL, its world, and when it has succeeded."""
 
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -35,12 +35,12 @@ MISSION_STATUS: Final = "mission status"
 
 
 class Percepts:
-    """Takes in the same messages as the knowledge base and keeps those with the text "mission status".
+    """Receives the same messages as the knowledge base and keeps the statuses with the text "mission status".
 
-    The knowledge base passes these over; they say what a mission's conditions look at, e.g. that something is found.
+    The knowledge base ignores these; a mission's conditions look at them, e.g. whether something is found.
 
     Attributes:
-        revision: how often something was received; while it is the same, so is all that was sensed.
+        revision: how many such statuses were received; while it stays the same, so does all that was sensed.
     """
 
     def __init__(self) -> None:
@@ -52,7 +52,7 @@ class Percepts:
         """Take in one message: `{"time": ..., "status": [{"message": ..., "values": {...}}, ...]}`.
 
         Returns:
-            What holds now and did not before, or the other way round.
+            The keys that hold now and did not before, or the other way round.
         """
         held: dict[str, bool] = {}
         for status in message["status"]:
@@ -65,23 +65,23 @@ class Percepts:
         return [key for key, before in held.items() if self.holds(key) is not before]
 
     def holds(self, key: str) -> bool:
-        """Tell whether the last word about something was "true"; what was never spoken of does not hold."""
+        """Return whether the last value of a key was "true"; False if it was never received."""
         return self._said.get(key, "").casefold() == "true"
 
     def value(self, key: str) -> float | None:
-        """Return the last word about something as a number; None if it is none, or nothing was said."""
+        """Return the last value of a key as a number; None if it is no number or was never received."""
         try:
             return float(self._said[key])
         except (KeyError, ValueError):
             return None
 
     def count(self, key: str) -> int:
-        """Return how often something was spoken of."""
+        """Return how often a key was received."""
         return self._times[key]
 
 
 class Condition(Behaviour):
-    """SUCCESS while a function says so, FAILURE while not."""
+    """SUCCESS while a function returns true, else FAILURE."""
 
     def __init__(self, name: str, holds: Callable[[], bool]) -> None:
         super().__init__(name)
@@ -92,7 +92,7 @@ class Condition(Behaviour):
 
 
 class Reaction(Protocol):
-    """An answer to an uncertainty: which, when it was reported first, and when the answer was in force [s]."""
+    """A reaction to an uncertainty: its name, when it was reported first, and when the reaction was in force [s]."""
 
     @property
     def uncertainty(self) -> str: ...
@@ -106,7 +106,7 @@ class Reaction(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """What there was to see of the robot at one moment, for pictures.
+    """What could be seen of the robot at one moment, for pictures.
 
     Attributes:
         time: [s].
@@ -129,7 +129,7 @@ class Verdict(NamedTuple):
     Attributes:
         outcome: a word, e.g. "inspected_all"; "time_limit" for what was done as well as time allowed; "not_found",
             "aborted" and "ended_early" (the task ended short of the goal) are no successes, all others are.
-        detail: what only a person at this machine has use for; no part of the result.
+        detail: further text for the person at this machine; not part of the result.
     """
 
     outcome: str
@@ -143,7 +143,7 @@ class Verdict(NamedTuple):
 
 
 class World(ABC):
-    """Where a mission happens: a simulator, a robot or a recording; the first three are needed, the rest reports."""
+    """Where a mission happens: a simulator, robot or recording. Only `now`, `managed` and `advance` are required."""
 
     @property
     @abstractmethod
@@ -153,15 +153,15 @@ class World(ABC):
     @property
     @abstractmethod
     def managed(self) -> ManagedSystem:
-        """The components, to be switched and configured."""
+        """What switches and configures the components."""
 
     @abstractmethod
     def advance(self, until: float) -> list[Message]:
-        """Let time pass until something is published, a commanded change has ended, or the time is `until` [s]."""
+        """Let time pass until news is published, a command ends, or it is `until` [s]; return a list of messages."""
 
     @property
     def is_still(self) -> bool:
-        """Whether nothing that a decision depends on changes here any more unless something is commanded."""
+        """Whether nothing that decisions depend on changes any more unless something is commanded."""
         return False
 
     def results(self) -> Mapping[str, float | None]:
@@ -169,11 +169,11 @@ class World(ABC):
         return {}
 
     def reactions(self) -> Sequence[Reaction]:
-        """Return how soon uncertainties were answered, in order of the end of each."""
+        """Return the reactions to uncertainties, in the order of their ends."""
         return ()
 
     def sample(self) -> Sample | None:
-        """Return what there is to see now; None for no more than what the knowledge base knows."""
+        """Return what can be seen now; None if that is only what the knowledge base knows."""
         return None
 
     def disturbances(self) -> list[tuple[float, str]]:
@@ -193,7 +193,7 @@ class WorldKind(ABC):
 
     @abstractmethod
     def open(self, values: Mapping[str, str], rng: "Generator") -> World:
-        """Open a world with these settings; all its chance comes from the generator.
+        """Open a world with these settings; all its random numbers come from the generator.
 
         Raises:
             MissionError: an unknown setting or a value that is not allowed.
@@ -201,9 +201,9 @@ class WorldKind(ABC):
 
     @abstractmethod
     def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        """Say how a mission here has ended: whether its goal is reached, or else what was not done in its time.
+        """Return whether the goal of a mission is reached, or else what was not done in time.
 
-        It is judged from what was sensed, its figures and what was done. That the task ended early is not asked here.
+        Judge it by what was sensed, the figures and what was done. The caller finds out whether the task ended early.
         """
 
     def settings(self) -> tuple[Setting, ...]:
@@ -211,7 +211,7 @@ class WorldKind(ABC):
         return ()
 
 
-_CALLED: Final = {  # what each function of a mission is called with; those of a tree may be left out
+_CALLED: Final = {  # the arguments of each function of a mission; tree and by_hand may be None
     **{"model": "", "tree": "kb, percepts", "by_hand": "kb, percepts, managed", "facts": "kb, percepts"},
     **{"why_not": "kb, percepts", "world.open": "values, rng", "world.verdict": "percepts, results, kb"},
 }
@@ -224,28 +224,28 @@ class Mission:
     Attributes:
         name: what it is called on the command line.
         summary: what happens in it, in a line.
-        model: builds the knowledge about the robot.
+        model: builds the model of the robot.
         tree: builds the task logic as a behaviour tree; None if the mission is planned only.
         world: where it happens.
-        domain: PDDL file with the same task logic as actions; None if it is made of what the actions declare, or the
-            mission has a tree only.
+        domain: PDDL file with the same task logic as actions; None if it is generated from the schemas of the
+            actions, or the mission has a tree only.
         problem: PDDL file with the goal, the goal as declared, or a function that declares it; None for a tree only.
-        actions: what is done for each PDDL action; the same behaviours that the tree is made of. Each has a `schema`
-            if there is no domain file. One with a parameter `step` is given the `rosa_pddl.Step` that it does, too.
-        facts: what holds now, from what is known and was sensed, in the words of the PDDL problem: facts such as
-            {"(lit room)": True}, and numbers that costs are made of such as {"(length a b)": 3.5}.
-        engines: what plans, see `rosa_pddl.Planner`: the first by itself, the others if that fails; if none is named,
-            the default.
+        actions: by PDDL action, the behaviour that does it; the same as in the tree. Each has a `schema` if there is
+            no domain file. One with a parameter `step` is also given the `rosa_pddl.Step` that it does.
+        facts: returns what holds now, by what is known and was sensed, as in the PDDL problem: facts such as
+            {"(lit room)": True}, and numbers for costs such as {"(length a b)": 3.5}.
+        engines: names of planning engines, see `rosa_pddl.Planner`: the first one plans, the others if it fails;
+            empty for the default.
         fixed: settings of the world that belong to this mission.
-        why_not: says why its goal cannot be reached, from what is known and was sensed; empty if it knows no more
-            than the planner. A mission that knows one ends as soon as its world `is_still`.
-        by_hand: builds a tree that commands the managed system itself, to compare with: `--manager bt`.
-        selects: whether the task layer selects configurations by itself, so that no other manager can.
-        waits_for_news: whether a tick of its tree does nothing unless, since the tick before, a status has changed or
-            something was sensed: such ticks are left out of a run that nobody watches.
+        why_not: returns why the goal cannot be reached, by what is known and was sensed; empty if it cannot tell.
+            If it returns a reason, the mission ends as soon as its world `is_still`.
+        by_hand: builds a tree that commands the managed system itself, for comparison: `--manager bt`.
+        selects: whether the task layer selects configurations itself, so that no other manager can run it.
+        waits_for_news: whether a tick of the tree does nothing unless a status has changed or something was sensed
+            since the tick before. Such ticks are then left out of a run that nobody watches.
 
     Raises:
-        MissionError: a field is not what it should be.
+        MissionError: a field has the wrong type, a function takes other arguments, or there is no task.
     """
 
     name: str
@@ -293,7 +293,7 @@ class Mission:
 
 @contextmanager
 def blamed(what: str) -> Iterator[None]:
-    """Raise MissionError that says what went wrong, whatever the code of an author raises."""
+    """Turn exceptions of an author's code that are not ours into a MissionError that says what failed."""
     try:
         yield
     except (MissionError, KnowledgeBaseError):
@@ -303,10 +303,10 @@ def blamed(what: str) -> Iterator[None]:
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
-    """Return what a function of an author makes, called with as many of these things as it has to be called with.
+    """Call a function of an author with as many of these arguments as it requires, and return what it makes.
 
     Raises:
-        MissionError: it fails, or makes something else. Of a tree of py_trees its root is taken.
+        MissionError: it fails, or makes something of another type. (Of a `BehaviourTree` the root is returned.)
     """
     with blamed(f"cannot build {title}"):
         parameters = signature(build).parameters.values() if given else ()
@@ -319,16 +319,16 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
-    """Return every setting of a mission: how it is run, then its world."""
+    """Return all settings of a mission: those of the run, then those of its world."""
     return (*declared(RunSettings), *mission.world.settings())
 
 
 def split_settings(
     mission: Mission, values: Mapping[str, str], options: Sequence[Setting] = ()
 ) -> tuple[RunSettings, dict[str, str], dict[str, Any]]:
-    """Return how to run, what is for the world, which checks it, and the values of the options of a manager.
+    """Split settings into those of the run, of the world (which checks them), and options of a manager.
 
-    Values are by name; a unit at the end of a name may be left out, as in start_y for start_y_m.
+    Settings are given by name; the unit at the end may be left out, as in start_y for start_y_m.
 
     Raises:
         MissionError: an unknown name or a value that is not allowed.

@@ -1,4 +1,4 @@
-"""A stream of diagnostics as a file: one message per line, as JSON, with its time; written live, read for a replay.
+"""Diagnostics as a file, one message per line as JSON with its time: written during a run, read for a replay.
 
 A short stream for a test is written by hand, in Python:
 
@@ -21,7 +21,7 @@ def line_of(message: Message) -> str:
 
 
 def header(run: MissionRun, seed: int) -> Message:
-    """Return the first message of a recording: nothing heard yet, but how the mission was run, for its replay."""
+    """Return the first message of a recording: it has no status, but says how the mission was run, for the replay."""
     return {
         "time": 0.0,
         "status": [],
@@ -36,7 +36,7 @@ def header(run: MissionRun, seed: int) -> Message:
 
 
 class LineRecorder(Listener):
-    """Writes all that is heard in a run that is open, a line for each message, behind how it is run."""
+    """Writes a header and then each message of an open run, one per line."""
 
     def __init__(self, run: MissionRun, seed: int, write: Callable[[str], object]) -> None:
         self._write = write
@@ -48,22 +48,22 @@ class LineRecorder(Listener):
 
 
 def measured(time: float, **values: float) -> Message:
-    """Return the message that attributes were measured at that time [s]; values by name, in their units."""
+    """Return a message that attributes were measured at this time [s]; values by name, in the attributes' units."""
     return _said(time, "attribute measurement", {name: repr(value) for name, value in values.items()})
 
 
 def failed(time: float, *components: str) -> Message:
-    """Return the message that components have failed at that time [s]."""
+    """Return a message that components have failed at this time [s]."""
     return _said(time, "component status", dict.fromkeys(components, "failure"))
 
 
 def recovered(time: float, *components: str) -> Message:
-    """Return the message that components are recovered at that time [s]."""
+    """Return a message that components have recovered at this time [s]."""
     return _said(time, "component status", dict.fromkeys(components, "recovered"))
 
 
 def sensed(time: float, **news: object) -> Message:
-    """Return the message of what else there is at that time [s], e.g. pipeline_found=True: for percepts only."""
+    """Return a message for the percepts only, at this time [s], e.g. pipeline_found=True."""
     return _said(time, "mission status", {name: str(value).lower() for name, value in news.items()})
 
 
@@ -108,7 +108,7 @@ def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
             raise MissionError(f"{where}:{error.colno}: {said}") from None
 
 
-def _check(message: Any, where: str) -> None:  # noqa: ANN401  # that it is a message is what is checked
+def _check(message: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
     time = message.get("time") if isinstance(message, dict) else None
     if not isinstance(time, int | float) or isinstance(time, bool) or not 0 <= time < math.inf:
         raise MissionError(f'{where}: a message is an object with a number "time" [s] from 0 and a list "status"')

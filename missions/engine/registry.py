@@ -1,4 +1,4 @@
-"""What is imported only when it is asked for: missions and the like, by name, and libraries that may be missing."""
+"""Import missions and the like by name, and optional libraries, only when they are asked for."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -13,16 +13,16 @@ from missions.engine.mission import Mission, MissionError, built
 from missions.engine.settings import near
 
 MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
-"""The missions that have a name, each with its home."""
+"""The registered missions, by name: where each is defined."""
 
 
 def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # noqa: ANN401  # whoever asks checks it
-    """Return a thing of some kind, such as "mission", by its name, or what "module:NAME" is, from anywhere.
+    """Import a thing of some kind, such as "mission", by a registered name or as "module:NAME".
 
-    `homes` says by name of which "module:NAME" it is, and `known` what there is, for the message if it is not there.
+    `homes` has the "module:NAME" of each registered name; `known` lists what exists, for the error message.
 
     Raises:
-        MissionError: there is no such thing, or it cannot be imported.
+        MissionError: the name is unknown, or the import fails.
     """
     if name not in homes and ":" not in name[1:]:
         raise MissionError(f"unknown {kind} {name!r}; there are {known}")
@@ -34,7 +34,7 @@ def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # 
             did = f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?" if close else ""
             raise MissionError(f"{module} has no {attribute!r}{did}")
         return getattr(found, attribute)
-    except Exception as error:  # whatever an author's module may raise
+    except Exception as error:  # an author's module may raise anything
         said = str(error) if isinstance(error, MissionError) else f"{type(error).__name__}: {error}"
         if isinstance(error, ModuleNotFoundError) and error.name == module.partition(".")[0]:
             said = f"there is no module {module} here in {Path.cwd()}, nor among what is installed"
@@ -45,7 +45,7 @@ def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # 
 
 
 def find_mission(name: str) -> Mission:
-    """Return a mission by its name in the registry, or as "module:NAME" from anywhere that Python imports from.
+    """Return a mission by its registered name, or as "module:NAME" of any module that can be imported.
 
     Raises:
         MissionError: no such mission; the message lists those there are.
@@ -57,7 +57,7 @@ def find_mission(name: str) -> Mission:
 
 
 def find_robot(name: str) -> tuple[Model, Mission | None]:
-    """Return the model of a robot, and its mission if it has one: of a mission, a file, or module:NAME of either.
+    """Return the model of a robot, and its mission if it has one, by a mission's name, a model file or module:NAME.
 
     Raises:
         MissionError, KnowledgeBaseError: there is no such thing, or it cannot be read or made.
@@ -75,7 +75,7 @@ def find_robot(name: str) -> tuple[Model, Mission | None]:
 
 @contextmanager
 def needs(extra: str, what: str) -> Iterator[None]:
-    """Say which extra is missing when an import inside fails.
+    """Name the extra to install when an import inside the block fails.
 
         with needs("live", "the live page"):
             import websockets

@@ -1,4 +1,4 @@
-"""What can be set from outside: declared once, as the fields of a frozen dataclass; listed and read from there."""
+"""Settings: declared once, as fields of a frozen dataclass, from which they are listed, read and checked."""
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -11,21 +11,21 @@ Value = bool | int | float | str
 
 
 class MissionError(Exception):
-    """A mission cannot be run as it was asked for; the message says what was given and what is possible."""
+    """Something cannot be done as asked; the message says what was given, what exists and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What is known of one setting; the type of its default is that of its values.
+    """The declaration of one setting; its values have the type of its default.
 
     Attributes:
-        name: what it is called; a unit at the end may be left out when it is set.
-        default: its value when nothing is set.
+        name: with the unit at the end, which may be left out when it is set.
+        default: its value when it is not set.
         unit: its unit, "-" for none.
         meaning: what it is, in a line.
         source: where the default comes from.
-        is_published: whether it was taken from published results of what it is a setting of: an input that makes the
-            run a reproduction and no prediction, and shows as such among the figures.
+        is_published: whether the value is taken from the published results that a run is compared with. Such a run
+            reproduces instead of predicting; the setting is then shown among its figures.
         low, high: the bounds of a number, both allowed.
     """
 
@@ -49,10 +49,10 @@ class Setting:
         return self.name.removesuffix("_" + self.unit.replace("/", "_").replace(" ", "_"))
 
     def read(self, given: object) -> Value:
-        """Return a value, or what a text means.
+        """Return a value, or the value that a text means; a whole number is written without a point.
 
         Raises:
-            MissionError: it is none that is allowed.
+            MissionError: the value is not allowed; the message says what is.
         """
         kind = type(self.default)
         value: Any = _meant(given, kind) if isinstance(given, str) else given
@@ -70,7 +70,7 @@ class Setting:
 
 
 def _meant(text: str, kind: type[Value]) -> Value:
-    """Return what a text means as a value of some type; the text itself if it means none, or no finite number."""
+    """Convert a text to a value of some type; return the text itself if that fails, or the number is infinite."""
     if kind is bool:
         return {"true": True, "false": False}.get(text.strip().lower(), text)
     with suppress(ValueError):
@@ -79,20 +79,20 @@ def _meant(text: str, kind: type[Value]) -> Value:
     return text
 
 
-def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as of dataclasses.field: it stands where a value of the field's type would
+def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as dataclasses.field: it stands where a value of the field's type would
     """Declare a setting as a field of a dataclass; see `Setting` for the arguments."""
     metadata = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
     return field(default=default, metadata=metadata)
 
 
-def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass whose fields say these things
-    """List the settings that are the fields of a dataclass, in the order of declaration."""
+def declared(kind: Any) -> tuple[Setting, ...]:  # noqa: ANN401  # any dataclass with such fields
+    """Return the settings that a dataclass declares, in order."""
     return tuple(Setting(one.name, one.default, **one.metadata) for one in fields(kind))  # type: ignore[arg-type]  # each has a default
 
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """A subclass is a frozen dataclass, each field of which is a `setting(...)`; it refuses what is not allowed."""
+    """Base of settings: a subclass is a frozen dataclass whose fields are `setting(...)`; it refuses wrong values."""
 
     def __post_init__(self) -> None:
         for one in declared(type(self)):
@@ -100,7 +100,7 @@ class Constants:
 
     @classmethod
     def read(cls, values: Mapping[str, object]) -> Self:
-        """Return the settings as they are given on a command line, by name; what is not among them has its default.
+        """Return the settings given as texts by name, as on a command line; the others have their defaults.
 
         Raises:
             MissionError: an unknown name, or a value that is not allowed.
@@ -118,7 +118,7 @@ class RunSettings(Constants):
 
 
 def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: str) -> dict[str, str]:
-    """Return values by the full names of the settings of a mission; a unit at the end of a name may be left out.
+    """Return values by full names of settings; in the given names the unit at the end may be left out.
 
     Raises:
         MissionError: an unknown name, or a setting that is given twice, with and without its unit.
@@ -141,7 +141,7 @@ def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: 
 
 
 def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return what texts mean, by full names of settings.
+    """Return the values that texts mean, by full names of settings.
 
     Raises:
         MissionError: an unknown name, or a value that is not allowed.

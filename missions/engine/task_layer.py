@@ -1,4 +1,4 @@
-"""What decides about a mission's actions: its tree, or a plan executor on the PDDL that it has or declares."""
+"""The task layer of a mission: its tree, or a plan executor for its PDDL, which is read from files or generated."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -27,13 +27,13 @@ Action = Callable[..., Behaviour]
 
 
 class TaskLayer:
-    """What decides about actions: the behaviour to tick, and the task plans of all behaviours in it that plan.
+    """The behaviour to tick, and the task plans of all behaviours in it that plan.
 
-    One that can `catch_up`, as `rosa_pddl.PlanExecutor`, waits between ticks for an answer that is due: no tick does.
+    A behaviour with `catch_up`, such as `rosa_pddl.PlanExecutor`, waits for due answers there, between ticks.
 
     Attributes:
-        close: to be called at the end: lets go of what was used for planning.
-        is_planned: whether the actions are those of the plans, none of a tree's own.
+        close: releases what was used for planning; call it at the end.
+        is_planned: whether all actions come from plans, and none from a tree.
     """
 
     def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "Made | None" = None) -> None:
@@ -47,14 +47,14 @@ class TaskLayer:
         self.is_planned = root in self._waiting
 
     def catch_up(self) -> None:
-        """Wait for answers that are due; to be called between ticks."""
+        """Wait for answers that are due; call it between ticks. Raises the error of a behaviour that cannot be made."""
         for one in self._waiting:
             one.catch_up()
         if self._made is not None and self._made.error is not None:
             raise self._made.error
 
     def plans(self) -> tuple[PlanRecord, ...]:
-        """Return the plans so far, in the order in which they are found here."""
+        """Return the plans so far, in the order in which this method found them."""
         for number, one in enumerate(self._planning):
             if len(one.plans) > self._heard[number]:
                 self._plans += one.plans[self._heard[number] :]
@@ -62,12 +62,12 @@ class TaskLayer:
         return self._plans
 
     def findings(self) -> Sequence[str]:
-        """Return what may be an oversight in what is planned with, once each."""
+        """Return what may be mistakes in the PDDL, as sentences, each once."""
         return list(dict.fromkeys(text for one in self._planning for text in getattr(one, "findings", ())))
 
 
 def has_plans(behaviour: Behaviour) -> bool:
-    """Whether a behaviour plans: its `plans`, a tuple of `rosa_pddl.PlanRecord`, are then those of the run."""
+    """Whether a behaviour plans: it then has `plans`, a tuple of `rosa_pddl.PlanRecord`."""
     return isinstance(getattr(behaviour, "plans", None), tuple)
 
 
@@ -77,7 +77,7 @@ def check_task(kind: str) -> None:
 
 
 def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float = 0.0) -> TaskLayer:
-    """Build the task layer of a mission, of a kind "bt" or "pddl"; a plan is found in that simulated time [s].
+    """Build the task layer of a mission: kind "bt" or "pddl"; finding a plan takes `delay_s` of simulated time [s].
 
     Raises:
         MissionError: no such kind, or the mission has no task logic of that kind.
@@ -86,7 +86,7 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
     if kind == "bt":
         if mission.tree is None:
             raise MissionError(f"mission {mission.name} has no tree; run it with --task pddl, or give it tree=...")
-        return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, partial(mission.tree, kb, percepts)))  # type: ignore[type-abstract]  # only asked about
+        return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, partial(mission.tree, kb, percepts)))  # type: ignore[type-abstract]  # only for isinstance
     domain = mission_domain(mission)
     planner, made = planner_of(mission, domain), Made(kb, percepts)
     executor = PlanExecutor(
@@ -103,7 +103,7 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
 
 
 def planner_of(mission: Mission, domain: Domain) -> Planner:
-    """Return what plans for a mission; MissionError if it is not installed, or cannot plan in that domain."""
+    """Return the planner for a mission; MissionError if its engine is missing or cannot plan in that domain."""
     planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
     if (missing := planner.missing(domain)) is not None:
         raise MissionError(missing)
@@ -111,14 +111,14 @@ def planner_of(mission: Mission, domain: Domain) -> Planner:
 
 
 class Made:
-    """Makes the behaviours of steps, and keeps the error if one cannot be made: a tree would make a failure of it."""
+    """Makes the behaviours of steps; keeps an exception as `error`, as the executor takes it for a failed step."""
 
     def __init__(self, kb: KnowledgeBase, percepts: Percepts) -> None:
         self.error: Exception | None = None
         self._given = kb, percepts
 
     def by(self, schema: str, action: Action) -> Callable[[Step], Behaviour]:
-        """Return what makes the behaviour of a step; it is given the step if it asks for it, and nothing else."""
+        """Return a function that makes the behaviour of a step; an action with a parameter `step` is given the step."""
         parameters = signature(action)
         names = [name for name in parameters.parameters if name == "step"]
         what = f"what does the PDDL action {schema} is"
@@ -145,7 +145,7 @@ class Made:
 
 
 def by_schema(*actions: Action) -> Mapping[str, Action]:
-    """Return actions by the names that their schemas give them, for `Mission(actions=...)`.
+    """Return actions by the names in their schemas, for `Mission(actions=...)`.
 
     Raises:
         MissionError: one declares no schema, or two declare the same name.
@@ -159,7 +159,7 @@ def by_schema(*actions: Action) -> Mapping[str, Action]:
 
 
 def _schema_of(action: Action, name: str | None = None) -> ActionSchema:
-    """Return what an action declares; MissionError if that is nothing, or has another name than it is listed under."""
+    """Return the schema of an action; MissionError if it has none, or one with another name than it is listed under."""
     schema: Any = getattr(action, "schema", None)
     title = getattr(action, "__name__", repr(action))
     if not isinstance(schema, ActionSchema):
@@ -171,7 +171,7 @@ def _schema_of(action: Action, name: str | None = None) -> ActionSchema:
 
 
 def declarations_of(mission: Mission) -> Declarations | None:
-    """Return what the PDDL of a mission is made of; None if it has files, or nothing to plan with."""
+    """Return the declarations from which a mission's PDDL is generated; None if it has files, or no PDDL at all."""
     given, title = mission.problem, f"the problem of mission {mission.name}"
     problem = built(title, DeclaredProblem, given) if callable(given) else given
     if mission.domain is not None or not isinstance(problem, DeclaredProblem):

@@ -1,4 +1,4 @@
-"""Proof: a tree, the knowledge base and the manager, as they are, against everything that can happen."""
+"""Explore what a tree, the knowledge base and the manager do in all that can happen, and check what must hold."""
 
 from missions.proof.properties import always, eventually, leads_to, never
 from missions.proof.surroundings import Leaf

@@ -1,4 +1,4 @@
-"""Every situation that a tree, its knowledge base and the manager can get into, found by running them."""
+"""The graph of all situations that a tree, its knowledge base and the manager can get into, found by running them."""
 
 import gc
 import gzip
@@ -33,35 +33,35 @@ from missions.proof.rounds import (
 from missions.proof.surroundings import Change
 
 _AT_A_TIME: Final = 32
-"""So many situations each of several processes goes on from before it is looked whether there is time for more."""
+"""How many situations each process explores between two looks at the clock."""
 
 _ALONE_S: Final = 1.0
-"""For so long one process explores: most missions are known then [s]."""
+"""For how long one process explores alone; most missions are finished by then [s]."""
 
 _PARTS: Final = (Situation, Step, Change, Changed, Ticked, Seen, Known, Doing, frozenset)
 
 Wrong = tuple[str, Sequence[Step] | None]
-"""What is wrong, in words, and the rounds that lead there, if a story shows it."""
+"""What is wrong, in words, and the rounds that lead there; None if no single story shows it."""
 
 
 class Exploration:
-    """All situations that can be reached, as far as they were found, with the questions that properties ask of them.
+    """The situations that were found so far, and the questions about them that properties ask.
 
     Args:
         setup: what is explored.
-        predicates: of which it is noted where they hold.
-        goal: what the mission is to reach; by default that its root succeeds.
+        predicates: each is evaluated in every situation.
+        goal: holds where the mission has reached its goal; by default where the root succeeds.
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
-        situations: by number, that in the beginning first, then by the fewest rounds that lead there.
-        states: by number, what matters of it.
-        onward: by number, what may follow, as far as that is known.
-        faults: of the manager, in words, with the rounds that lead there first.
-        holds: by predicate, in which situations it does.
-        transitions: how many changes and ticks were found.
-        seconds: how long it took [s].
-        megabytes: the most memory that one process has held [MB].
+        situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
+        states: by number of the situation, the parts of it that properties look at.
+        onward: by number of the situation, all that may follow it; shorter than `situations` until it is finished.
+        faults: of the manager, in words, each with the fewest rounds that lead there.
+        holds: by predicate, the situations in which it holds.
+        transitions: the number of changes and ticks that were found.
+        seconds: how long the exploration took [s].
+        megabytes: the most memory that one process used [MB].
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None) -> None:
@@ -83,18 +83,18 @@ class Exploration:
         self._reach(rounds.first, rounds.seen(rounds.first), -1, Step())
 
     def explore(self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None) -> "Exploration":
-        """Find what can be reached; called again, it goes on.
+        """Explore, breadth first; called again, it goes on where it stopped.
 
         Args:
-            most: so many situations, about.
-            seconds: for so long, about [s].
-            cores: processes that share the work; by default as many as this one may use. What is found is the same.
+            most: it stops at about this number of situations.
+            seconds: it stops after about this time [s].
+            cores: how many processes share the work; by default as many as there are cores. The result is the same.
         """
         begun, self._is_stopped = time.perf_counter(), False
         cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
         crew: Workers | None = None
         collected = gc.get_threshold()
-        gc.set_threshold(100_000, *collected[1:])  # what is found is kept: to look for garbage took a sixth
+        gc.set_threshold(100_000, *collected[1:])  # what is found is kept; looking for garbage took a sixth
         try:
             while self.unexplored and len(self.situations) < most and time.perf_counter() < begun + seconds:
                 if self._is_stopped:
@@ -111,17 +111,17 @@ class Exploration:
         return self
 
     def stop(self) -> None:
-        """Have `explore` end as if its time were over, soon; for other threads and what handles signals."""
+        """Let `explore` end soon, as if its time were over; may be called from other threads and signal handlers."""
         self._is_stopped = True
 
     @property
     def unexplored(self) -> range:
-        """The situations of which it is not known yet what follows."""
+        """The numbers of the situations that were not explored from yet."""
         return range(len(self.onward), len(self.situations))
 
     @property
     def is_finished(self) -> bool:
-        """Whether nothing is left to be found."""
+        """Whether all situations were explored from."""
         return not self.unexplored
 
     @property
@@ -138,14 +138,14 @@ class Exploration:
 
     @property
     def occurring(self) -> set[tuple[str, str]]:
-        """Kind and name of all that was selected or required in what was explored."""
+        """Kind and name of each element that was selected or required in some state."""
         changed = [change.facts for onward in self.onward for change, _ in onward]
         return set().union(*(one.occurring for one in (*changed, *(one.facts for one in self.states))))
 
     def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Known, int]]:
-        """Yield each round that may follow, what is known before its tick and where it leads.
+        """Yield each round that may follow, the facts before its tick, and the number of the situation after it.
 
-        If still, those in which nothing happens.
+        If still, only rounds in which no fact changes and the manager misses no turn.
         """
         for change, ticks in self.onward[number] if number < len(self.onward) else ():
             is_news = change.changes or change.is_late
@@ -155,14 +155,14 @@ class Exploration:
                     yield step, change.facts, self._numbers[tick.after]
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
-        """Return what is wrong in situations, with the way to the nearest of them; None if there are none."""
+        """Return what is wrong in these situations, with the rounds to the nearest of them; None if there is none."""
         number = min(bad, default=None)
         return None if number is None else (what, self.path(number))
 
     def reaching(
         self, wanted: Collection[int], *, still: bool = False, within: Collection[int] | None = None
     ) -> set[int]:
-        """Return the situations from which one of those that are wanted can be reached, those included."""
+        """Return the wanted situations, and all from which one of them can be reached."""
         before: defaultdict[int, list[int]] = defaultdict(list)
         for number in self.every if within is None else within:
             for _, _, after in self.following(number, still=still):
@@ -176,7 +176,7 @@ class Exploration:
         return reached
 
     def avoiding(self, number: int, wanted: Collection[int], rounds: int) -> list[Step] | None:
-        """Return rounds after which nothing that is wanted was reached; None if there are no such."""
+        """Return so many rounds that avoid the wanted situations; None if there are no such rounds."""
         layer: dict[int, list[Step]] = {} if number in wanted else {number: []}
         for _ in range(rounds):
             onward = [(trail, *one) for number, trail in layer.items() for one in self.following(number)]
@@ -188,26 +188,26 @@ class Exploration:
         return self._rounds.load(self._rounds.bring(self._way(number)))
 
     def path(self, number: int) -> list[Step]:
-        """Return the rounds by which a situation was reached first."""
+        """Return the fewest rounds that lead to a situation."""
         return [step for _, step, _ in self._way(number)]
 
     def as_bytes(self) -> bytes:
-        """Return what was found, for `go_on_from`: what led where, not what states hold."""
+        """Return what was found, for `go_on_from`: which rounds lead where, without the contents of states."""
         size = len(self.situations) + self.is_finished
         saved = self._mark(), size, len(self.onward), self.seconds, (self._rounds.found, self._rounds.ticked)
-        return gzip.compress(pickle.dumps(saved), mtime=0)  # which says whether it is whole
+        return gzip.compress(pickle.dumps(saved), mtime=0)  # its checksum detects damage
 
     def go_on_from(self, kept: bytes) -> None:
-        """Take over what an earlier exploration of the same mission has found.
+        """Take over what an earlier exploration of the same mission found (the bytes of `as_bytes`).
 
-        For a second it is explored from the beginning, and compared: a smaller mission is so explored anew.
+        First it explores for a second from the beginning and compares; a small mission is thus explored anew.
 
         Raises:
-            MissionError: it is not what one has left, or one of another mission, or the mission does otherwise now.
+            MissionError: the bytes are damaged or of another mission, or the mission has changed since.
         """
         try:
             mark, size, count, seconds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
-        except Exception as error:  # whatever gzip and pickle make of what is none
+        except Exception as error:  # gzip and pickle raise many kinds
             raise MissionError(f"it is not what an exploration has left: {error!r}") from error
         if mark == self._mark():
             self.explore(size, _ALONE_S, cores=1)
@@ -220,7 +220,7 @@ class Exploration:
             self._round(self.unexplored[:1], None)
 
     def _mark(self) -> str:
-        """Return what tells explorations apart."""
+        """Return a text that differs for other missions, options and versions of the loaded modules."""
         around, rounds = self.rig.surroundings, self._rounds
         bounds = around.values, around.alike, around.failures, around.at_once
         return json.dumps([self._newest, rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)])
@@ -234,7 +234,7 @@ class Exploration:
         return found[::-1]
 
     def _round(self, batch: Sequence[int], crew: Workers | None) -> None:
-        """Find what follows situations, by others or alone."""
+        """Explore from situations, with the help of other processes if there are any."""
         ways = {one: self._way(one) for one in batch if not self.states[one].doing.is_over}
         if crew is not None:
             crew.explore([*ways.values()])
@@ -242,7 +242,7 @@ class Exploration:
             self._take_in(self._rounds.onward(ways[one]) if one in ways else [])
 
     def _take_in(self, onward: Onward) -> None:
-        """Note what follows the first situation of which that was not known."""
+        """Note all that follows the first unexplored situation."""
         number = len(self.onward)
         for change, ticks in onward:
             self._note(change.faults, number, Step(change.changes))
@@ -272,7 +272,7 @@ class Exploration:
 
 
 class _Reader(pickle.Unpickler):
-    """Makes nothing but what an exploration is made of, whoever has written the file."""
+    """Unpickles only the classes that an exploration consists of, so a file of a stranger cannot run code."""
 
     def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401  # a class of those
         return next(one for one in _PARTS if (one.__module__, one.__qualname__) == (module, name))

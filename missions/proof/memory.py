@@ -1,7 +1,7 @@
-"""What a program remembers, read from its objects as one value that can be compared and kept, and written back.
+"""Read the state of a program from its objects, as one value that can be compared and kept, and write it back.
 
-A state is restored in place: every object stays the object that it is, and only what differs is written. So tree,
-knowledge base and manager need not know that they are explored, and nothing is copied twice.
+A state is restored in place: every object keeps its identity, and only what differs is written. So tree, knowledge
+base and manager need not know that they are explored, and nothing is copied twice.
 """
 
 import functools
@@ -44,24 +44,24 @@ from rosa_pddl.plan_monitor import PlanMonitor
 from rosa_pddl.resource_usage import ResourceUsage
 
 Content = tuple[Any, ...]
-"""What one object holds, or all of them; equal contents decide alike."""
+"""The encoded state of one object, or of all; programs with equal contents decide alike."""
 
 _ATOMS: Final = (int, float, str, bytes, bool, type(None), type, Enum, UUID)
 _FIXED: Final = (Model, Network, Node, Element, Domain)
-"""What does not change while a mission runs; it may be held anew by whoever remembers something."""
+"""Does not change while a mission runs; a state may refer to it."""
 _LEFT: Final = (
     *(*_FIXED, Log, Publisher, HistoryView, Views, logging.Logger, types.ModuleType),
     *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
     *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, SoftGoals, Relevance, ResourceUsage),
     *(FeasibilityEvents, Asked),
 )
-"""What is left as it is: it does not change, or what it holds decides nothing."""
+"""Not read or restored: it does not change, or what it holds decides nothing."""
 _FOREIGN: Final[Mapping[type, str]] = {Behaviour: "iterator feedback_message logger id"}
-"""What of classes that are not ours decides nothing; ours name it themselves, as `BOOKKEEPING`."""
+"""Attributes of foreign classes that decide nothing; our own classes name theirs as `BOOKKEEPING`."""
 _HOOKS: Final = frozenset({"tick", "stop"})
-"""What a runner puts into behaviours and takes out again."""
+"""Attributes that a runner sets on behaviours and removes again."""
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
-"""Composites, and decorators with those of py_trees, to which a child that has ended is as one that never ran."""
+"""Composites and decorators that treat a child that has ended as one that never ran; so do those of py_trees."""
 _KINDS: Final[Mapping[str, Any]] = {
     kind.__name__: kind for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
 }
@@ -69,23 +69,23 @@ _ABSENT: Final = object()
 
 
 class _Cell(NamedTuple):
-    """An object that is remembered: how it is read, pooled, and how what was read is written back."""
+    """One object of the state: `read` returns its (pooled) content, `write` restores it."""
 
     read: Callable[[], Any]
     write: Callable[[Any], None]
 
 
 class Memory:
-    """All that changes below some objects.
+    """The state of all objects that can be reached from some roots.
 
     Args:
-        roots: where to begin; what they lead to is found once, so what comes later belongs to what holds it.
+        roots: where to begin. The objects are found once; an object made later belongs to the one that holds it.
         apart: objects that belong to another memory.
-        parameters: with the parameters that are in force, which only budgets and users ask for.
+        parameters: include the parameters that are in force, which only budgets and users ask for.
 
     Raises:
-        MissionError: something cannot be written back, such as a generator that is under way, or a class names as
-            `BOOKKEEPING` what it does not have; it is named.
+        MissionError: an object cannot be restored, such as a running generator, or a class names an attribute as
+            `BOOKKEEPING` that it does not have; the message names it.
     """
 
     def __init__(self, roots: Iterable[object], apart: Iterable[object] = (), *, parameters: bool = True) -> None:
@@ -93,7 +93,7 @@ class Memory:
         self._numbers: dict[int, int] = {}
         self._cells: list[_Cell] = []
         self._pool: dict[Any, Any] = {}
-        self._shared: dict[Any, Any] = {}  # what is one thing wherever it is held
+        self._shared: dict[Any, Any] = {}  # objects that keep their identity in all states
         self._states: dict[int, Content] = {}
         self._by_ids: dict[tuple[int, ...], int] = {}
         self.with_parameters = parameters
@@ -107,7 +107,7 @@ class Memory:
         return key in self._states
 
     def read(self) -> int:
-        """Return the key of the state that it is in now: equal ones have the same, in every process."""
+        """Return the key of the present state; equal states have equal keys, in every process."""
         self._loaded = state = tuple([cell.read() for cell in self._cells])
         ids = tuple(map(id, state))
         key = self._by_ids.get(ids)
@@ -122,7 +122,7 @@ class Memory:
         return key
 
     def write(self, key: int) -> None:
-        """Have everything be as it was in the state of that key."""
+        """Restore the state with this key."""
         wanted_state = self._states[key]
         for cell, wanted, present in zip(self._cells, wanted_state, self._loaded, strict=True):
             if wanted is not present:
@@ -130,7 +130,7 @@ class Memory:
         self._loaded = wanted_state
 
     def pooled(self, content: Any) -> Any:  # noqa: ANN401  # what was encoded
-        """Return the same object for all contents that are equal."""
+        """Return one and the same object for all equal contents."""
         return self._pool.setdefault(content, content)
 
     def _note(self, what: object) -> None:
@@ -161,7 +161,7 @@ class Memory:
             self._cells.append(self._cell_of(what, named, idle))
 
     def _cell_of(self, what: Any, base: dict[str, Any], idle: frozenset[str]) -> _Cell:  # noqa: ANN401  # whatever object
-        """Return the cell of an object's attributes: only what is not as it was at first."""
+        """Return the cell of an object's attributes; its content holds only those that differ from the first state."""
         encoded = {name: self.of(value) for name, value in base.items() if name not in idle}
         own = vars(what) if _attributes(what) is getattr(what, "__dict__", None) else None
         of_no_use = _of_no_use(what) if isinstance(what, Behaviour) else None
@@ -175,7 +175,7 @@ class Memory:
                     if name not in encoded or content != encoded[name]:
                         found.append((name, content))
             left = of_no_use(dict(found)) if of_no_use is not None else ()
-            for name in left:  # what decides nothing is as at first: nothing of one state is left in another
+            for name in left:  # reset what decides nothing: it must not differ between equal states
                 setattr(what, name, base[name])
             kept: Content = self.pooled(tuple(sorted((one for one in found if one[0] not in left), key=itemgetter(0))))
             return kept
@@ -204,7 +204,7 @@ class Memory:
             (what.update if isinstance(what, set) else what.extend)([self.decoded(value) for value in content])
 
     def of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
-        """Return a value as something that can be compared and hashed."""
+        """Encode a value so that it can be compared and hashed; `decoded` is the inverse."""
         value = settled(value) if type(value) is Asked else value
         kind = type(value)
         if kind is Asked:
@@ -252,11 +252,11 @@ class Memory:
 
 
 def said(content: Any) -> str:  # noqa: ANN401  # what was encoded
-    """Return what is held as a text, the same in every process: sets are in order, and no object says where it is."""
+    """Return a content as text, the same in every process: sets are sorted, and no memory address appears."""
     return json.dumps(content, default=_plain)
 
 
-def _plain(content: Any) -> object:  # noqa: ANN401  # what JSON does not know
+def _plain(content: Any) -> object:  # noqa: ANN401  # a value that JSON does not know
     kind = type(content)
     if issubclass(kind, set | frozenset):
         return sorted(map(said, content))
@@ -272,17 +272,17 @@ def _plain(content: Any) -> object:  # noqa: ANN401  # what JSON does not know
 
 
 def _attributes(what: object) -> dict[str, Any]:
-    """Return the attributes of an object, those in slots too."""
+    """Return the attributes of an object, including those in slots."""
     own: dict[str, Any] = getattr(what, "__dict__", {})
     slots = _slots(type(what))  # type: ignore[arg-type]  # a type can be hashed
     return own if not slots else {name: getattr(what, name) for name in slots if hasattr(what, name)} | own
 
 
 def _of_no_use(behaviour: Behaviour) -> Callable[[Mapping[str, Any]], set[str]]:
-    """Return what tells which of the things that a behaviour remembers decide nothing any more.
+    """Return a function that names the attributes of a behaviour that decide nothing in its present state.
 
-    py_trees' own composites, decorators and leaves, and ours, ask of a child that they have not ticked only whether it
-    runs; and where a composite has got to matters while it runs.
+    The composites and decorators of py_trees, and ours, ask of a child that they have not ticked only whether it runs.
+    The current child of a composite matters only while the composite runs.
     """
     is_below = behaviour.parent is not None and _is_forgetful(behaviour.parent)
     is_restarting = isinstance(behaviour, Composite) and _is_forgetful(behaviour)
@@ -301,7 +301,7 @@ def _is_forgetful(behaviour: Behaviour) -> bool:
 
 
 def _is_value(value: object) -> bool:
-    """Tell whether an object is compared by what it holds, all of which can be compared."""
+    """Return whether an object is compared by value, and all that it holds can be hashed."""
     try:
         return type(value).__hash__ is not object.__hash__ and hash(value) is not None
     except TypeError:
@@ -322,13 +322,13 @@ def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # whatever type
 
 @functools.cache
 def _idle(kind: Any) -> frozenset[str]:  # noqa: ANN401  # whatever type
-    """Return the attributes of a class's objects that decide nothing that comes."""
+    """Return the attributes of objects of a class that decide nothing."""
     named = [vars(one).get("BOOKKEEPING", _FOREIGN.get(one, "")) for one in kind.__mro__]
     return frozenset(" ".join(named).split()) | (_HOOKS if issubclass(kind, Behaviour) else frozenset())
 
 
 class _Facts(tuple[Any, ...]):
-    """The facts of a knowledge base, and beside them what follows from these."""
+    """The facts of a knowledge base; as attributes, not compared, what is inferred from them."""
 
     columns: Items[tuple[Any, ...]]
     marks: Items[tuple[int, Items[int]]]
@@ -355,8 +355,8 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         return found
 
     def write(content: _Facts) -> None:
-        known.settled()  # else what was interrupted would be undone later, in this state
-        known.log.last += 1  # who keeps what was so at a revision asks anew
+        known.settled()  # or an interrupted event would be undone later, in the restored state
+        known.log.last += 1  # a new revision, so that caches are refreshed
         known.revision = known.log.last
         for column, values in (*zip(facts, content, strict=False), *zip(inferred, content.columns, strict=True)):
             column[:] = values

@@ -1,4 +1,4 @@
-"""A plan executor as it is explored: plans are there in the tick, behaviours are made once, and pauses are over."""
+"""A plan executor for exploration: plans arrive within the tick, behaviours are made once, and pauses are over."""
 
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
@@ -18,7 +18,7 @@ from rosa_pddl.problem import Problem, initial_state
 
 
 class _AtOnce:
-    """A planner whose answer is there when it was asked, however long that took."""
+    """A planner that waits for the answer when it is asked."""
 
     def __init__(self, planner: Planner) -> None:
         self._planner, self.timeout_s = planner, planner.timeout_s
@@ -30,7 +30,7 @@ class _AtOnce:
 
 
 class Planned(Decorator):
-    """A plan executor of which every pause is over before the next tick, and what failed is planned with again.
+    """A plan executor whose pauses are all over before the next tick, so a step that failed is planned with again.
 
     Attributes:
         steps: the behaviours of all steps that plans may have.
@@ -46,21 +46,21 @@ class Planned(Decorator):
         yield from super().tick()
 
     def update(self) -> Status:
-        """Return what the executor comes to; how a step ended decides nothing any more."""
+        """Return the status of the executor; reset the status of ended steps, which decides nothing any more."""
         for one in self.steps:
             one.status = one.status if one.status is Status.RUNNING else Status.INVALID
         return self.decorated.status
 
 
 def nodes(root: Behaviour) -> list[Behaviour]:
-    """Return the nodes of a tree, with those of all steps that its plans may have."""
+    """Return the nodes of a tree, including those of all steps that its plans may have."""
     every = list(root.iterate())
     steps = [step for one in every if isinstance(one, Planned) for step in one.steps]
     return list(dict.fromkeys([*every, *(node for step in steps for node in step.iterate())]))
 
 
 def stage_of(root: Behaviour) -> tuple[object, ...]:
-    """Return how far a tree is: which child each sequence with memory has got to, and what plan executors believe."""
+    """Return the progress of a tree: the current child of each running sequence with memory, and executors' beliefs."""
     every = nodes(root)
     sequences = [one for one in every if isinstance(one, Sequence) and one.memory]
     places = [one.current_child and one.current_child.name for one in sequences if one.status is Status.RUNNING]
@@ -68,7 +68,7 @@ def stage_of(root: Behaviour) -> tuple[object, ...]:
 
 
 def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
-    """Return what makes the plan executor of a mission; what its steps bring about is believed, nothing is sensed."""
+    """Return a function that makes a mission's plan executor; it believes the effects of steps and senses nothing."""
     domain = mission_domain(mission)
     planner, steps = _AtOnce(planner_of(mission, domain)), _steps(domain)
 
@@ -91,7 +91,7 @@ def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
 
 
 def _steps(domain: Domain) -> list[Step]:
-    """Return all steps that can be reached from how the problem begins, whatever becomes feasible."""
+    """Return all steps that are reachable from the initial state, whatever becomes feasible."""
     feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
     first = initial_state(domain).union(feasible)
     task = Grounded(domain, first, first, lambda instances: None)

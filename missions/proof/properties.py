@@ -1,4 +1,4 @@
-"""What holds in everything that was explored, and if it does not, the fewest rounds that lead to where it does not."""
+"""Check properties of all that was explored; one that is broken comes with the fewest rounds that lead there."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ class Finding:
 
     Attributes:
         name: what should hold.
-        holds: None if it held as far as was explored, which was not everything.
+        holds: None if it holds in all that was explored, but that was not everything.
         what: what is wrong, in words; empty if it holds.
-        trail: the rounds that lead there; None where no single story shows it.
+        trail: the rounds that lead there; None if no single story shows it.
     """
 
     name: str
@@ -28,7 +28,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Property:
-    """What a user wants to hold, made by `always`, `never`, `eventually` or `leads_to`."""
+    """A property of a user, made by `always`, `never`, `eventually` or `leads_to`."""
 
     name: str
     predicates: tuple[Predicate, ...]
@@ -36,7 +36,7 @@ class Property:
 
 
 def always(name: str, predicate: Predicate) -> Property:
-    """Want something to hold after every tick."""
+    """Require that a predicate holds after every tick."""
 
     def check(found: Exploration) -> Wrong | None:
         return found.first(set(found.every) - found.holds[predicate], "it does not hold then")
@@ -45,23 +45,23 @@ def always(name: str, predicate: Predicate) -> Property:
 
 
 def never(name: str, predicate: Predicate) -> Property:
-    """Want something not to hold after any tick."""
+    """Require that a predicate holds after no tick."""
     return Property(name, (predicate,), lambda found: found.first(found.holds[predicate], "it is so then"))
 
 
 def eventually(name: str, predicate: Predicate) -> Property:
-    """Want something to be able to come about still, wherever the mission has got to."""
+    """Require that a predicate can still come to hold from every situation."""
     return leads_to(name, lambda rig: True, predicate)
 
 
 def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = None) -> Property:
-    """Want something to follow whenever something else holds.
+    """Require that `then` follows whenever `first` holds.
 
     Args:
         name: in words.
-        first: what it follows.
-        then: what follows.
-        within: in how many ticks at most, whatever happens; None: it can still come about.
+        first: the predicate that it follows.
+        then: the predicate that has to follow.
+        within: after this many ticks at most, whatever happens; None: it only has to be possible.
     """
 
     def check(found: Exploration) -> Wrong | None:
@@ -83,7 +83,7 @@ def check(
     exclusive: Iterable[Collection[str]] = (),
     wanted: Iterable[Property] = (),
 ) -> list[Finding]:
-    """Return what holds of an exploration, what everybody wants first; see `verify`."""
+    """Check the properties that every mission must have, then those wanted; see `verify` for the arguments."""
     ticks = "a tick" if reaction == 1 else f"{reaction} ticks"
     wrong: list[tuple[str, Wrong | None]] = [
         (f"nothing is requested while unfeasible for longer than {ticks}", _unfeasible(found, reaction)),
@@ -111,7 +111,7 @@ def _shortest(bad: Iterable[tuple[str, Sequence[Step]]]) -> Wrong | None:
 
 
 def _unfeasible(found: Exploration, reaction: int) -> Wrong | None:
-    """Look for a request that is unfeasible before and after so many ticks in a row."""
+    """Find a request that stays unfeasible during `reaction` consecutive ticks."""
     layer: dict[tuple[str, int], list[Step]] = {}
     for count in range(reaction):
         following: dict[tuple[str, int], list[Step]] = {}
@@ -144,7 +144,7 @@ def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
 
 
 def _stuck(found: Exploration) -> Wrong | None:
-    """Look for a situation that does not lead to the end while facts stand, though another of its stage does."""
+    """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
     ended = {one for one in found.every if found.states[one].doing.is_over}
     good = found.reaching((found.goals | ended).union(found.unexplored), still=True)
     here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known, _ in found.states]
@@ -154,7 +154,7 @@ def _stuck(found: Exploration) -> Wrong | None:
 
 
 def _wavering(found: Exploration) -> Wrong | None:
-    """Follow what happens while conditions stay what they are and every action goes on: requests come to rest."""
+    """Find a cycle of different requests while all conditions keep their answer and every action keeps running."""
     for held in "FS":
         onward: dict[int, tuple[Step, int]] = {}
         for number in found.every:
@@ -177,7 +177,7 @@ def _wavering(found: Exploration) -> Wrong | None:
 
 def _unreached(found: Exploration) -> Wrong | None:
     missing = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
-    ticked = {one.name for one in found.rig.ticked}  # of the steps of plans one of each kind will do
+    ticked = {one.name for one in found.rig.ticked}  # of the steps of plans, one of each name is enough
     names = dict.fromkeys([*missing, *(one.name for one in nodes(found.rig.root) if one.name not in ticked)])
     return (f"never ticked: {', '.join(names)}", None) if names else None
 
@@ -185,7 +185,7 @@ def _unreached(found: Exploration) -> Wrong | None:
 def _missing(found: Exploration) -> Wrong | None:
     kb, occurring = found.rig.kb, found.occurring
     tables: dict[str, Iterable[str]] = {"action": kb.actions}
-    if found.rig.surroundings.failures:  # or what is there for failures would be missing
+    if found.rig.surroundings.failures:  # without failures, what is there for them cannot occur
         tables |= {"function design": kb.designs, "configuration": kb.configurations}
     names = [f"{kind} {name}" for kind, table in tables.items() for name in table if (kind, name) not in occurring]
     return (f"never: {', '.join(names)}", None) if names else None

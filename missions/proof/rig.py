@@ -1,4 +1,4 @@
-"""What is explored, and its parts put together: the tree, the knowledge base, the manager and what surrounds them."""
+"""The setup of an exploration, and its parts put together: tree, knowledge base, manager and surroundings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -21,11 +21,11 @@ Build = Callable[[KnowledgeBase], Behaviour]
 Predicate = Callable[["Rig"], bool]
 
 _MOST_TURNS: Final = 20
-"""So many turns of the manager settle everything, or it never comes to rest."""
+"""After this many turns in a row, the manager is said not to come to rest."""
 
 
 class _Robot:
-    """A managed system that obeys at once, and notes what a model does not allow."""
+    """A managed system that obeys at once, and notes commands that the model does not allow."""
 
     def __init__(self, kb: KnowledgeBase) -> None:
         self.kb, self.faults = kb, list[str]()
@@ -56,9 +56,9 @@ class Setup:
     Attributes:
         model: builds what the robot is made of and can do, anew at each call.
         build: makes the tree, or another behaviour that decides.
-        leaves: by name, what leaves may return; others as `surroundings.usual` says.
-        planner: makes what chooses configurations; by priority without one.
-        start: what is measured before the first tick; nothing else is.
+        leaves: by name, what leaves may return; `surroundings.usual` says it for the others.
+        planner: makes the planner that chooses configurations; None: by priority.
+        start: attributes that are measured before the first tick, with their values; no others are.
         surroundings: how facts change, see `Surroundings`.
         slow: whether the manager may miss its turn, as while commands take time.
     """
@@ -72,13 +72,13 @@ class Setup:
     slow: bool = False
 
     def tree(self, kb: KnowledgeBase) -> Behaviour:
-        """Make the tree, with nothing on the blackboard that another has left there."""
+        """Empty the blackboard, which the whole process shares, and make the tree."""
         Blackboard.storage.clear()
         return self.build(kb)
 
 
 class Rig(VisitorBase):
-    """The parts of a mission in one situation; this is what a predicate of a user is asked about.
+    """The parts of a mission in one situation; predicates of users are called with it.
 
     Attributes:
         kb: the knowledge base.
@@ -109,11 +109,11 @@ class Rig(VisitorBase):
         self.ticked.add(behaviour)
 
     def is_required(self, action: str) -> bool:
-        """Tell whether an action is requested."""
+        """Return whether an action is requested."""
         return any(one.action == action for one in self.kb.required_actions)
 
     def measured(self, attribute: str) -> float | None:
-        """Return the latest measurement."""
+        """Return the latest measurement of an attribute; None if there is none."""
         return self.kb.attributes[attribute].value
 
     @property
@@ -122,7 +122,7 @@ class Rig(VisitorBase):
         return tuple(sorted(one.action for one in self.kb.required_actions))
 
     def begin(self) -> tuple[str, ...]:
-        """Measure what is measured before the first tick, and have the manager take its turns."""
+        """Measure the start values and let the manager take its turns; return its faults, in words."""
         for name, value in self._start.items():
             self.kb.measure(name, value)
         return self.settle()
@@ -133,7 +133,7 @@ class Rig(VisitorBase):
         return tuple(one for one in self.required if not self.kb.is_feasible(one))
 
     def settle(self, is_settled: Callable[[], bool] = lambda: False) -> tuple[str, ...]:
-        """Have the manager take its turns until it has nothing to do; return what was wrong about that, in words."""
+        """Let the manager take its turns until it has nothing to do; return its faults, in words."""
         self._robot.faults.clear()
         try:
             for _ in range(_MOST_TURNS):

@@ -1,9 +1,9 @@
-"""What may follow a situation, found by running it.
+"""Find what may follow a situation by running it: one round after another.
 
-A round is what happens around the robot, the manager's turns, a tick in which each leaf answers, and the manager's
-turns again. What facts and the manager make of what is known does not depend on the tree, so it is found once for each
-state of the knowledge base; a tick is run in each state of both, for all answers. That is done by this process alone,
-or by copies of it, each a part.
+In a round some facts change, the manager takes its turns, the tree is ticked and each leaf answers, and the manager
+takes its turns again. The facts and the manager do not depend on the tree, so their part is run once for each state of
+the knowledge base. The tick is run for each pair of states of tree and knowledge base, with all answers of the leaves.
+This process does all of it, or forked copies of it share the work.
 """
 
 import multiprocessing
@@ -30,14 +30,14 @@ from missions.proof.surroundings import Answer, Change
 from rosa_bt.behaviours import kept
 
 CAN_COPY: Final = sys.platform.startswith("linux")
-"""Whether a process can begin as a copy of this one: what makes a tree is often something that cannot be sent."""
+"""Whether this process can be forked. The functions that build a tree often cannot be sent to another process."""
 
 
 class Known(NamedTuple):
-    """What matters of a state of the knowledge base."""
+    """The part of a state of the knowledge base that the properties look at."""
 
     required: tuple[str, ...]
-    unfeasible: tuple[str, ...]  # required all the same
+    unfeasible: tuple[str, ...]  # required although unfeasible
     occurring: frozenset[tuple[str, str]]  # kind and name of what is selected or required
     failed: tuple[str, ...]
     values: tuple[tuple[str, float | str | None], ...]
@@ -45,16 +45,16 @@ class Known(NamedTuple):
 
 
 class Doing(NamedTuple):
-    """What matters of the state of a tree after a tick."""
+    """The part of the state of a tree after a tick that the properties look at."""
 
     status: str
-    running: frozenset[str]  # the actions of its behaviours that run
-    stage: str  # where the sequences that remember it have got to, and what plans believe
-    is_over: bool  # it has succeeded, or ended for good
+    running: frozenset[str]  # the actions of its running behaviours
+    stage: str  # the current child of each sequence with memory, and what plan executors believe
+    is_over: bool  # the root has succeeded, or a OneShot there has ended
 
 
 class Step(NamedTuple):
-    """A round: what changes, what leaves answer, and whether the manager misses its turn before and after the tick."""
+    """A round: changes, answers of leaves, and whether the manager misses its turn before and after the tick."""
 
     changes: tuple[Change, ...] = ()
     answers: tuple[Answer, ...] = ()
@@ -62,18 +62,18 @@ class Step(NamedTuple):
 
 
 class Situation(NamedTuple):
-    """Keys of the states of tree and knowledge base: after a round, or after changes and before a tick."""
+    """The keys of a state of the tree and of one of the knowledge base: after a round, or just before its tick."""
 
     tree: int
     known: int
 
 
 Way = Sequence[tuple[Situation, Step, Situation]]
-"""Rounds, one after another, and between which situations they lead."""
+"""Consecutive rounds, each with the situation before and after it."""
 
 
 class Changed(NamedTuple):
-    """What is known after changes, and what was wrong about what the manager did, in words."""
+    """The state of the knowledge base after changes, and the faults of the manager on the way, in words."""
 
     known: int
     changes: tuple[Change, ...]
@@ -83,7 +83,7 @@ class Changed(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What matters of a situation: of its tree and its knowledge base, and which of the predicates hold in it."""
+    """The parts of a situation that the properties look at, and which of the predicates hold in it."""
 
     doing: Doing
     facts: Known
@@ -91,7 +91,7 @@ class Seen(NamedTuple):
 
 
 class Ticked(NamedTuple):
-    """The situation after a tick, and what was wrong about what the manager did, in words."""
+    """The situation after a tick, and the faults of the manager after it, in words."""
 
     after: Situation
     answers: tuple[Answer, ...]
@@ -101,22 +101,22 @@ class Ticked(NamedTuple):
 
 
 Onward = list[tuple[Changed, list[Ticked]]]
-"""What may follow a situation: what can be known next, each with what a tick comes to then."""
+"""All that may follow a situation: each change of facts, with all outcomes of the tick after it."""
 
 
 News = tuple[Sequence[dict[Any, Any]], list[int]]
-"""What was found of states and moments, by their keys, and which nodes of the tree were ticked, by their places."""
+"""New entries for `Rounds.found`, and the indices of the nodes of the tree that were ticked."""
 
 
 class Rounds:
-    """Runs rounds in any situation that it has been in.
+    """Runs rounds from any situation that it has visited, and keeps their results.
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
-        first: the situation in the beginning.
+        first: the initial situation.
         is_slow: whether the manager may miss its turn.
-        faults: what was wrong about what the manager did in the beginning, in words.
-        found: by what is known which changes may follow, and by moment which ticks.
+        faults: of the manager before the first tick, in words.
+        found: the changes that may follow, by state of the knowledge base; the ticks that may follow, by situation.
     """
 
     def __init__(self, setup: Setup, predicates: Sequence[Predicate] = ()) -> None:
@@ -138,7 +138,7 @@ class Rounds:
         self.first = Situation(self._tree.read(), self._known.read())
 
     def has_been_in(self, situation: Situation) -> bool:
-        """Tell whether these states of tree and knowledge base were there, together or apart."""
+        """Return whether both states were visited here, together or apart, so that they can be restored."""
         return situation.tree in self._tree and situation.known in self._known
 
     def load(self, situation: Situation) -> Rig:
@@ -149,26 +149,26 @@ class Rounds:
 
     @property
     def ticked(self) -> list[int]:
-        """The nodes that were ever ticked, by their places."""
+        """The indices of the nodes that were ever ticked."""
         return [place for place, one in enumerate(self._nodes) if one in self.rig.ticked]
 
     def news(self) -> News:
-        """Return what was found since the last time, and which nodes were ever ticked."""
+        """Return what was found since the last call, and which nodes were ever ticked."""
         new = [dict(islice(one.items(), sent, None)) for one, sent in zip(self.found, self._sent, strict=True)]
         self._sent = [len(one) for one in self.found]
         return new, self.ticked
 
     def hear(self, news: News) -> None:
-        """Take over what another has found."""
+        """Take over what another process has found."""
         for mine, theirs in zip(self.found, news[0], strict=True):
             mine.update(theirs)
         self.rig.ticked.update(self._nodes[place] for place in news[1])
 
     def bring(self, way: Way) -> Situation:
-        """Have been where rounds lead that were run before, here or elsewhere, and return it.
+        """Run the rounds of a way that were not run in this process, and return the situation at its end.
 
         Raises:
-            MissionError: they lead elsewhere now.
+            MissionError: a round leads to another situation than before.
         """
         places = range(len(way), 0, -1)
         last = next((place for place in places if self.has_been_in(way[place - 1][2])), 0)
@@ -177,28 +177,28 @@ class Rounds:
         return way[-1][2] if way else self.first
 
     def onward(self, way: Way) -> Onward:
-        """Return what may follow the situation to which rounds lead."""
+        """Return all that may follow the situation at the end of a way."""
         tree, known = way[-1][2] if way else self.first
         if known not in self._changes:
             self.bring(way)
         found = []
         for change in self.changes(known):
             moment = Situation(tree, change.known)
-            if moment not in self._ticks and not self.has_been_in(moment):  # another has found the change
+            if moment not in self._ticks and not self.has_been_in(moment):  # another process found the change
                 self.run(self.bring(way), Step(change.changes, late=(change.is_late, False)))
                 _check(self.has_been_in(moment))
             found.append((change, self.ticks(moment)))
         return found
 
     def run(self, before: Situation, step: Step) -> Situation:
-        """Return where one round leads."""
+        """Run one round and return the situation after it."""
         told = self._told(before.known, step.changes)
         moment = told if step.late[0] else self._settle(told)[0]
         after = self._outcome(Situation(before.tree, moment), step.answers)
         return after if step.late[1] else Situation(after.tree, self._settle(after.known)[0])
 
     def changes(self, known: int) -> list[Changed]:
-        """Return what can be known next, each once, with and without the manager's turn."""
+        """Return the states of the knowledge base after changes, each once; if slow, also those without a turn."""
         if known in self._changes:
             return self._changes[known]
         self._known.write(known)
@@ -212,7 +212,7 @@ class Rounds:
         return self._changes.setdefault(known, list(reached.values()))
 
     def ticks(self, moment: Situation) -> list[Ticked]:
-        """Return what a tick in a moment comes to, with every combination of answers."""
+        """Return the outcomes of a tick in a situation, one for every combination of answers."""
         if moment in self._ticks:
             return self._ticks[moment]
         found: list[Ticked] = []
@@ -246,7 +246,7 @@ class Rounds:
         return self._known.read()
 
     def _settle(self, known: int) -> tuple[int, tuple[str, ...]]:
-        """Return what is known when the manager has nothing to do any more, and what was wrong about that."""
+        """Let the manager take its turns until it rests; return the state then, and its faults."""
         found = self._settled.get(known)
         if found is None:
             self._known.write(known)
@@ -256,7 +256,7 @@ class Rounds:
         return found
 
     def seen(self, situation: Situation) -> Seen:
-        """Return what matters of a situation that was there."""
+        """Return what the properties look at, of a situation that was visited."""
         if situation not in self._seen:
             doing, facts = self._doing_of(situation.tree), self._facts_of(situation.known)
             holds = tuple([bool(one(self.load(situation))) for one in self._predicates])
@@ -298,19 +298,21 @@ def megabytes() -> float:
 
 
 class Workers:
-    """Copies of this process, until it is closed; what one finds of a tree in a state, it is asked again."""
+    """Forked copies of this process, until `close`; each is always asked about the same states of the tree."""
 
     def __init__(self, rounds: Rounds, count: int) -> None:
         self._rounds, context = rounds, multiprocessing.get_context("fork")
         self._copies = [ProcessPoolExecutor(1, context, _begin, (rounds, os.getpid())) for _ in range(count)]
 
     def explore(self, ways: Sequence[Way]) -> None:
-        """Have found what may follow the situations to which rounds lead."""
+        """Let the copies find all that may follow the situations at the ends of these ways."""
         parts: list[list[Way]] = [[] for _ in self._copies]
         for way in ways:
             parts[way[-1][2].tree % len(parts) if way else 0].append(way)
         try:
-            with warnings.catch_warnings(action="ignore", category=DeprecationWarning):  # of threads: a copy has none
+            with warnings.catch_warnings(
+                action="ignore", category=DeprecationWarning
+            ):  # fork with threads: the copies use none of them
                 asked = [copy.submit(_found, part) for copy, part in zip(self._copies, parts, strict=True)]
             for one in asked:
                 self._rounds.hear(one.result())
@@ -323,11 +325,11 @@ class Workers:
 
 
 _copied: list[Rounds] = []
-"""In a copy of a process, what it explores."""
+"""In a forked copy: what it explores with."""
 
 
 def _begin(rounds: Rounds, parent: int) -> None:
-    """Begin as a copy, which is not interrupted, and ends when the process is gone that began it."""
+    """Set up a forked copy: it ignores Ctrl-C, and ends when its parent is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     rounds.news()
     _copied.append(rounds)
@@ -339,7 +341,7 @@ def _found(ways: Sequence[Way]) -> News:
     try:
         for way in ways:
             rounds.onward(way)
-    except Exception as error:  # of which not all can be sent
+    except Exception as error:  # some exceptions cannot be sent to the parent
         text = f"{type(error).__name__}: {error}"
         raise MissionError(str(error) if isinstance(error, MissionError) else text) from None
     return rounds.news()

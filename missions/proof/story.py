@@ -1,4 +1,4 @@
-"""A story of what happened, round by round: played with everything as it is, in words, as a trace, a page or a test."""
+"""Play the rounds of a counterexample with the real parts, and tell them in words, as a trace, a page or a test."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class Story:
 
     Attributes:
         lines: in words.
-        trace: of the ticks; a round is a second.
-        wrong: what is wrong at the end, in words, as far as a single situation shows it.
+        trace: of the ticks; a round takes a second.
+        wrong: what is wrong at the end, in words, if the last situation alone shows it.
         rig: the parts of the mission, as they are at the end.
     """
 
@@ -37,7 +37,7 @@ class Story:
 
 
 def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, rows: Iterable[Any] = ()) -> Story:
-    """Run the rounds of a story, and write a page of it if that is asked for, with rows of its own beside."""
+    """Run the rounds of a story; if `page` is given, write a page of it there, with these additional rows."""
     steps = [Step(tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in trail]
     rig = Rig(setup)
     recorder = None
@@ -80,12 +80,12 @@ _SHOWN = ("request_action", "cancel_action")
 
 
 def as_test(setup: str, name: str, what: str, trail: Sequence[Step]) -> str:
-    """Return a test for pytest that plays a story, and fails as long as what it tells of can happen.
+    """Return a test for pytest that plays a story, and fails as long as the story can happen.
 
     Args:
         setup: an expression that makes the `Setup`, with the imports that it needs as lines before it.
         name: of the property.
-        what: is wrong.
+        what: what is wrong.
         trail: the rounds.
     """
     *imports, expression = setup.splitlines()

@@ -1,6 +1,6 @@
-"""What can happen: what can be measured, as far as it makes a difference, what can fail, and what leaves may answer.
+"""What can happen: values that can be measured, components that can fail, and answers of leaves.
 
-All that stands above the leaves, and the leaves that ask the knowledge base, are real.
+The composites and decorators above the leaves, and the leaves that ask the knowledge base, are the real ones.
 """
 
 from collections import defaultdict
@@ -29,7 +29,7 @@ STALE = "stale"
 
 
 class Change(NamedTuple):
-    """One fact that changes: an attribute is measured so or stale, a component fails (True) or recovers (False)."""
+    """One change of a fact: an attribute is measured or goes stale, a component fails (True) or recovers (False)."""
 
     name: str
     to: float | bool | str
@@ -49,23 +49,23 @@ class Change(NamedTuple):
 
 
 class Surroundings:
-    """Everything that can change in a model, once for each difference that it makes.
+    """All facts of a model that can change, with one value for each difference that values make.
 
     Args:
         kb: of the robot.
         root: of the tree, whose own conditions on measurements count too.
         failures: how many components are failed at once at most.
         at_once: how many facts change between two ticks at most.
-        values: by attribute, what else can be measured: what the tree or a question asks beside the model.
+        values: by attribute, further thresholds that the tree or a property compares with.
         failing: the components that can fail; None for all.
-        symmetric: let only the first of several components fail that are alike in all that the model says.
+        symmetric: of several components that the model does not distinguish, let only the first fail.
 
     Attributes:
         failures: how many components are failed at once at most.
         at_once: how many facts change between two ticks at most.
         values: by attribute, one value for each difference.
-        alike: the components that can fail, in groups of those that can stand for one another.
-        worst: by attribute, the value that leaves the fewest constraints satisfied.
+        alike: the components that can fail, in groups that the model does not distinguish.
+        worst: by attribute, the value that satisfies the fewest constraints.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Surroundings:
         return tuple(name for name, one in self._kb.components.items() if one.status == "failure")
 
     def changes(self) -> Iterator[tuple[Change, ...]]:
-        """Yield what can happen next, none of it first; the knowledge base says how it is now."""
+        """Yield the sets of changes that can happen next, beginning with the empty one."""
         single = [one for name in self.values for one in self._measured(name)]
         down = self.failed()
         single += [Change(broken[-1], False) for alike in self.alike if (broken := [o for o in alike if o in down])]
@@ -118,12 +118,12 @@ class Surroundings:
 
 
 def _satisfied(asked: Iterable[tuple[str, float]], value: float) -> int:
-    """Return how many comparisons, each an operator and what is compared with, hold of a value."""
+    """Return how many comparisons (operator, threshold) a value satisfies."""
     return sum(OPERATORS[sign](value, of) for sign, of in asked)
 
 
 def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tuple[str, float]]]:
-    """Return what each attribute is compared with, by the model and by the conditions of the tree."""
+    """Return the comparisons of each attribute in the model and in the conditions of the tree."""
     found: defaultdict[str, set[tuple[str, float]]] = defaultdict(set)
     for elements in (kb.actions, kb.designs, kb.components, kb.configurations):
         for element in elements.values():
@@ -137,7 +137,7 @@ def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tupl
 
 
 def _distinct(asked: set[tuple[str, float]], attribute: Attribute) -> tuple[float, ...]:
-    """Return values of an attribute, one for each combination of answers to comparisons that there can be."""
+    """Return values of an attribute, one for each possible combination of results of the comparisons."""
     low, high = attribute.low, attribute.high
     known = sorted({value for _, value in asked})
     below = (low + known[0]) / 2 if low > -inf else known[0] - 1.0
@@ -151,7 +151,7 @@ def _distinct(asked: set[tuple[str, float]], attribute: Attribute) -> tuple[floa
 
 
 def _alike(kb: KnowledgeBase, names: Iterable[str], named: set[str]) -> list[tuple[str, ...]]:
-    """Return the components in groups whose members can stand for one another; what is asked by name stands alone."""
+    """Group components that nothing distinguishes; one that the tree asks for by name is alone."""
     groups: defaultdict[object, list[str]] = defaultdict(list)
     for name in names:
         view = kb.components[name]
@@ -168,7 +168,7 @@ Values = Mapping[str, tuple[float, ...]]
 """By attribute, what can be measured."""
 
 _CHANCE: Final = (py_trees.timers.Timer, py_trees.behaviours.ProbabilisticBehaviour)
-"""Leaves of py_trees that decide by the wall clock or by dice; the others by what they are and remember."""
+"""Leaves of py_trees that decide by the wall clock or by chance; all others are deterministic."""
 
 
 @dataclass(frozen=True)
@@ -176,8 +176,8 @@ class Leaf:
     """What a leaf may return, and what it does to facts.
 
     Attributes:
-        answers: letters of "R", "S" and "F"; empty for a leaf that is left to work as it is.
-        effects: attributes that are measured, with their values, when it returns what the letter says, such as
+        answers: letters of "R", "S" and "F"; empty: the leaf works as it is.
+        effects: by letter, the attributes that are measured when it returns that, such as
             {"S": {"battery_level": 1.0}}.
     """
 
@@ -191,19 +191,19 @@ class Leaf:
 
 
 class Choice(NamedTuple):
-    """A leaf that is asked: its name, and the letters of what it may return."""
+    """A question to a leaf: its name, and the letters that it may return."""
 
     name: str
     letters: str
 
 
 class Choices:
-    """Says what leaves answer in a tick: as scripted first, then the first letter; the same when asked again.
+    """Decides what leaves answer in a tick: first by a script, then the first letter; a leaf asked again says the same.
 
     Attributes:
         taken: the answers since `begin`.
-        others: the beginnings of what could have been answered instead, each once.
-        said: what was asked, of leaves and of others who note it here, with the answers.
+        others: scripts for the answers that were possible but not taken, each once.
+        said: all questions with their answers: to leaves, and to the knowledge base (see `Tape`).
     """
 
     def __init__(self) -> None:
@@ -224,7 +224,7 @@ class Choices:
         return self._said[leaf]
 
     def take(self, asked: Choice) -> str:
-        """Return what is answered next."""
+        """Return the next answer, and note the other possible ones in `others`."""
         name, letters = asked
         place = len(self.taken)
         letter = self._script[place][1] if place < len(self._script) else letters[0]
@@ -236,7 +236,7 @@ class Choices:
 
 
 def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
-    """Return what a leaf may return that nothing is declared of; what its schema promises comes true."""
+    """Return what an undeclared leaf may return; on success, what its schema makes feasible becomes so."""
     is_ours = isinstance(leaf, KbBehaviour) and not isinstance(leaf, RosaAction)
     is_known = type(leaf).__module__.startswith(("py_trees.", "rosa_bt.")) and not isinstance(leaf, RosaAction)
     if is_ours or (is_known and not isinstance(leaf, _CHANCE)):
@@ -252,10 +252,10 @@ def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
 def take_over(
     root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], values: Values, choices: Choices
 ) -> dict[str, str]:
-    """Have the leaves of a tree answer as is chosen, and return with what; an action is still requested and released.
+    """Replace the work of leaves by chosen answers; return their letters by name. Actions are still requested.
 
     Raises:
-        UnknownName: something is declared of a leaf that the tree does not have.
+        UnknownName: a declaration names a leaf that the tree does not have.
     """
     leaves = [one for one in nodes(root) if not one.children and not isinstance(one, PlanExecutor)]
     for name in declared:

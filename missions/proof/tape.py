@@ -1,7 +1,7 @@
-"""What a tree asks of its knowledge base and tells it in a tick, kept so that the tick need not be run again.
+"""Record what a tree asks its knowledge base and tells it in a tick, so that the tick need not be run again.
 
-The state of the tree, what leaves answer and what the knowledge base says when it is asked decide a tick. So it is run
-once, and followed in every other state of the knowledge base that says the same.
+A tick depends on the state of the tree, the answers of leaves and the answers of the knowledge base alone. So it is run
+once, and its record is followed in every other state of the knowledge base that gives the same answers.
 """
 
 import operator
@@ -17,12 +17,12 @@ from kb.views import ElementView, Views
 from missions.proof.surroundings import Choice, Choices
 
 Path = tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...]
-"""Attributes, items and calls, one after another, beginning at the knowledge base."""
+"""How a value is reached from the knowledge base: attributes, items and calls, one after another."""
 
 _OF_NO_USE: Final = ("log", "revision")
-"""What was told so far decides nothing: what is so does."""
+"""Not recorded: the number of events so far decides nothing, the present facts do."""
 _LIVE: Final = (KnowledgeBase, Views, ElementView, MethodType)
-"""What says how it is now, however long it is held; the rest is of one moment."""
+"""Types whose objects always show the present state; all others are valid at one moment only."""
 
 
 class _States(Protocol):
@@ -34,7 +34,7 @@ class _States(Protocol):
 
 
 class _Reached(NamedTuple):
-    """What is stood for: how it is reached, None if it cannot be again; and until which event, None if always."""
+    """What an `Asked` stands for; path: None if it cannot be reached again; at: the event up to which it is valid."""
 
     tape: "Tape"
     real: Any
@@ -43,14 +43,14 @@ class _Reached(NamedTuple):
 
 
 def _asking(does: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the method by which this is asked of what is stood for."""
+    """Return a method that applies a function to what is stood for, and records it."""
     return lambda self, *given: _how(self).tape.ask(self, does, *given)
 
 
 class Asked:
-    """Stands for a knowledge base, or what was reached from it, and notes what it is asked and told.
+    """A proxy for a knowledge base, or for what was reached from it, that records what it is asked and told.
 
-    What it gives are values and others of its kind. A tree that takes anything else is not followed, but run.
+    It returns plain values and other proxies. A tree that uses it in any other way is always run, never followed.
     """
 
     __slots__ = ("__weakref__", "_how")
@@ -58,7 +58,7 @@ class Asked:
     def __init__(self, how: _Reached) -> None:
         object.__setattr__(self, "_how", how)
 
-    @property  # type: ignore[misc]  # what it stands for is what it says to be
+    @property  # type: ignore[misc]  # isinstance() sees the class of what it stands for
     def __class__(self) -> type:
         return type(self._how.real)
 
@@ -96,7 +96,7 @@ class Asked:
 
 
 def settled(asked: Asked) -> object:
-    """Return what a tree holds from one tick to the next: what is reached by names is asked anew each time."""
+    """Return what a tree may keep from one tick to the next: a proxy that is always valid, or else the real object."""
     how = _how(asked)
     if how.at is None and how.path is not None:
         return asked
@@ -106,7 +106,7 @@ def settled(asked: Asked) -> object:
 
 @dataclass(slots=True)
 class _Moment:
-    """A moment of a tick: what is asked or chosen next, and what comes then; or the state of the tree at its end."""
+    """A point in a recorded tick: the next question, and by answer what follows; or the state of the tree after it."""
 
     question: Choice | Path | None = None
     then: dict[object, "_Moment"] = field(default_factory=dict)
@@ -114,15 +114,15 @@ class _Moment:
 
 
 class Tape:
-    """Ticks as they were run, by what was said in them.
+    """Recorded ticks, as a decision tree over the answers that were given in them.
 
     Args:
         kb: the knowledge base.
-        choices: what leaves answer; they hold what was said.
-        is_on: whether all that the tree takes from it is noted; an attribute too, False from when something is not.
+        choices: the answers of leaves; it holds the record of the present tick.
+        is_on: whether to record. Also an attribute: False as soon as something happens that cannot be recorded.
 
     Attributes:
-        kb: what stands for the knowledge base.
+        kb: the proxy for the knowledge base.
     """
 
     def __init__(self, kb: KnowledgeBase, choices: Choices, *, is_on: bool) -> None:
@@ -133,7 +133,7 @@ class Tape:
         self.kb: Any = self._stand_in(kb, ())
 
     def ask(self, asked: Asked, does: Callable[..., Any], *given: object) -> Any:  # noqa: ANN401  # whatever there is
-        """Do something with what is stood for, and note what came of it."""
+        """Apply a function to what is stood for, and record the result."""
         _, real, path, at = _how(asked)
         self.is_on = self.is_on and path is not None and at in (None, self._kb.log.last) and _is_hashable(given)
         try:
@@ -150,21 +150,21 @@ class Tape:
 
     @contextmanager
     def reading(self) -> Iterator[Asked]:
-        """Have nothing change meanwhile."""
+        """Hold the knowledge base as `KnowledgeBase.reading` does; a tree that uses it is run, not followed."""
         with self._kb.reading() as state:
             yield Asked(_Reached(self, state, None))
 
     def keep(self, tree: int, after: int) -> None:
-        """Keep the tick that was run last: in which state the tree was, and in which it is."""
+        """Keep the record of the tick that was just run, from one state of the tree to another."""
         moment = self._first.setdefault(tree, _Moment())
         for question, answer in self._choices.said:
-            if moment.question != question:  # not yet known, or told with other words, which decide nothing
+            if moment.question != question:  # new, or told with other words, which decide nothing
                 moment.question, moment.then = question, {}
             moment = moment.then.setdefault(answer, _Moment())
         moment.after = after
 
     def follow(self, tree: int, known: int, memory: _States) -> tuple[int, int] | None:
-        """Return the states of tree and knowledge base after a tick, or None where it has to be run to know that."""
+        """Return the states of tree and knowledge base after a tick, by its record; None if it has to be run."""
         moment = self._first.get(tree) if self.is_on else None
         while moment is not None and moment.after is None:
             if isinstance(moment.question, Choice):
@@ -175,7 +175,7 @@ class Tape:
         return None if moment is None or moment.after is None else (moment.after, known)
 
     def _say(self, path: Path, known: int, memory: _States) -> tuple[object, int]:
-        """Return what is answered in a state of the knowledge base, and in which it is then."""
+        """Return the answer in a state of the knowledge base, and its state afterwards."""
         said = self._answered.get((known, path))
         if said is not None:
             return said

@@ -1,4 +1,4 @@
-"""Verifying a tree: exploring it, checking what should hold, and telling what was found."""
+"""Verify a tree: explore it, check what must hold, and say what was found."""
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
@@ -22,12 +22,12 @@ from missions.proof.surroundings import Change
 
 @dataclass(frozen=True)
 class Consequence:
-    """What a mission still reaches while some facts are as bad as can be, and nothing else has failed.
+    """What a mission still reaches while some facts stay at their worst, and nothing else has failed.
 
     Attributes:
-        facts: what is so, in words.
-        reaches: "the goal", "the goal from some situations" or "nothing"; "not explored" where it never came about.
-        actions: what is done meanwhile.
+        facts: the bad facts, in words.
+        reaches: "the goal", "the goal from some situations", "nothing", or "not explored" if it never occurred.
+        actions: the actions that are required meanwhile.
     """
 
     facts: tuple[str, ...]
@@ -37,13 +37,13 @@ class Consequence:
 
 @dataclass(frozen=True)
 class Proof:
-    """What came of a verification.
+    """The result of a verification.
 
     Attributes:
         setup: what was verified.
-        found: what was explored, with what can be asked of that.
-        findings: what holds and what does not.
-        consequences: what single failures, and pairs of those that do not end the mission, lead to.
+        found: the exploration, which can be asked further questions.
+        findings: for each property, whether it holds.
+        consequences: of single failures, and of pairs of those that do not end the mission alone.
     """
 
     setup: Setup
@@ -53,20 +53,20 @@ class Proof:
 
     @property
     def broken(self) -> tuple[Finding, ...]:
-        """What does not hold."""
+        """The findings that do not hold."""
         return tuple(one for one in self.findings if one.holds is False)
 
     @property
     def shown(self) -> Finding | None:
-        """The first of what does not hold that a story shows."""
+        """The first broken finding that a story shows."""
         return next((one for one in self.broken if one.trail is not None), None)
 
     def story(self, finding: Finding) -> Story | None:
-        """Return the story that shows that something does not hold, if one does."""
+        """Return the story that shows that a finding does not hold; None if there is none."""
         return None if finding.trail is None else play(self.setup, finding.trail)
 
     def report(self, path: str | Path) -> None:
-        """Write a page of the first story of what does not hold, or of how the goal is reached; with all findings."""
+        """Write a page with all findings, and the first story of a broken one, or else how the goal is reached."""
         way = self.shown.trail if self.shown is not None else self.found.path(min(self.found.goals, default=0))
         outcome = "something is broken" if self.broken else "all holds" if self.found.is_finished else "not finished"
         figures = [["if for good", "", "it reaches"]]
@@ -79,7 +79,7 @@ class Proof:
 
     @property
     def count(self) -> str:
-        """How much was explored, and what that took."""
+        """How much was explored, and the time and memory for it, as text."""
         found = self.found
         count = f"{len(found.situations)} situations, {found.transitions} transitions, {found.seconds:.1f} s"
         count += f", {found.megabytes:.0f} MB"
@@ -98,7 +98,7 @@ class Proof:
         return story.lines if story is not None else ()
 
     def as_data(self) -> dict[str, Any]:
-        """Return all of it as values that JSON can hold."""
+        """Return all of it as plain data for JSON."""
         findings = [
             {"name": one.name, "holds": one.holds, "what": one.what, "story": [*map(str.strip, self._lines_of(one))]}
             for one in self.findings
@@ -127,18 +127,18 @@ def verify(
     cores: int | None = None,
     **given: Any,  # noqa: ANN401  # of Setup and Surroundings
 ) -> Proof:
-    """Explore a tree with its knowledge base and the manager, and say what holds in everything that can happen.
+    """Explore a tree with its knowledge base and the manager, and check what holds in all that can happen.
 
     Args:
         build_tree: makes the tree, given the knowledge base, and percepts if it takes two arguments.
-        model: of the robot, or what makes one.
-        wanted: what shall hold besides; see `always`, `never`, `eventually` and `leads_to`.
-        reaction: after how many ticks an action that became unfeasible must not be requested any more.
-        exclusive: groups of actions of which one at most may be required.
-        goal: what the mission is to reach; by default that its root succeeds.
-        most: so many situations are explored at most.
-        seconds: for so long at most [s].
-        cores: as `Exploration.explore` has it.
+        model: of the robot, or a function that makes one.
+        wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
+        reaction: after this many ticks an action that became unfeasible must not be requested any more.
+        exclusive: groups of actions; at most one of each may be required at a time.
+        goal: holds where the mission has reached its goal; by default where its root succeeds.
+        most: explore about this many situations at most.
+        seconds: explore for about this time at most [s].
+        cores: see `Exploration.explore`.
         given: `leaves`, `planner`, `start` and `slow` of `Setup`; `failures`, `at_once`, `values`, `failing` and
             `symmetric` of `Surroundings`.
     """
@@ -161,7 +161,7 @@ def verify(
 
 
 def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given: Any) -> Setup:  # noqa: ANN401  # of Surroundings
-    """Return what is explored of a mission: its tree, or its plan executor."""
+    """Return the setup that explores a mission: its tree, or its plan executor."""
     check_task(task)
     if task == "pddl":
         return Setup(mission.model, planned(mission), surroundings=given, slow=slow)
@@ -181,7 +181,7 @@ def prove(
     goal: Predicate | None = None,
     reaction: int = 1,
 ) -> Proof:
-    """Explore and check; what is asked is as `verify` has it."""
+    """Explore a setup and check it; see `verify` for the arguments."""
     found = Exploration(setup, [one for each in wanted for one in each.predicates], goal)
     actions = found.rig.kb.actions
     groups = [[actions[name].name for name in group] for group in exclusive]
@@ -191,7 +191,7 @@ def prove(
 
 
 def consequences(found: Exploration) -> list[Consequence]:
-    """Return what each single bad fact leads to, and each pair of those that do not end the mission."""
+    """Return the consequence of each single bad fact, and of each pair that ends the mission though neither does."""
     surroundings = found.rig.surroundings
     bad = [Change(alike[0], True) for alike in surroundings.alike]
     bad += [Change(name, value) for name, value in surroundings.worst.items()]
