@@ -1,4 +1,4 @@
-"""The table of adaptations: what of a run's events was an adaptation, by its cause, and what the ordinary course."""
+"""The table of adaptations: which events of a run were adaptations, by their causes, and which the ordinary course."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -11,12 +11,12 @@ from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPl
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-_REMEMBERED: Final = 256  # ticks that news has led, and news, until the plan that they asked for is there
+_REMEMBERED: Final = 256  # how many ticks with news, and how much news, are kept until the plan for them is there
 
 
 @dataclass(frozen=True, slots=True)
 class _News:
-    """What became known, when it was so [s], in which events it came, and why it calls for another action by itself."""
+    """News: its time [s], its text, its events, and the reason if it alone calls for another action."""
 
     time: float
     text: str
@@ -25,7 +25,7 @@ class _News:
 
 
 class _Ended(NamedTuple):
-    """An action that has ended, in which event; cause: why it was given up, None if it was not or not for any news."""
+    """An action that has ended, with the event; cause: the news for which it was given up, None if there was none."""
 
     action: str
     at_s: float
@@ -40,14 +40,14 @@ class Adaptation:
     Attributes:
         at_s: when it was decided [s].
         kind: "parameter", "structural" (components switched) or "task" (another action, and what that needs).
-        trigger: the news that set it off.
-        reason: why that called for a change.
+        trigger: the news that caused it.
+        reason: why the news called for a change.
         change: what was changed.
-        reaction_s: from the news to the change being in force [s]; None if it never was.
-        news_s: when the news was so [s].
-        before, action: of a task adaptation, the action that was given up or has ended, and the one in its place.
-        events: numbers of the events that were the news; none if the task layer alone perceived it.
-        plans: the plans that belong to it, each with what it changes, in words.
+        reaction_s: time from the news until the change was in force [s]; None if it never was.
+        news_s: the time of the news [s].
+        before, action: of a task adaptation, the action that was given up or has ended, and the one that follows it.
+        events: the numbers of the events of the news; empty if only the task layer perceived it.
+        plans: its reconfiguration plans, each with what it changes, in words.
     """
 
     at_s: float
@@ -69,12 +69,12 @@ class Adaptation:
 
     @property
     def why(self) -> str:
-        """The reason, and the news where the reason does not speak of it."""
+        """The reason, with the news in front if the reason does not mention it."""
         subject = self.trigger.split(" ")[0]
         return self.reason if subject in self.reason else f"{self.trigger}: {self.reason}"
 
     def is_over(self, kb: KnowledgeBase, last_tick: float) -> bool:
-        """Whether the robot is configured as it is to be, or nobody does anything about it any more."""
+        """Whether the robot is configured for it, or nothing more will be done about it."""
         if not self.action:
             return self.plans[-1][1].end is not None
         if kb.pending_plan is not None:
@@ -86,7 +86,7 @@ class Adaptation:
         return kb.actions[self.action].status is Status.SOLVED or last_tick >= acted
 
     def close(self) -> Self:
-        """Say how the plans have ended up to now, and when the last was in force, if it was."""
+        """Update `change` by how the plans have ended so far, and `reaction_s` by the last plan; return itself."""
         if not self.plans:
             self.reaction_s = self.at_s - self.news_s
         elif (last := self.plans[-1][1]).result == "completed" and last.end is not None:
@@ -99,20 +99,19 @@ class Adaptation:
 
 
 class AdaptationLog:
-    """The table of adaptations: a fold over the log of a knowledge base, by the causes that its records carry.
+    """Computes the table of adaptations from the log of a knowledge base, by the causes in its records.
 
-    A new plan of reconfiguration is an adaptation if news from the robot led to it. A new action is one if the action
-    before it
+    A reconfiguration plan is an adaptation if news from the robot caused it. A new action is a task adaptation if
 
-    - was given up, or failed, because it had become unfeasible, or failed at all, or was given up after other news,
-    - or was taken up when it was feasible again, after it had been given up itself.
+    - the action before it became unfeasible, failed, or was given up after other news,
+    - or it had been given up itself, and is begun again because it is feasible again.
 
-    The plans that configure the robot for it belong to it. If none follows by the end of the run, that is one, too. A
-    task plan that was made anew, and has steps that the one before had not, is one too, unless the action that is begun
-    for it says as much.
+    The reconfiguration plans for the new action belong to that adaptation. An action that was given up and that no
+    other follows until the end of the run is one, too. So is a new task plan with steps that the one before did not
+    have, unless the action that begins with it was reported already.
 
-    Not an adaptation: the first action, the next one after one that is completed, the next step of a plan, the same
-    action again, and whatever no news has led to.
+    Not an adaptation: the first action, the next one after a completed action, the next step of a plan, the same
+    action again, and anything that no news caused.
 
     Args:
         report: called with each adaptation once it is in force or has failed.
@@ -127,37 +126,37 @@ class AdaptationLog:
         self.adaptations: list[Adaptation] = []
         self._kb, self._report, self._plans = kb, report, plans
         self._stamp: float | None = None
-        # news: since the last tick, with whether it made a difference; what led the tick; what led earlier ones
+        # news: since the last tick, and whether it changed a status; what the tick reacted to; what earlier ones did
         self._heard: list[tuple[_News, bool]] = []
         self._led: list[_News] = []
         self._turns: deque[tuple[float, list[_News]]] = deque(maxlen=_REMEMBERED)
         self._last_tick = self._this_tick = -inf
-        # by action: what made it unfeasible, or feasible again; by event: what the manager has not answered, maybe yet
+        # by action: the news that made it unfeasible, or feasible again; then news to which no plan has reacted yet
         self._lost: dict[str, _News] = {}
         self._regained: dict[str, _News] = {}
         self._to_answer: deque[_News] = deque(maxlen=_REMEMBERED)
-        # what was decided: the action that ended last, until another begins; plans that are put down to nothing yet
+        # decisions: the action that ended last, until another begins; plans whose cause is not assigned yet
         self._before: _Ended | None = None
         self._made: list[ReconfigurationPlan] = []
         self._open: list[Adaptation] = []
         self._settled, self._plans_settled = kb.log.last, 0
         self._steps: frozenset[Step] = frozenset()
-        kb.log.witnesses += (self._hear,)  # at once and in order, whichever thread calls the subscribers, and when
+        kb.log.witnesses += (self._hear,)  # before any subscriber, in order, on the thread that told
 
     def news(self, stamp: float | None) -> None:
-        """Say that what the knowledge base hears next is news of that time [s]; None: it is our own doing.
+        """Declare that the next events are news of this time [s]; None: they are our own doing.
 
-        Infinity: whatever comes is news of the time at which it comes, as where nobody says what is.
+        Infinity: every event from the robot is news of its own time, for callers that cannot say which are.
         """
         self._stamp = stamp
 
     def sensed(self, text: str) -> None:
-        """Say that something the task layer alone perceives is not as before, while there is news."""
+        """Note a change that only the task layer perceives; ignored unless `news` has declared a time."""
         if self._stamp is not None:
             self._heard.append((_News(self._stamp, text), True))
 
     def ticking(self, time: float) -> None:
-        """Say that the task layer is about to be ticked [s]: it can be led by what was heard until now."""
+        """Note that a tick begins at this time [s]; it can react to all news until now."""
         with self._kb.reading():  # facts may be told by other threads than the one that ticks
             self._last_tick, self._this_tick = self._this_tick, time
             heard, self._heard = self._heard, []
@@ -167,12 +166,12 @@ class AdaptationLog:
                 self._turns.append((time, turns))
 
     def passed_over(self, time: float) -> None:
-        """Say that a tick was left out [s], in which there was nothing to do; nothing if it was told already."""
+        """Note that a tick without work was left out at this time [s]; ignored if that was noted already."""
         if time > self._this_tick:
             self.ticking(time)
 
     def settle(self) -> None:
-        """Put together what was decided, and complete what has ended; called after each turn of the manager."""
+        """Assign decisions to causes, and report adaptations that are over; called after each turn of the manager."""
         with self._kb.reading():
             self._settle_task_plans(is_reported=self._settle_actions())
             self._put_down_plans()
@@ -182,11 +181,11 @@ class AdaptationLog:
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether nothing is under way that the next tick or turn of the manager may end."""
+        """Whether no adaptation is open, and every task plan was looked at."""
         return not self._open and len(self._plans()) == self._plans_settled
 
     def finish(self) -> None:
-        """Tell of an action that was given up and that none has followed; called when a run ends short of its goal."""
+        """Report an action that was given up and that no other followed; called when a run ends without its goal."""
         last, self._before = self._before, None
         if last is None or last.cause is None or self._kb.required_actions:
             return
@@ -222,7 +221,7 @@ class AdaptationLog:
             self._to_answer.append(news)
 
     def _hear_end(self, event: Event, action: str, result: str, reason: str) -> None:
-        """Note what has ended and why; a tree may begin the next one before it ends this one."""
+        """Note which action has ended and why; a tree may begin the next action before it ends this one."""
         record = next(one for one in reversed(self._kb.history.actions) if one.action == action)
         if record.number <= self._settled:  # else it ended in the tick in which it began
             cause = None if result == "completed" else self._why_given_up(event, action, result, reason)
@@ -235,26 +234,26 @@ class AdaptationLog:
             return self._lost[action]
         if result == "failed":
             return _News(event.time, f"{action} has failed", (event.number,), reason or f"{action} gave no reason")
-        if event.cause is not None:  # a word of the task layer itself
+        if event.cause is not None:  # an assertion by the task layer itself
             own = next(self._kb.log.since(event.cause - 1), event)
             return _News(own.time, own.text, (own.number,), self._kb.why(self._kb.actions[action]))
         plan = self._new_plan()
         return _together(self._led) if plan is None else self._cause_of_plan(plan)
 
     def _new_plan(self) -> "PlanRecord | None":
-        """Return the task plan that was found in this tick, if one was."""
+        """Return the task plan that was found in this tick; None if there is none."""
         plans = self._plans()
         return plans[-1] if len(plans) > self._plans_settled and plans[-1].outcome.is_solved else None
 
     def _cause_of_plan(self, plan: "PlanRecord") -> _News:
-        """Return what was news when a plan was asked for, or else why it was."""
+        """Return the news when a plan was asked for, or else the reason of the plan."""
         led = next((led for tick, led in reversed(self._turns) if tick <= plan.at_s), [])
         return replace(_together(led) or _News(plan.at_s, plan.reason), reason=plan.reason)
 
     # ---------------------------------------------------------------- what comes of it
 
     def _settle_actions(self) -> bool:
-        """Return whether the action that was begun stands in for another because of news; note so if it does."""
+        """Enter a task adaptation if the action that was begun replaces another due to news; return whether it does."""
         began = [one for one in self._kb.required_actions if one.number > self._settled]
         if not began:
             return False
@@ -270,19 +269,19 @@ class AdaptationLog:
         return True
 
     def _why_begun(self, before: _Ended, action: str, time: float) -> _News | None:
-        """Return what made an action take the place of another; None for the ordinary course."""
+        """Return the news for which an action replaces another; None for the ordinary course."""
         cause = before.cause if before.action != action else None
         regained = self._regained.get(action)
         if regained is None or (cause is None and not self._was_given_up(action)):
             return cause
         if cause is not None:
-            return regained if regained.time > cause.time else cause  # there was nothing else to be done before
+            return regained if regained.time > cause.time else cause  # nothing was feasible in between
         plan = self._new_plan()
         if plan is None and self._plans():
             return None  # it is the next step of the plan
         if regained.time >= self._last_tick:
             return regained
-        # it has been feasible for a while, and waited for something else to end
+        # it was feasible for a while, but had to wait until something else ended
         if plan is not None and not self._steps.issuperset(plan.steps):
             return self._cause_of_plan(plan)
         since = f"{regained.reason} (since {regained.time:.1f} s: {regained.text})"
@@ -310,7 +309,7 @@ class AdaptationLog:
             self._report(one.close())
 
     def _settle_task_plans(self, *, is_reported: bool) -> None:
-        """Report a task plan with steps that are new, unless the action that it begins with was reported."""
+        """Report a task plan with new steps, unless the action that it begins with was reported."""
         for plan in self._plans()[self._plans_settled :]:
             self._plans_settled += 1
             if not plan.outcome.is_solved:
@@ -323,7 +322,7 @@ class AdaptationLog:
             self._steps = frozenset(plan.steps)
 
     def _put_down_plans(self) -> None:
-        """Put plans down to the news that caused them, or else to the change of action that they belong to."""
+        """Assign reconfiguration plans to the news that caused them, or to the change of action that they serve."""
         waiting = []
         for plan in self._made:
             change = next((one for one in self._open if one.action), None)
@@ -344,7 +343,7 @@ class AdaptationLog:
         return f"{step.schema}({', '.join(one for one in step.arguments if one not in self._kb.actions)})"
 
     def _in_words(self, plan: ReconfigurationPlan) -> str:
-        """Say what a plan switches and sets; plain components are only booked, so they are left out."""
+        """Return what a plan switches and sets, in words, without plain components, which nobody commands."""
         steps = []
         for verb, names in (("stop", plan.deactivate), ("start", plan.activate)):
             switched = [name for name in names if self._kb.components[name].kind is not ComponentKind.PLAIN]
@@ -357,8 +356,10 @@ class AdaptationLog:
 
 
 def is_news(kb: KnowledgeBase, event: Event) -> bool:
-    """Tell whether an event is news from the robot, and not what a plan that is being executed has brought about."""
-    is_switched = event.verb == "component_active" and not event.arguments[2]  # of one that ends by itself why is told
+    """Return whether an event is news from the robot, and not the effect of a plan that is being executed."""
+    is_switched = (
+        event.verb == "component_active" and not event.arguments[2]
+    )  # one that stops by itself comes with a reason
     return event.kind is EventKind.MONITORING_DATA and not (is_switched and kb.history.open_plans)
 
 

@@ -1,4 +1,4 @@
-"""Components that switch in simulated time: each command takes as long as is said, and may be scripted to go wrong."""
+"""Components that switch in simulated time: each command takes a set time, and scripts can make it go wrong."""
 
 import heapq
 import math
@@ -12,7 +12,7 @@ from kb.elements import Parameters
 
 VERBS: Final = ("activate", "deactivate", "set_parameters")
 
-_AT_ONCE_S: Final = 1e-9  # a clock that counts periods misses a time by rounding
+_AT_ONCE_S: Final = 1e-9  # tolerance for the rounding errors of clocks that add up periods
 
 
 class CommandFailed(Exception):
@@ -20,7 +20,7 @@ class CommandFailed(Exception):
 
 
 class Command(NamedTuple):
-    """A command to a component, given at that time [s]; the parameters are empty unless they are what is set."""
+    """A command to a component, given at this time [s]; `parameters` is empty unless they are set by it."""
 
     time: float
     verb: str
@@ -29,13 +29,13 @@ class Command(NamedTuple):
 
 
 class Components(Protocol):
-    """The components of a world: what a command does to them, at once, when its time has come.
+    """The components of a world: each method takes effect at once; it is called when a command is finished.
 
-    What raises has not happened; the command has then failed.
+    If a method raises, it must not have had an effect; the command has then failed.
     """
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Raise if there is no such component, or it cannot take these parameters; asked when a command is given."""
+        """Raise if there is no such component, or it cannot take these parameters; called when a command is given."""
 
     def activate(self, component: str, /) -> object: ...
     def deactivate(self, component: str, /) -> object: ...
@@ -45,14 +45,14 @@ class Components(Protocol):
 
 
 class NamedComponents:
-    """Components that are no more than their names: what runs, and which parameters each was given."""
+    """Components without behaviour: a set of those that run, and the parameters of each."""
 
     def __init__(self) -> None:
         self.active: set[str] = set()
         self.taken: dict[str, Parameters] = {}
 
     def check(self, component: str, parameters: Parameters, /) -> None:
-        """Take any command: what it leads to is found out when it is carried out."""
+        """Accept any command."""
 
     def activate(self, component: str, /) -> None:
         self.active.add(component)
@@ -71,7 +71,7 @@ class NamedComponents:
 
 
 class Script(NamedTuple):
-    """How a component takes one kind of command; `takes` None is as the system's other components."""
+    """How a component carries out one kind of command, see `SimulatedComponents.script`; takes None: the default."""
 
     takes: float | None = None
     fail_first: float = 0
@@ -81,7 +81,7 @@ class Script(NamedTuple):
 
 
 class Operation:
-    """A command under way, like `concurrent.futures.Future` but finished by simulated time, at its `end` [s]."""
+    """A command under way, like `concurrent.futures.Future`, but finished in simulated time, at its `end` [s]."""
 
     def __init__(self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]) -> None:
         self.end, self._effect, self._catch_up = end, effect, catch_up
@@ -97,7 +97,7 @@ class Operation:
         return self._error
 
     def cancel(self) -> None:
-        """Let the command have no effect, unless it has had it."""
+        """Suppress the effect of the command, unless it has happened already."""
         self._effect = _nothing
 
     def finish(self) -> None:
@@ -115,7 +115,7 @@ class SimulatedComponents:
 
     Args:
         clock: gives the time [s].
-        takes: how long a command takes [s], by its verb; what is not named takes no time.
+        takes: how long a command takes [s], by its verb; verbs that are not named take no time.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class SimulatedComponents:
 
     @property
     def scripted(self) -> tuple[str, ...]:
-        """The names of the components that there are scripts for."""
+        """The names of the components with scripts."""
         return tuple(dict.fromkeys(component for _, component in self._scripts))
 
     def script(
@@ -146,15 +146,15 @@ class SimulatedComponents:
         lies: bool = False,
         crash_after: float = math.inf,
     ) -> Self:
-        """Say how a component behaves from now on; what was said of the same commands before is forgotten.
+        """Script how a component behaves from now on; this replaces earlier scripts for the same commands.
 
         Args:
             component: its name.
-            verbs: the commands that this is about: "activate", "deactivate", "set_parameters"; none: all.
+            verbs: the commands that are scripted: "activate", "deactivate", "set_parameters"; none: all.
             takes: how long a command takes [s].
             fail_first: how many commands of each kind fail; `math.inf` for all.
             hangs: commands never end.
-            lies: commands are said to be done, and nothing has happened.
+            lies: commands are reported as done, but have no effect.
             crash_after: how long after each start the component stops by itself [s].
 
         Returns:

@@ -1,4 +1,4 @@
-"""A plan asked for by hand: what is to be planned in some situation, the planner's answer, and why there is no plan."""
+"""Planning by hand (`rosa plan`): a domain in a situation, the planner's answer, and why there is no plan."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
@@ -32,14 +32,14 @@ FAILED: Final = "failed"
 
 @dataclass(frozen=True)
 class Question:
-    """A domain, the state to plan from, and what shall be reached.
+    """A domain, the state to plan from, and the goals.
 
     Attributes:
-        kb: says which actions are feasible; that is no part of the state.
-        oversights: what may be one in the domain or the model, in sentences.
-        numbers: what costs and limits are made of, as far as the mission knows it.
-        engines: what plans; by default what the domain needs.
-        why_not: says why there is no plan, as far as the mission can tell; empty if it cannot.
+        kb: says which actions are feasible; the state does not.
+        oversights: what may be mistakes in the domain or the model, as sentences.
+        numbers: numeric facts for costs and limits, as far as the mission knows them.
+        engines: names of planning engines; empty: those that the domain needs.
+        why_not: returns why there is no plan, as far as the mission can tell; empty if it cannot.
     """
 
     domain: Domain
@@ -60,7 +60,7 @@ class Question:
         return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
 
     def supposing(self, unfeasible: Iterable[str]) -> Problem:
-        """Return the problem in which just these ROSA actions are unfeasible."""
+        """Return the problem in which exactly these ROSA actions are unfeasible."""
         domain, left_out, state = self.domain, set(unfeasible), self.state
         if domain.tracks_feasibility:
             state |= {domain.feasible_atom(action) for action in domain.rosa_actions if action not in left_out}
@@ -85,18 +85,18 @@ def ask(
     feasible: Iterable[str] | None = None,
     goals: Sequence[str] = (),
 ) -> Question:
-    """Make a question of a domain and a problem file, or else of a mission, which gives the model, too.
+    """Make a question from a domain and a problem file, or from a mission, which also has the model.
 
     Args:
         files: the two PDDL files; none for a mission.
-        mission: what is planned for, if no files are given.
-        models: files of the model that says what is feasible. Without a model every ROSA action is, unless something
-            else is supposed or the problem file says so.
-        situation: what is supposed to be so, such as "battery_level=0.2", or "camera=failed" for a component; several
-            with commas, too.
-        feasible: the ROSA actions that are feasible, and no others, several with commas, too; None to have the
-            knowledge base say it.
-        goals: conditions as text, instead of the goal of the problem.
+        mission: the mission to plan for, if no files are given.
+        models: files of the model that says what is feasible. Without a model every ROSA action is feasible, unless
+            `feasible` or the problem file says otherwise.
+        situation: assumed facts, such as "battery_level=0.2", or "camera=failed" for a component; also several,
+            separated by commas.
+        feasible: the ROSA actions that are feasible, all others are not; also several, separated by commas. None: the
+            knowledge base decides.
+        goals: conditions as text, which replace the goal of the problem.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: something is missing, unknown or cannot be read.
@@ -115,7 +115,7 @@ def ask(
         else:
             kb.measure(name, value)
     _suppose_feasible(kb, domain, feasible, has_model)
-    percepts = Percepts()  # nothing is sensed yet, so what is false there may be true
+    percepts = Percepts()  # nothing is sensed yet, so a fact that is false may only be unknown
     facts = {} if mission is None else mission.facts(kb, percepts)
     true = {domain.atom(text) for text, value in facts.items() if value is True}
     numbers = {text: value for text, value in facts.items() if not isinstance(value, bool)}
@@ -131,7 +131,7 @@ def ask(
 
 
 def _read(situation: Iterable[str]) -> Iterator[tuple[str, float | None]]:
-    """Yield what is supposed of what: the value that is measured of an attribute, None of a component that fails."""
+    """Yield each assumption: an attribute with its value, or a component that has failed with None."""
     for part in (part.strip() for text in situation for part in text.split(",")):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals or not name:
@@ -188,10 +188,10 @@ def _known(domain: Domain, texts: Iterable[str]) -> set[str]:
 
 
 def answer(question: Question, timeout_s: float) -> Answer:
-    """Plan with what the mission plans with, or else what the domain needs; if there is no plan, find out why.
+    """Plan with the engines of the mission, or else those that the domain needs; if there is no plan, find out why.
 
-    Within limits it is label setting that plans, and otherwise Fast Downward and then Aries; each planning may take
-    `timeout_s` of the wall clock.
+    Those are label setting if the goal has limits, and otherwise Fast Downward and then Aries. Each planning may take
+    `timeout_s` of wall clock time [s].
     """
     with closing(_planner(question, timeout_s, warm=False)) as planner:
         result = planner.plan(question.problem)
@@ -200,7 +200,7 @@ def answer(question: Question, timeout_s: float) -> Answer:
 
 
 def certified(question: Question, timeout_s: float, failures: int | None) -> Certificate:
-    """Find out what can be reached while at most so many actions are unfeasible, None for any; as `answer` does."""
+    """Plan for each set of at most `failures` unfeasible actions (None: any number), with the engines of `answer`."""
     with closing(_planner(question, timeout_s, warm=True)) as planner:
         return certificate(question.domain, question.supposing, planner, failures)
 
@@ -212,7 +212,7 @@ def _planner(question: Question, timeout_s: float, *, warm: bool) -> Planner:
 
 
 def _obstacles(question: Question, planner: Planner) -> tuple[str, ...]:
-    """Return why there is no plan; what the planner cannot answer in its time is left out."""
+    """Return why there is no plan, without what the planner could not find out in time."""
     asking = diagnosis(question.problem, question.goals)
     try:
         asked = next(asking)

@@ -1,4 +1,4 @@
-"""One run of a mission: a world and who decides in it, in lock-step with the world's clock."""
+"""One run of a mission: a world and what decides in it, in lock-step with the world's clock."""
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
@@ -34,55 +34,55 @@ from rosa_bt import TreeRunner
 from rosa_pddl import PlanRecord
 
 OURS: Final = "ours"
-"""The name under which the knowledge base and its configuration manager run, with the task layer that is asked for."""
+"""The manager name of our own: the knowledge base, its configuration manager, and the task layer asked for."""
 SAMPLE_PERIOD_S: Final = 0.5
 STANDSTILL = 10_000
-"""How often a world may be asked to go on without a millisecond passing, until it counts as standing still."""
+"""A world stands still if it is asked this often to go on and less than a millisecond passes."""
 
 
 class Listener:
-    """Hears of a run as it happens; a subclass overrides what it wants to hear."""
+    """Is notified of a run as it happens; a subclass overrides the methods that it needs."""
 
     def message(self, message: Message) -> None:
-        """Hear what was published."""
+        """Called with each message that was published."""
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
-        """Hear of a part of a message that could not be used."""
+        """Called with each part of a message that could not be used."""
 
     def adaptation(self, adaptation: Adaptation) -> None:
-        """Hear of an adaptation that is in force, or has failed."""
+        """Called when an adaptation is in force or has failed."""
 
     def action(self, text: str, time_s: float) -> None:
-        """Hear of an action that was requested or has ended."""
+        """Called when an action is requested or ends."""
 
     def plan(self, plan: PlanRecord, time_s: float) -> None:
-        """Hear of a task plan, or that there is none."""
+        """Called with each task plan, and with each failure to find one."""
 
     def tick(self, run: "MissionRun") -> None:
-        """Hear that something was decided."""
+        """Called after each decision."""
 
     def sample(self, sample: Sample) -> None:
-        """Hear what there is to see of the world, twice a second at most."""
+        """Called with what can be seen of the world, at most twice a second."""
 
 
 class MissionRun(ABC):
     """One run of a mission, to its end: by our knowledge base, manager and task layer, or by a baseline.
 
-    It lets the world go on to the time that it is due, takes in what was published by then, and decides.
+    In each turn it lets the world go on to the time that it is due, receives what was published, and decides.
 
     Attributes:
-        model: the mission's, amended as far as it was.
-        manager: whose run it is, as `rosa run --manager` takes it.
-        tree: what is ticked; None if nothing is.
+        model: of the mission, with all amendments so far.
+        manager: its name, as in `rosa run --manager`.
+        tree: the tree that is ticked; None if there is none.
         problems: parts of messages that could not be used, with their times [s].
-        alter: returns what is heard in place of what was published by a time [s]; a disturbance from outside.
-        inputs: figures of results that were put in, by name.
-        compute_s: seconds of this machine's time by part, not part of any decision.
-        listeners: who hears of it.
-        trouble: how the mission has to end at once; None if it may go on.
-        findings: what may be an oversight in what was planned with, in sentences; known at the end.
-        adaptations: every one so far, in the order in which they were decided.
-        is_stuck: whether nothing can be done any more, whatever time passes: the mission ends, and is judged.
+        alter: replaces the messages published by a time [s], as a disturbance from outside; None for none.
+        inputs: figures of published results that were given to the manager, by name.
+        compute_s: computing time on this machine by part [s]; no decision depends on it.
+        listeners: those that are notified.
+        trouble: if set, the run ends at once with this verdict.
+        findings: what may be mistakes in the PDDL, as sentences; known at the end.
+        adaptations: all so far, in the order in which they were decided.
+        is_stuck: whether nothing can be done any more, however long one waits; the mission then ends and is judged.
     """
 
     def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
@@ -104,17 +104,17 @@ class MissionRun(ABC):
         self._moved_s, self._turns = world.now, 0
 
     def listen(self, *listeners: Listener) -> None:
-        """Have these hear of the run, too."""
+        """Add listeners."""
         self.listeners = (*self.listeners, *listeners)
 
     def tell(self, heard: Callable[[Listener], object]) -> None:
-        """Have every listener hear something."""
+        """Call a function with every listener."""
         for listener in self.listeners:
             heard(listener)
 
     @contextmanager
     def spending(self, part: str) -> Iterator[None]:
-        """Count the time of this machine that goes by inside as that of a part."""
+        """Add the computing time inside the block to that of a part."""
         started = perf_counter()
         yield
         self.compute_s[part] += perf_counter() - started
@@ -124,19 +124,19 @@ class MissionRun(ABC):
         """The knowledge base.
 
         Raises:
-            MissionError: it is the run of a baseline, which has none.
+            MissionError: the run of a baseline has none.
         """
         raise MissionError(f"manager {self.manager} has no knowledge base")
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
-        """The task plans so far, only added to; none for a tree in which nothing plans."""
+        """The task plans so far, in order; empty if nothing plans."""
         return ()
 
     @property
     @abstractmethod
     def due(self) -> float:
-        """When it wants to decide next, whatever is published until then [s]."""
+        """When it decides next even if nothing is published until then [s]."""
 
     @property
     @abstractmethod
@@ -146,39 +146,39 @@ class MissionRun(ABC):
     @property
     @abstractmethod
     def actions(self) -> Sequence[RequiredAction]:
-        """Every action that was begun."""
+        """All actions that were requested."""
 
     @property
     @abstractmethod
     def measured(self) -> Mapping[str, float | None]:
-        """What was measured last, by attribute."""
+        """The last measurement of each attribute; None if there is none."""
 
     @abstractmethod
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
-        """Take in what was published; return what of it cannot be used."""
+        """Process a message; return the parts of it that cannot be used."""
 
     @abstractmethod
     def decide(self) -> bool:
-        """Answer what was taken in, and do what is due; return whether something was."""
+        """React to what was received, and do what is due; return whether something was due."""
 
     @abstractmethod
     def end(self) -> None:
-        """Let go of everything; the run is over however it ended."""
+        """Release everything; called once, however the run ends."""
 
     @abstractmethod
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
-        """Say how the mission, which is over, has ended."""
+        """Return how the mission has ended; called when it is over."""
 
     @property
     def reactions(self) -> Sequence[tuple[Reaction, float]]:
-        """Each reaction that the world knows of, and the time of this machine that went into it [s]."""
+        """Each reaction that the world knows, with the computing time on this machine during it [s]."""
         return [
             (one, sum(took for time, took in self._decided_s if one.start_s <= time < one.end_s))
             for one in self.world.reactions()
         ]
 
     def results(self) -> Mapping[str, float | None]:
-        """Return the mission's figures up to now by name, units in the names; those that were put in among them."""
+        """Return the mission's figures up to now by name, units in the names, including `inputs`."""
         figures, gives = self.world.results(), f"results() of {type(self.world).__name__} gives"
         if not isinstance(figures, Mapping):
             raise MissionError(f"{gives} {figures!r:.80}; expected is a mapping, empty if there are no figures")
@@ -192,7 +192,7 @@ class MissionRun(ABC):
         """Run until the mission is done, stuck or out of time; nothing is left running however this ends.
 
         Raises:
-            MissionError: the world does not let time pass, or what is of the mission's own raises; names it.
+            MissionError: the world lets no time pass, or code of the mission raises; the message names it.
         """
         world, duration_s = self.world, self.settings.duration_s
         with closing(world):
@@ -205,13 +205,13 @@ class MissionRun(ABC):
             return self.trouble
         verdict = self.verdict(self.results())
         if self.is_done and world.now < duration_s and verdict.outcome in (*NO_SUCCESS, TIME_LIMIT):
-            # it was judged by a goal that is not reached, as if time had run out
+            # the verdict reads as if time had run out, but the task ended before
             ended = f"the task ended after {world.now:.1f} s of {duration_s:g} s, short of the mission's goal"
             return Verdict("ended_early", ended)
         return verdict
 
     def _turn(self) -> None:
-        """Let the world go on to the next news, or to when something is due, and answer it."""
+        """Let the world go on to the next message, or to when something is due, and react."""
         started = perf_counter()
         messages = self._advanced(min(self.due, self.settings.duration_s))
         self.compute_s["world"] += perf_counter() - started
@@ -230,7 +230,7 @@ class MissionRun(ABC):
             self.hear_plan(plan)
 
     def hear_plan(self, plan: PlanRecord) -> None:
-        """Pass on a task plan that was made."""
+        """Notify the listeners of a task plan."""
         self.tell(lambda listener: listener.plan(plan, self.world.now))
 
     def _advanced(self, until: float) -> Sequence[Message]:
@@ -270,14 +270,14 @@ class MissionRun(ABC):
 
 
 class RosaRun(MissionRun):
-    """The knowledge base hears what is published, the manager keeps the architecture right, the task layer decides.
+    """The run of our own: the knowledge base receives messages, the manager configures, the task layer decides.
 
     Args:
-        planner: who does; by priority if it is not given.
-        hears: returns what is heard of a message.
+        planner: chooses the configurations; None: by priority.
+        hears: replaces each message before it is received.
 
     Attributes:
-        percepts: what the task layer perceives beside what the knowledge base knows.
+        percepts: what the task layer perceives besides what the knowledge base knows.
 
     Raises:
         MissionError, rosa_pddl.RosaPddlError, kb.KnowledgeBaseError: the mission cannot be run.
@@ -309,7 +309,7 @@ class RosaRun(MissionRun):
         self.tree.setup()
         self._may_rest = mission.waits_for_news and task == "bt" and planner is None
         self._statuses: list[Status] = []
-        self._rests_at: tuple[int, int] | None = None  # what was known and sensed when it began to rest
+        self._rests_at: tuple[int, int] | None = None  # revisions of knowledge and percepts when it began to rest
         self._is_told = False
         self._answered = -1
         self._left = ""
@@ -362,9 +362,9 @@ class RosaRun(MissionRun):
         if self._rests_at is not None and self._goes_on_resting():
             return False
         is_due, before = self._now() >= self._runner.due, self._kb.revision
-        self._may_rest = self._may_rest and self._now() <= self._runner.due  # else ticks come when the world has time
+        self._may_rest = self._may_rest and self._now() <= self._runner.due  # a late tick depends on the world
         if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
-            self._manage()  # between two ticks there is nothing to manage where no status changed
+            self._manage()  # between ticks, only a changed status needs the manager
         with self.spending("waiting for plans"):
             self._task.catch_up()
         with self.spending("task layer"):
@@ -380,7 +380,7 @@ class RosaRun(MissionRun):
         return is_ticked
 
     def _consider_resting(self, before: int) -> None:
-        """Rest if the tick has changed nothing, nothing is under way, and nothing changes with time alone."""
+        """Leave out further ticks if this one changed nothing, nothing is under way, and no status depends on time."""
         kb, tree = self._kb, self._runner.tree
         known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
         if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
@@ -390,7 +390,7 @@ class RosaRun(MissionRun):
             self._rests_at, self._is_told = (before, self.percepts.revision), False
 
     def _goes_on_resting(self) -> bool:
-        """Whether there is no news, and it is not a command that has ended for which the world has stopped."""
+        """Return whether to rest on: the world stopped for a message, not for a command, and it changed nothing."""
         is_told, self._is_told = self._is_told, False
         if is_told and (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners:
             return True
@@ -435,7 +435,7 @@ class RosaRun(MissionRun):
 
     def hear_plan(self, plan: PlanRecord) -> None:
         super().hear_plan(plan)
-        if plan.outcome.is_trouble and self._task.is_planned:  # a tree may have something else to do then
+        if plan.outcome.is_trouble and self._task.is_planned:  # a tree may do something else then
             self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
 
     def _hear(self, event: Event) -> None:
@@ -444,7 +444,7 @@ class RosaRun(MissionRun):
 
 
 def _is_timeless(kb: KnowledgeBase) -> bool:
-    """Whether no status changes with time alone: no measurement ages, no constraint dwells, no assertion lapses."""
+    """Return whether no status can change by time alone: no age limit, no dwell time, no assertion."""
     with kb.reading() as state:
         nodes, asserted = state.network.present(), state.asserted
         return not any(
