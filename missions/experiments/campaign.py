@@ -1,4 +1,4 @@
-"""What a campaign is to run: read from a file, checked before it begins, unfolded into runs that each have a name."""
+"""The definition of a campaign: read from a file, checked before it begins, and expanded into named runs."""
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -21,10 +21,10 @@ Settings = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class PlannedRun:
-    """One run of a campaign; settings differ from the defaults, the task layer is None if the manager has its own.
+    """One run of a campaign. `settings` are those that are not default; `task` is None if the manager has its own.
 
-    The n-th run has the same seed under every manager, so that they meet the same world. Its place is that among the
-    runs of the campaign.
+    The n-th run has the same seed under every manager, so that they meet the same world. `place` is its index among
+    the runs of the campaign.
     """
 
     mission: str
@@ -36,19 +36,19 @@ class PlannedRun:
 
     @property
     def name(self) -> str:
-        """What it is called: the only thing that its results depend on."""
+        """Its name. Apart from the code, the results depend on nothing else."""
         changed = ",".join(f"{name}={value}" for name, value in self.settings)
         return "/".join(filter(None, [self.mission, self.manager, self.task, changed, str(self.seed)]))
 
     @property
     def command(self) -> str:
-        """The command line that does it again, alone and with all there is to see."""
+        """The command line that repeats this run alone, with its full output."""
         task = f" --task {self.task}" if self.task else ""
         changed = "".join(f" --set {name}={value}" for name, value in self.settings)
         return f"rosa run {self.mission} --manager {self.manager}{task} --seed {self.seed}{changed}"
 
     def open(self) -> MissionRun:
-        """Open the run; MissionError if it cannot be run so."""
+        """Open the run; MissionError if that is not possible."""
         mission, settings = find_mission(self.mission), dict(self.settings)
         return open_run(mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings)
 
@@ -58,15 +58,15 @@ class Campaign:
     """Every mission with every manager, task layer, set of settings and seed; the fields are the keys of its file.
 
     Attributes:
-        name: what it is called.
+        name: of its folder of results.
         missions: names of missions, or "module:NAME".
         managers: names of managers, or "package:Class".
-        tasks: task layers of ours, "bt" and "pddl"; the other managers bring their own.
-        runs: how many of each.
-        first_seed: seed of the first of each; the others follow.
-        settings: what differs from the defaults in all of them.
-        cases: sets of settings, each tried with everything else.
-        sweep: values to be tried by the name of a setting, in all combinations.
+        tasks: task layers for our manager, "bt" and "pddl"; the other managers bring their own.
+        runs: how many of each combination.
+        first_seed: the seed of the first run of each; the next ones follow.
+        settings: those that differ from the defaults in all runs.
+        cases: sets of settings, each combined with everything else.
+        sweep: values by name of a setting; all combinations are run.
     """
 
     name: str
@@ -162,11 +162,11 @@ _KEYS: Final[Mapping[str, tuple[Callable[[Any], bool], str]]] = {
     "sweep": (_is_sweep, "a table of names, each with a list of numbers, words, true or false"),
     "rules": (_is_value, "a year"),
 }
-"""What a file may say, and what each value has to be."""
+"""The keys of a campaign file: the check of each value, and what the message says is expected."""
 
 
 def from_data(data: Mapping[str, Any], source: str) -> Campaign:
-    """Make a campaign of plain data: its fields, and `rules` as short for that setting.
+    """Make a campaign from plain data: its fields by name; `rules` is short for the setting of that name.
 
     Raises:
         MissionError: a key or value is not what is expected; the message names the source.
@@ -200,7 +200,7 @@ def _text(value: object) -> str:
 
 
 def check_campaign(campaign: Campaign) -> None:
-    """Try everything of a campaign but the runs; raises MissionError for what does not exist or is not allowed."""
+    """Open one run of each combination to check it; MissionError if something does not exist or is not allowed."""
     for task in campaign.tasks:
         check_task(task)
     if campaign.runs < 1:
@@ -212,7 +212,7 @@ def check_campaign(campaign: Campaign) -> None:
 
 
 def _check_once(campaign: Campaign, source: str) -> None:
-    """Refuse what would be run twice, or what is said in two places."""
+    """Refuse a value that is listed twice, or a setting that is given in two places."""
     lists = {name: getattr(campaign, name) for name in ("missions", "managers", "tasks", "cases")}
     for name, values in {**lists, **campaign.sweep}.items():
         twice = next((value for value in values if values.count(value) > 1), None)

@@ -1,4 +1,4 @@
-"""The folder of a campaign: a file of SQLite with a row for each run, kept the moment it is done, and its tables."""
+"""The folder of a campaign: an SQLite file with a row for each run, written when it is done, and CSV tables."""
 
 import csv
 import fcntl
@@ -30,9 +30,9 @@ _TABLES: Final = """
     CREATE TABLE about (format INTEGER, campaign TEXT, provenance TEXT);
     CREATE TABLE runs (place INTEGER PRIMARY KEY, outcome TEXT, record TEXT, timing TEXT, traceback TEXT);
 """
-"""`place` is that of the run in the campaign; records, timings, campaign and provenance are JSON."""
+"""`place` is `PlannedRun.place`; record, timing, campaign and provenance are JSON."""
 CRASHED = "crashed"
-"""Outcome of a run that raised an exception or took its process down with it."""
+"""Outcome of a run that raised an exception or killed its process."""
 
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
 DISTRIBUTIONS = ("rosa-taca", "mujoco", "numpy", "ortools", "py-trees", "unified-planning", "up-fast-downward")
@@ -40,14 +40,14 @@ DISTRIBUTIONS = ("rosa-taca", "mujoco", "numpy", "ortools", "py-trees", "unified
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What came of a run.
+    """The outcome of a run.
 
     Attributes:
-        run: which one.
+        run: the run.
         code: fingerprint of the code that ran it; see `provenance`.
-        record: its figures: they depend on nothing but the name of the run and the code.
-        timing: how long it took on the machine that did it.
-        traceback: where it crashed, for a person to read; empty if it did not.
+        record: its figures, which depend only on the name of the run and the code.
+        timing: how long it took on the machine that did it [s].
+        traceback: where it crashed, for people; empty if it did not.
     """
 
     run: PlannedRun
@@ -59,7 +59,7 @@ class Outcome:
 
 @cache
 def provenance() -> Mapping[str, str]:
-    """Return what results depend on beside a run's name: versions, and a fingerprint of our own code."""
+    """Return what results depend on besides the name of the run: versions, and a fingerprint of our code."""
     digest = hashlib.sha256()
     root = Path(__file__).parents[2]
     for package in PACKAGES:
@@ -78,14 +78,14 @@ def _version(name: str) -> str:
 
 
 class Kept(NamedTuple):
-    """What the file of a campaign holds; runs are read when they are asked for, as there may be a million."""
+    """The content of a campaign's file; runs are read only when asked for, as there may be a million."""
 
     path: Path
     campaign: Campaign
     provenance: Mapping[str, str]
 
     def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-        """Yield the figures of each run that is done, and how long it took, in the order of the campaign."""
+        """Yield the figures of each run that is done, and its timing, in the order of the campaign."""
         for record, timing in self._read("SELECT record, timing FROM runs ORDER BY place"):
             yield json.loads(record), json.loads(timing)
 
@@ -99,7 +99,7 @@ class Kept(NamedTuple):
         return [json.loads(record) for (record,) in rows]
 
     def done(self, *, retry: bool = False) -> set[int]:
-        """Return the places of the runs that are done; to `retry`, without those that crashed."""
+        """Return the places of the runs that are done; with `retry`, without those that crashed."""
         rows = self._read("SELECT place FROM runs WHERE outcome != ?", CRASHED if retry else "")
         return {place for (place,) in rows}
 
@@ -109,14 +109,14 @@ class Kept(NamedTuple):
 
 
 class Store:
-    """The folder of a campaign, held by the one program that runs it; used as a context.
+    """The folder of a campaign, locked by the program that runs it; a context manager.
 
     Args:
-        folder: where it is.
-        campaign: what is to be run; None: what the folder says, if it is gone on with (`resume`).
+        folder: its path.
+        campaign: what to run; None, with `resume`: the campaign in the folder.
 
     Raises:
-        MissionError: the folder is not what it should be, or another program holds it.
+        MissionError: the folder holds no or another campaign, or another program runs it.
     """
 
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
@@ -146,10 +146,10 @@ class Store:
             self._sync()
 
     def keep(self, outcome: Outcome) -> None:
-        """Add what came of a run, to the file at once and on disk within a second of the next, or at the end.
+        """Write an outcome to the file at once; it is synced to disk with a later one after a second, or at the end.
 
         Raises:
-            MissionError: other code ran it, or there is no room.
+            MissionError: it was run by other code, or the disk is full.
         """
         code = provenance()["code"]
         if outcome.code != code:
@@ -165,7 +165,7 @@ class Store:
             self._sync()
 
     def _sync(self) -> None:
-        """Have on disk what was written: together, as it takes longer than many a run."""
+        """Sync to disk what was written; not after each run, as it takes longer than some runs."""
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             self._file.execute("PRAGMA wal_checkpoint")
         self._synced_s = monotonic()
@@ -173,12 +173,12 @@ class Store:
 
 def _opened(path: Path, mode: str = "rw") -> sqlite3.Connection:
     if not os.access(path.parent, os.W_OK) and not path.with_name(f"{path.name}-wal").exists():
-        mode = "ro&immutable=1"  # SQLite would write down beside the file that it reads
+        mode = "ro&immutable=1"  # else SQLite would write beside the file to read it
     return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None)
 
 
 def read_store(folder: Path) -> Kept:
-    """Say what the folder of a campaign holds; MissionError if it holds none, or that is damaged."""
+    """Read the folder of a campaign; MissionError if it holds none, or a damaged one."""
     path = folder / FILE
     if not folder.is_dir():
         raise MissionError(f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one")
@@ -208,7 +208,7 @@ def _begun(folder: Path, campaign: Campaign) -> Campaign:
 
 
 def _same(folder: Path, campaign: Campaign | None) -> Campaign:
-    """Return the campaign of a folder, which must be the one asked for and have been begun with what there is now."""
+    """Return the campaign of a folder; MissionError if another one is asked for, or the versions differ."""
     _, kept, begun_with = read_store(folder)
     if campaign is not None and campaign != kept:
         mine, theirs = (json.loads(json.dumps(asdict(one))) for one in (campaign, kept))

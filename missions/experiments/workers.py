@@ -1,4 +1,4 @@
-"""A run of a campaign, and who does it: processes of this machine, or workers of a cluster; both are executors."""
+"""Run a campaign on processes of this machine or on workers of a cluster; both are executors."""
 
 import json
 import os
@@ -27,9 +27,9 @@ _ALONE = threading.Lock()
 
 
 def do(run: PlannedRun) -> Outcome:
-    """Do a run and return what came of it, times in [s]; never raises what the run raises.
+    """Do a run and return its outcome, times in [s]; an exception of the run is part of the outcome.
 
-    A process does one run at a time, as the blackboard of py_trees belongs to the process.
+    A process does one run at a time, because the blackboard of py_trees belongs to the process.
     """
     with _ALONE:
         started = time.perf_counter()
@@ -42,7 +42,7 @@ def do(run: PlannedRun) -> Outcome:
 
 
 def crash(run: PlannedRun, error: str, trace: str = "") -> Outcome:
-    """Return the outcome of a run that crashed, with what does it again."""
+    """Return the outcome of a run that crashed, with the command that repeats it."""
     record = {**_head(run), "outcome": CRASHED, "error": error, "rerun": run.command}
     return Outcome(run, provenance()["code"], record, {}, trace)
 
@@ -68,7 +68,7 @@ class Processes:
 
     Attributes:
         count: how many runs are done at once.
-        killed: what is raised for runs that were under way when a process died.
+        killed: the exceptions of runs that were under way when a process died.
     """
 
     killed: tuple[type[Exception], ...] = (BrokenExecutor,)
@@ -80,7 +80,7 @@ class Processes:
         self._executor: Any = None
 
     def executor(self) -> Executor:
-        """Return what runs are handed to."""
+        """Return the executor to submit runs to."""
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
@@ -89,11 +89,11 @@ class Processes:
         return started
 
     def renew(self) -> None:
-        """Have new processes started when they are needed, in place of those that have died."""
+        """End all processes after one has died; new ones are started when they are needed."""
         self.close()
 
     def look(self) -> str:
-        """Return what is to be said of the workers while nothing is heard of them; empty if all is well."""
+        """Return a note on the workers, called while no result comes; empty if all is well."""
         return ""
 
     def close(self) -> None:
@@ -103,12 +103,12 @@ class Processes:
 
 
 class Cluster:
-    """Workers of a dask cluster; a run during which several workers died is given up, one death repeats it.
+    """Workers of a dask cluster, used like `Processes`.
 
-    They are used as `Processes` are.
+    A run whose worker dies is repeated; it is given up when several workers died during it.
 
     Raises:
-        MissionError: there is no scheduler, no worker, or one that lacks a module or has other versions.
+        MissionError: there is no scheduler or no worker, or a worker lacks a module or has other versions.
     """
 
     def __init__(self, address: str, modules: Sequence[str] = ()) -> None:
@@ -131,11 +131,11 @@ class Cluster:
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def executor(self) -> Executor:
-        executor: Executor = self._client.get_executor(pure=False)  # a run that is done again is another one
+        executor: Executor = self._client.get_executor(pure=False)  # a repeated run must not return the old result
         return executor
 
     def renew(self) -> None:
-        """Do nothing: whoever has started the workers starts them anew."""
+        """Do nothing: who started the workers has to restart them."""
 
     def look(self) -> str:
         return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
@@ -144,7 +144,7 @@ class Cluster:
         self._client.close()
 
     def _check(self, modules: Sequence[str]) -> None:
-        """Ask every worker for its versions: one that lacks the package would never answer to anything else."""
+        """Ask every worker for its versions; one that lacks the package could not answer anything else."""
         if not self.count:
             raise MissionError(f"the scheduler at {self._address} has no workers; start some with `dask worker`")
         answers = self._client.run(_probe(tuple(modules)), on_error="return")
@@ -160,10 +160,10 @@ Workers = Processes | Cluster
 
 
 def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None]) -> Iterator[Outcome]:
-    """Do runs and yield what came of each as soon as it is known, in no order.
+    """Do runs and yield the outcome of each as soon as it is known, in no order.
 
-    A run that takes its process down is found out by doing each of those that were under way then by itself. While
-    nothing is heard of the workers, `idle` is called with what there is to say.
+    When a process dies, each run that was under way is repeated alone, which shows the one that kills its process.
+    While no result comes, `idle` is called with the note of `workers.look`.
     """
     waiting = deque(runs)
     while waiting:
@@ -175,7 +175,7 @@ def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str],
 def _together(
     waiting: deque[PlannedRun], workers: Workers, idle: Callable[[str], None]
 ) -> Generator[Outcome, None, list[PlannedRun]]:
-    """Do runs until none is waiting or a process has died; return those that were under way then."""
+    """Do runs until none is left or a process dies; return those that were under way then."""
     under_way: dict[Future[Outcome], PlannedRun] = {}
     suspects: list[PlannedRun] = []
     while under_way or (waiting and not suspects):
@@ -192,7 +192,7 @@ def _together(
                 suspects.append(run)
             except CancelledError as error:
                 raise MissionError("the scheduler is gone; go on with --resume when it is back") from error
-            except Exception as error:  # what came of it could not be brought here
+            except Exception as error:  # the outcome could not be sent here
                 yield crash(run, f"{type(error).__name__}: {error}")
     if suspects:
         workers.renew()
@@ -205,7 +205,7 @@ def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], Plann
             return
         try:
             future = workers.executor().submit(do, waiting[0])
-        except workers.killed:  # a process died meanwhile: those under way will show it, or there are none
+        except workers.killed:  # a process has died: the runs under way will raise it, if there are any
             if not under_way:
                 workers.renew()
             return
@@ -213,7 +213,7 @@ def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], Plann
 
 
 def end_with(parent: int) -> None:
-    """Have this process end when the one that started it is gone, which a killed program cannot ask for."""
+    """Watch the parent from a thread and kill this process when the parent is gone, even if that was killed."""
 
     def watch() -> None:
         while os.getppid() == parent:
@@ -224,7 +224,7 @@ def end_with(parent: int) -> None:
 
 
 def _probe(modules: tuple[str, ...]) -> Callable[[], dict[str, str]]:
-    """Return a question to a worker that reaches it even if it lacks the package: it travels as code, not by name."""
+    """Return a function for workers; it is sent as code, so it reaches even one that lacks the package."""
 
     def probe() -> dict[str, str]:
         from importlib import import_module
@@ -239,10 +239,10 @@ def _probe(modules: tuple[str, ...]) -> Callable[[], dict[str, str]]:
 
 
 def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: "CampaignProgress") -> list[Path]:
-    """Do every run that is not done yet, with `retry` those that crashed too; then write and return the tables.
+    """Do every run that is not done yet, with `retry` also those that crashed; write the tables and return them.
 
     Raises:
-        MissionError: the folder cannot be written, or the workers are out of reach.
+        MissionError: the folder cannot be written, or the scheduler is gone.
     """
     done = read_store(folder).done(retry=retry)
     left = sorted((run for run in store.campaign.planned() if run.place not in done), key=lambda run: run.seed)

@@ -25,7 +25,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    """Import what is asked for only then: pytest imports this package at each start."""
+    """Import a name when it is used first, because pytest imports this package at each start."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     own = (f"{__name__}.{home}" for home in ("decisions", "recorded", "scripted"))

@@ -1,4 +1,4 @@
-"""What was decided in a replay, and what a test says of it: assertions, and golden traces of before."""
+"""The decisions in a replay, assertions about them for tests, and golden traces."""
 
 import math
 import re
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
     from rosa_bt import Trace
     from rosa_pddl import PlanRecord
 
-SLACK_S: Final = 1e-6  # sums of ticks miss a time by rounding [s]
+SLACK_S: Final = 1e-6  # tolerance for rounding errors of summed ticks [s]
 AROUND: Final = 3  # how many moments before and after the expected time a failure shows
 MOST: Final = 40  # how many lines of one kind a failure shows at most
 T = TypeVar("T")
 Names = str | Iterable[str]
 Steps = list[tuple[str, tuple[str, ...]]]
-"""What plans may do: verbs, each with names of components or configurations."""
+"""Changes by plans: verbs, each with names of components or configurations."""
 
 
 class Moment(NamedTuple):
-    """One line of a timeline, at a time [s]; without a reason where nobody asked."""
+    """One line of a timeline, at a time [s]; `reason` is empty if none is known."""
 
     time: float
     what: str
-    """One of "heard", "action" or "plan"; "end", of a mission that ended before its recording."""
+    """One of "heard", "action" or "plan"; or "end" of a mission that ended before its recording."""
     text: str
     reason: str = ""
 
@@ -41,20 +41,20 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Decisions:
-    """What was decided, task and architecture, in order; times in [s].
+    """All decisions of a replay about task and architecture, in order; times in [s].
 
-    The assertions take `at`, when something is to happen at the earliest, and `within`, how long after that it has to
-    be in force. A name that the model does not have is an error, never a silent success.
+    The assertions take `at`, the earliest time at which something may happen, and `within`, how long after that it has
+    to be in force. A name that the model does not have is an error, never a silent success.
 
     Attributes:
-        actions: (name, start, end, result) of every action; end and result None where the recording ends first.
+        actions: (name, start, end, result) of every action; end and result are None if the recording ends before.
         adaptations: every adaptation with its reason.
         task_plans: every task plan; none for a tree.
         problems: (time, what) of every part of a message that could not be used; failures show them.
-        timeline: what was heard and decided, for people.
+        timeline: what became known and was decided, for people.
         trace: every tick of the task layer, as data.
-        events: everything that became known, as data.
-        kb: the knowledge base as it is at the end, for anything else that a test wants to know.
+        events: all events of the knowledge base, as data.
+        kb: the knowledge base at the end, for anything else that a test wants to know.
     """
 
     actions: tuple[tuple[str, float, float | None, str | None], ...]
@@ -72,7 +72,7 @@ class Decisions:
 
     @property
     def changes(self) -> tuple[Adaptation, ...]:
-        """Every change of the task: one action in the place of another, with its reason."""
+        """Every change of the task, in which one action replaces another, with its reason."""
         return tuple(one for one in self.adaptations if one.action in self.kb.actions)
 
     def assert_actions(self, *names: str) -> None:
@@ -107,16 +107,16 @@ class Decisions:
     def assert_adapts(
         self, *, at: float, from_: str | None = None, to: str | None = None, within: float = 1.0
     ) -> Adaptation:
-        """Assert that the robot gives up what it is doing for something else, and that this is in force in time.
+        """Assert that one action replaces another, and that the robot is configured for it in time.
 
         Args:
-            at: when what calls for it happens [s].
-            from_: the action that is given up, or has ended; None for any.
-            to: the action that takes its place; None for any.
+            at: when the event happens that calls for it [s].
+            from_: the action that is given up or has ended; None for any.
+            to: the action that replaces it; None for any.
             within: how long after `at` the robot is configured for it [s].
 
         Returns:
-            The change, for its reason and the like.
+            The adaptation, with its reason.
         """
         __tracebackhide__ = True
         self._check("actions", *filter(None, (from_, to)))
@@ -127,9 +127,9 @@ class Decisions:
     def assert_reconfigures(
         self, *, at: float, activate: Names = (), deactivate: Names = (), configure: Names = (), within: float = 1.0
     ) -> ReconfigurationPlan:
-        """Assert that a plan does at least this, by names of components and configurations; return the plan.
+        """Assert that a plan makes at least these changes, by names of components and configurations; return it.
 
-        It has been carried out at most `within` [s] after `at` [s], when what calls for it happens.
+        The event that calls for it happens at `at` [s]; the plan must be carried out at most `within` [s] later.
         """
         __tracebackhide__ = True
         wanted = self._steps(activate, deactivate, configure)
@@ -147,10 +147,10 @@ class Decisions:
         since: float = 0.0,
         until: float = math.inf,
     ) -> None:
-        """Assert that none of this is begun from `since` until `until` [s].
+        """Assert that none of these begins from `since` until `until` [s].
 
         Raises:
-            ValueError: there is no such time in the replay, or nothing is named: that would be true of any replay.
+            ValueError: the replay has no such time, or nothing is named, which would hold for any replay.
         """
         __tracebackhide__ = True
         if not since <= min(until, self.kb.now):
@@ -183,7 +183,7 @@ class Decisions:
             getattr(self.kb, kind)[name]
 
     def _in_time(self, expected: str, at: float, within: float, found: Sequence[tuple[float, float, str, T]]) -> T:
-        """Return the first of what begins and is in force, each at a time, in words, that does so in time."""
+        """Return the first thing found (begin [s], in force [s], in words, thing) that is in time; raise if none is."""
         __tracebackhide__ = True
         for begin, end, _, one in found:
             if begin >= at - SLACK_S and end <= at + within + SLACK_S:
@@ -212,7 +212,7 @@ def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tupl
     for event in events:
         if event.plan is not None:
             plan = event.plan
-            commanded = str(plan).partition("; note as ")[0]  # what a plan only notes is left out
+            commanded = str(plan).partition("; note as ")[0]  # without what a plan only notes
             ending = "still open" if plan.end is None else f"{plan.result} at {seconds(plan.end)}"
             moments.append(Moment(event.time, "plan", f"{commanded}: {ending}", plan.reason))
         elif event.kind is EventKind.ACTION_UPDATE:
@@ -225,7 +225,7 @@ def timeline(events: Iterable[Event], adaptations: Iterable[Adaptation]) -> tupl
 
 
 def _around(moments: Sequence[Moment], begin: float, end: float, expected: str) -> str:
-    """Return the moments in an interval [s], and a few before and after, with the expectation at its place."""
+    """Return the moments in an interval [s], a few before and after it, and the expectation in its place, as text."""
     before = [one for one in moments if one.time < begin]
     within = [one for one in moments if begin <= one.time <= end]
     after = [one for one in moments if one.time > end]
@@ -238,7 +238,7 @@ def _cut(lines: Sequence[str]) -> list[str]:
 
 
 def _is_our_own(event: Event) -> bool:
-    """Whether an event only notes what a plan has switched; the plan's own line says it."""
+    """Whether an event only notes what a plan has switched, which the line of the plan says already."""
     if event.verb != "component_active":
         return event.kind is EventKind.RECORD
     _, is_active, reason = event.arguments
@@ -277,17 +277,17 @@ def _ended(plan: ReconfigurationPlan) -> str:
 
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
-    """Return where the golden trace of a test is kept, or the one of a name if it has several: beside its file."""
+    """Return the path of a test's golden trace, in a folder beside its file; `name` if a test has several."""
     words = (re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part)
     return test_file.parent / "golden" / f"{'.'.join(words)}.trace"
 
 
 def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> bool:
-    """Compare a trace with the golden one, or with `update` write that if it differs; return whether it was written.
+    """Compare a trace with the golden one; with `update`, write it if it differs. Return whether it was written.
 
     Raises:
-        AssertionError: it differs, or there is none; says how, and the command with which a person has it written.
-        rosa_bt.TraceError: what is there is no trace.
+        AssertionError: it differs or is missing; the message shows how, and the command that writes it.
+        rosa_bt.TraceError: the file is no trace.
     """
     __tracebackhide__ = True
     from rosa_bt import Trace, read_trace
@@ -313,11 +313,11 @@ def check_golden(trace: "Trace", path: Path, *, update: bool, command: str) -> b
 
 
 def readable(trace: "Trace") -> Iterator[str]:
-    """Yield a trace as lines for people: for each tick with news, what became known, was done and decided."""
+    """Yield a trace as lines for people: for each tick with news, the events, the nodes ticked and the decisions."""
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:
-        told = [event for event, place in tick.events if place is not None]  # by others than the tree
+        told = [event for event, place in tick.events if place is not None]  # not told by the tree itself
         lines = [f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in told]
         if before is None or tick.tree != before.tree:
             lines += [f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree]

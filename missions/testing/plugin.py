@@ -1,4 +1,4 @@
-"""The pytest plugin `rosa`: fixtures for tests of adaptive missions. It costs nothing until one of them is used."""
+"""The pytest plugin `rosa`: fixtures for tests of adaptive missions, which import nothing until they are used."""
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import wraps

@@ -1,7 +1,7 @@
-"""A recorded stream of diagnostics decided once more, without a simulator.
+"""Replay a recorded stream of diagnostics without a simulator, and decide again.
 
-The knowledge base, the manager and the task layer hear the recorded messages at their times, and decide; nothing is
-measured anew. What they command takes as long as it did, and has no effect on the recording.
+The knowledge base, the manager and the task layer receive the recorded messages at their times, and decide. Their
+commands take as long as in the recording, and have no effect on the messages.
 """
 
 import math
@@ -35,9 +35,9 @@ TaskFactory = Callable[[KnowledgeBase, Percepts], Behaviour]
 """Makes what decides about actions: a tree, or a plan executor (whose clock is then `lambda: kb.now`)."""
 
 SWITCHING_S: Final = 0.05
-"""How long a command takes where a recording does not say [s]."""
+"""How long a command takes if the recording does not say it [s]."""
 AFTERMATH_S: Final = 1.0
-"""How long a replay goes on after the last message, for what that set off [s]."""
+"""How long a replay goes on after the last message, for the reaction to it [s]."""
 
 
 def replay(
@@ -52,26 +52,26 @@ def replay(
     watch: Callable[[MissionRun], object] | None = None,
     traced: bool = True,
 ) -> Decisions:
-    """Decide once more what was recorded.
+    """Replay a recording, and return what is decided now.
 
     Args:
         source: a recording, as `rosa run MISSION --record FILE` writes it, or written by hand; a rosbag2 with
-            diagnostics (MCAP or sqlite3); or what was read of one, or the messages themselves.
-        mission: whose model and task layer decide, or its name; or a model alone, or a function that makes one, for a
-            behaviour that is handed in.
-        behaviour: makes what decides instead of the mission's task layer, given the knowledge base and the percepts.
+            diagnostics (MCAP or sqlite3), or one that was read already; or the messages themselves.
+        mission: the mission that decides, or its name; or, if a behaviour is given, only a model or a function that
+            makes one.
+        behaviour: makes a task layer that replaces the mission's, given the knowledge base and the percepts.
         task: the kind of the mission's task layer, "bt" or "pddl".
-        settings: how it is run, by default as it was recorded; it ends a second after the recording at the latest.
-        managed: what takes the commands, with its clock at 0; by default a system that does what is commanded.
-        strict: whether messages that say what the model does not know are an error; by default those are that are
-            handed in, not those of a file.
+        settings: of the run, by default those of the recording; it ends a second after the recording at the latest.
+        managed: the system that takes the commands, with its clock at 0; by default one that always obeys.
+        strict: whether parts of messages that the model does not know are an error; by default only if the messages
+            themselves are given, not a file.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
-        traced: whether the ticks of the tree are kept, as the trace of the decisions.
+        traced: whether to keep the ticks of the tree, as `Decisions.trace`.
 
     Raises:
-        MissionError: the recording cannot be read, or there is no such mission, task layer or behaviour; or messages
-            that are handed in say what the model does not know (those of a file are in `problems`).
-        kb.UnknownName: there is a script for a component that the model does not have.
+        MissionError: the recording cannot be read; there is no such mission, task layer or behaviour; or, if strict,
+            a part of a message cannot be used (otherwise it is in `problems`).
+        kb.UnknownName: a script names a component that the model does not have.
     """
     messages = _messages_of(source)
     recorded = messages[0].get("run", {}) if messages else {}
@@ -91,9 +91,9 @@ def replay(
 
 
 class Recording(World):
-    """A world in which what was recorded happens, and nothing else.
+    """A world that publishes the recorded messages, and nothing else.
 
-    The clock of what takes the commands is that of the world; it has to show 0.
+    Its clock is that of the managed system, which has to show 0.
     """
 
     def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
@@ -111,7 +111,7 @@ class Recording(World):
         return self._managed
 
     def advance(self, until: float) -> list[Message]:
-        """Go on to the next message or end of a command, at most to the time `until` [s]."""
+        """Go on to the next message or end of a command, at most until `until` [s]."""
         unheard = self.unheard
         following = unheard[0]["time"] if unheard else math.inf
         now = max(self._now, min(until, following, self._managed.next_event()))
@@ -123,7 +123,7 @@ class Recording(World):
 
 
 class _Nowhere(WorldKind):
-    """The world of a model that is handed in without a mission; only recordings happen there."""
+    """The world of a model without a mission; it exists for replays only."""
 
     def open(self, values: Mapping[str, str], rng: "Generator") -> World:
         raise MissionError("a model alone has no world; replay a recording to it")
@@ -167,7 +167,7 @@ def _decide(
     if watch is not None:
         watch(run)
     for component in world.managed.scripted:
-        _ = run.kb.components[component]  # a script for nobody is a slip
+        _ = run.kb.components[component]  # raises if there is none: the script is a mistake
     events: list[Event] = []
     run.kb.log.witnesses += (events.append,)
     with TraceVisitor(run.kb) if traced else nullcontext() as visitor:

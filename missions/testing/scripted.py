@@ -1,4 +1,4 @@
-"""Robots and leaves of trees that do as they are scripted, and the clock that a test moves."""
+"""Managed systems and leaves of trees that follow scripts, and a clock that the test moves."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -15,7 +15,7 @@ LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
 
 
 class LeafMock:
-    """What a mocked leaf returns, and how often it was asked to work, began, and was stopped before it had ended."""
+    """A mocked leaf: returns a script, and counts its ticks, its starts, and its interruptions while running."""
 
     def __init__(self, outcomes: tuple[Status, ...]) -> None:
         self._outcomes = outcomes
@@ -26,7 +26,7 @@ class LeafMock:
         self.starts += 1
 
     def update(self) -> Status:
-        """Return the next outcome of the script, the last one again and again; called by the leaf."""
+        """Return the next outcome of the script, at the end always the last one; called by the leaf."""
         self.ticks += 1
         outcome = self._outcomes[min(self.ticks, len(self._outcomes)) - 1]
         self._is_running = outcome is Status.RUNNING
@@ -38,19 +38,19 @@ class LeafMock:
 
 
 def mock_leaf(root: Behaviour, name: str, outcomes: str | Iterable[Status]) -> LeafMock:
-    """Have a leaf of a tree return what a script says, instead of doing anything.
+    """Let a leaf of a tree return the outcomes of a script instead of working.
 
-    The leaf stays in its place and stays what it is: a `RosaAction` still requests its action and releases it, so that
-    the architecture follows; only its own work is replaced. Trees read from XML are no different.
+    Only its own work is replaced: a `RosaAction` still requests its action and releases it, so that the robot is
+    configured for it. This works for trees read from XML, too.
 
     Args:
-        root: of the tree, or of the part of it in which to look.
-        name: of the leaf; where several have that name, all of them share the script.
+        root: of the tree, or of the subtree in which to look.
+        name: of the leaf; if several have that name, they share the script.
         outcomes: one for each tick, as letters R, S and F or as statuses; the last one is repeated for ever.
 
     Raises:
         kb.UnknownName: no leaf has that name; the message lists the nearest ones.
-        ValueError: there are no outcomes, or one is none of the three.
+        ValueError: there are no outcomes, or one is not RUNNING, SUCCESS or FAILURE.
     """
     mock = LeafMock(_read(outcomes))
     leaves = [one for one in root.iterate() if not one.children]
@@ -68,7 +68,7 @@ def replace_work(
     initialise: Callable[[], object] = lambda: None,
     terminate: Callable[[Status], object] = lambda new_status: None,
 ) -> None:
-    """Have a leaf do this instead of its own work; a `RosaAction` still requests its action and releases it."""
+    """Replace the methods of a leaf by these; a `RosaAction` still requests its action and releases it."""
     own: dict[str, Callable[..., object]] = {"update": update, "initialise": initialise, "terminate": terminate}
     if isinstance(leaf, RosaAction):
         own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
@@ -85,7 +85,7 @@ def _read(outcomes: str | Iterable[Status]) -> tuple[Status, ...]:
 
 
 class FakeClock:
-    """A clock that stands still until it is moved; hand it to whatever takes a `clock`.
+    """A clock that stands still until the test moves it; pass it as any `clock`.
 
     Args:
         now: what it shows first [s].
@@ -106,7 +106,7 @@ class FakeClock:
         return self.advance_to(self._now + seconds)
 
     def advance_to(self, time: float) -> float:
-        """Let time pass until `time` [s], and return it; ValueError if that is over, or is no time."""
+        """Let time pass until `time` [s], and return it; ValueError if that is in the past or not a number."""
         if not time >= self._now:
             raise ValueError(f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; time only passes")
         self._now = time
@@ -114,11 +114,11 @@ class FakeClock:
 
 
 class ScriptedManaged(SimulatedComponents):
-    """A managed system without a robot; see `script` for what can go wrong in it.
+    """A managed system without a robot; `script` makes commands fail, hang or lie.
 
     Args:
-        clock: gives the time, and is moved by the test, or by the replay.
-        takes: how long a command takes [s], or that by its verb; None: no time, in a replay as long as recorded.
+        clock: gives the time; the test or the replay moves it.
+        takes: how long a command takes [s], or by verb; None: no time, or in a replay as long as recorded.
     """
 
     def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
@@ -130,10 +130,10 @@ class ScriptedManaged(SimulatedComponents):
         self._recorded: dict[tuple[str, str], list[Script]] = {}
 
     def follow(self, commands: Iterable[tuple[str, str, float, bool]], usual: Mapping[str, float]) -> None:
-        """Have commands that no script is about go as they did: what, to which component, how long [s], if well.
+        """Let unscripted commands end as recorded: (verb, component, how long [s], whether it succeeded) of each.
 
-        One that was not given then goes as the last one of its kind, or takes as long as usual by its verb [s],
-        unless the system was made with times of its own.
+        A command after the last recorded one of its kind ends as that did. A command of another kind takes the usual
+        time of its verb [s], unless the system was made with times of its own.
         """
         if not self._is_timed:
             self.takes, self._is_timed = checked_times(usual), True
@@ -149,6 +149,6 @@ class ScriptedManaged(SimulatedComponents):
 
     @property
     def active(self) -> frozenset[str]:
-        """The components that truly run now."""
+        """The components that run now, whatever was reported."""
         self.catch_up()
         return frozenset(self._names.active)
