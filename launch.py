@@ -4,8 +4,8 @@
     python3 launch.py rosa run suave_extended
     python3 launch.py pytest
 
-Installs what the command needs: what running needs for `rosa` and `python`, with the extras that its options ask for,
-and what testing needs for anything else.
+It installs what the command needs: for `rosa` and `python` what running needs, with the extras for its options; for any
+other command what testing needs, too.
 Needs nothing but Python >= 3.11 and pip. The versions installed are those of constraints.txt.
 """
 
@@ -30,12 +30,12 @@ EXTRAS = {
     **{"--live": "live", "--tui": "tui", "watch": "tui", "--groot2": "groot2", "mcp": "mcp", "bridge": "ros2"},
     **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
 }
-"""What words of a command line of `rosa` need beside the library; so does a file that ends in .mcap."""
+"""The extra that each word of a `rosa` command line needs; a file that ends in .mcap needs one, too."""
 STEP = re.compile(r"\s*(Collecting|Building|Preparing|Installing)\b[^(]{0,60}")
 
 
 def extras(arguments: list[str]) -> set[str]:
-    """Return the extras that a command needs; all of them for a command that is no `rosa` or `python`."""
+    """Return the extras that a command needs; for other commands than `rosa` and `python` that of the tests."""
     if arguments[0] not in ("rosa", "python"):
         return {TESTING}
     words = [one.partition("=")[0] for one in arguments[1:]]
@@ -44,7 +44,7 @@ def extras(arguments: list[str]) -> set[str]:
 
 
 def set_up(wished: set[str]) -> None:
-    """Make the virtual environment and install this project in it; without the mark the next call does it anew."""
+    """Make the virtual environment and install this project in it; if that fails, the next call does it again."""
     try:
         inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
     except OSError as error:
@@ -56,7 +56,7 @@ def set_up(wished: set[str]) -> None:
         return
     if VENV.exists() and not VENV.is_dir():
         sys.exit(f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again")
-    # measured on two cores, packages near by
+    # measured on two cores with a near package index
     needs, takes = ("testing", "about a minute") if TESTING in wished else ("running", "about 20 s")
     print(
         f"Setting up .venv with what {needs} needs: once, {takes}, longer where the network is slow",
@@ -64,7 +64,7 @@ def set_up(wished: set[str]) -> None:
         flush=True,
     )
     python = str(BIN / "python")
-    if find_spec("pip"):  # the outer pip serves, so a Python without ensurepip does too
+    if find_spec("pip"):  # use the pip of this Python, so that ensurepip is not needed
         if not keeps:
             venv.create(VENV, clear=VENV.exists(), with_pip=False)
         pip = [sys.executable, "-m", "pip", "--python", python]
@@ -80,9 +80,9 @@ def set_up(wished: set[str]) -> None:
 
 
 def install(pip: list[str], project: str) -> None:
-    """Install the project with pip and show on one line how far it is; what pip finds wrong is shown whole."""
+    """Install the project with pip, showing its progress on one line; errors of pip are shown in full."""
     constraints = str(ROOT / "constraints.txt")
-    # modules are compiled when they are first imported: most never are
+    # modules are compiled when they are imported; most never are
     arguments = ["install", "--no-compile", "--disable-pip-version-check", "-c", constraints, "-e", project]
     started, shows = time.monotonic(), sys.stderr.isatty()
     with subprocess.Popen(
@@ -104,7 +104,7 @@ def install(pip: list[str], project: str) -> None:
 
 
 def main() -> None:
-    """Set up, then become the command that was asked for."""
+    """Set up, then replace this process by the command."""
     if sys.version_info < (3, 11):  # noqa: UP036  # the one file that an older Python may meet
         sys.exit(f"launch.py: Python 3.11 or newer is needed, this is {sys.version.split()[0]}")
     if sys.argv[1:2] in (["-h"], ["--help"]):

@@ -31,11 +31,11 @@ COMMANDS: Final = {
     "effort": ("effort:effort", "Count what it takes to write a model, beside the counts of the ROSA paper."),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }
-"""The sub-commands, each with its home in `missions.commands`, which is imported only when it is called."""
+"""The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it is called."""
 
 
 class Commands(TyperGroup):
-    """Lists the commands without importing them."""
+    """The group of sub-commands, which lists them without importing them."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
         name, _, rest = super().resolve_command(ctx, args)
@@ -70,25 +70,25 @@ def _say_version(is_asked: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which.")
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version.")
     ] = False,
 ) -> None:
     pass
 
 
 def main() -> None:
-    """Run the command line; what goes wrong is one clear message, never a traceback."""
+    """Run the command line; an error of use is shown as one clear message, without a traceback."""
     import logging
     import signal
     from contextlib import suppress
     from pathlib import Path
 
-    sys.path.append(str(Path.cwd()))  # where a mission of one's own is, given as module:NAME
-    logging.basicConfig(level=logging.ERROR, format="rosa: %(message)s")  # the console shows what is less
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that no draft of a file stays
+    sys.path.append(str(Path.cwd()))  # so that module:NAME finds your own missions
+    logging.basicConfig(level=logging.ERROR, format="rosa: %(message)s")  # the console shows less severe messages
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that drafts of files are removed
     try:
         app()
-    except OSError as error:  # standard output is full or gone
+    except OSError as error:  # standard output is closed, or the disk is full
         with suppress(OSError):
             sys.stdout.close()
         complain(f"cannot print: {error.strerror or error}")
@@ -99,6 +99,6 @@ def main() -> None:
         from rosa_pddl import RosaPddlError
 
         if not isinstance(error, MissionError | KnowledgeBaseError | RosaPddlError):
-            raise  # a mistake of the program
+            raise  # a bug
         complain(str(error))
         sys.exit(WRONG_USE)

@@ -1,4 +1,4 @@
-"""The sub-commands of `rosa`, a file each; what a command works with is imported when it is called."""
+"""The sub-commands of `rosa`, one file each; each is imported when it is called."""
 
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Final
@@ -7,17 +7,17 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 FAILED: Final = 1
-"""Exit status if it was done, but did not do what it was for."""
+"""Exit status: it was done, but without success."""
 WRONG_USE: Final = 2
-"""Exit status if it cannot be done as it was asked for."""
+"""Exit status: it cannot be done as asked."""
 UNFINISHED: Final = 3
-"""Exit status if nothing was wrong as far as was looked, which was not everything."""
+"""Exit status: nothing was found wrong, but not everything was checked."""
 ROBOT: Final = "A mission, a model file (.tql, .owl), or module:NAME that makes a model."
 MISSION: Final = "A name that `rosa list` shows, or module:NAME of your own."
 
 
 def open_console() -> "Console":
-    """Return the console for results; in a pipe or a file, which has no width, a line is as long as what it says."""
+    """Return the console for results; in a pipe or a file, lines are not wrapped."""
     from rich.console import Console
 
     console = Console(emoji=False, highlight=False)
@@ -26,7 +26,7 @@ def open_console() -> "Console":
 
 
 def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
-    """Return what an option gives by name, several times; MissionError if it is not of that form."""
+    """Read the values of an option such as `--set NAME=VALUE`, by name; MissionError if one has another form."""
     from missions.engine.mission import MissionError
 
     values = {}
@@ -39,7 +39,7 @@ def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> 
 
 
 def tree_builder(reference: str) -> Callable[..., object]:
-    """Return what is given as module:callable; MissionError if it cannot be imported or called."""
+    """Import a function given as module:callable; MissionError if that fails, or it is no function."""
     from missions.engine.mission import MissionError
     from missions.engine.registry import load
 

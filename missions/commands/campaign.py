@@ -1,4 +1,4 @@
-"""`rosa campaign`: many runs on all cores or on a cluster, gone on with after whatever stopped it."""
+"""`rosa campaign`: many runs on all cores or on a cluster; it can be resumed whatever stopped it."""
 
 import shlex
 from collections.abc import Callable
@@ -45,7 +45,7 @@ def campaign(
     console = Console(emoji=False, soft_wrap=True, highlight=False)
     with Store(folder, asked, resume=resume) as store:
         modules = store.campaign.own_modules
-        words = [str(file)] if modules else []  # what it imports is not for the folder to say
+        words = [str(file)] if modules else []  # a folder must not say what is imported
         words += ["--runs", str(runs)] if modules and runs is not None else []
         words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
         again = f"rosa campaign {shlex.join(words)}"

@@ -1,4 +1,4 @@
-"""`rosa effort`: how large models are by the ROSA paper's way of counting, and what their authors write."""
+"""`rosa effort`: the size of models, counted as in the ROSA paper."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`rosa learn`: what runs tell of a model, as suggestions; nothing is changed that was not asked for."""
+"""`rosa learn`: suggestions for a model from runs; it changes nothing unless asked to."""
 
 from pathlib import Path
 from typing import Annotated

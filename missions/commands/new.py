@@ -1,4 +1,4 @@
-"""`rosa new`: a package for a robot of one's own, which runs and passes its tests as it is."""
+"""`rosa new`: write a package for your own robot, which runs and passes its tests at once."""
 
 import keyword
 from importlib.util import find_spec
@@ -46,7 +46,7 @@ def new(
 
 
 def filled(text: str, name: str, parts: set[str]) -> str:
-    """Return a template for a name, without what stands between `#if PART` (or `#if not PART`) and `#fi` for others."""
+    """Fill in a template: put in the name, and drop each block `#if PART` ... `#fi` of a part that is not wanted."""
     lines, kept = [], [True]
     for line in text.splitlines(keepends=True):
         if line.startswith("#if "):

@@ -1,4 +1,4 @@
-"""`rosa plan`: a plan asked for by hand: what to do in which order, and why actions are out."""
+"""`rosa plan`: a plan on request: what to do in which order, and why actions are unfeasible."""
 
 from pathlib import Path
 from typing import Annotated

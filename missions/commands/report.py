@@ -1,4 +1,4 @@
-"""`rosa report`: what came of a campaign, or pages of runs to click through."""
+"""`rosa report`: the report on a campaign, or a page of one or two runs to click through."""
 
 from pathlib import Path
 from typing import Annotated

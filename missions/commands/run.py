@@ -1,4 +1,4 @@
-"""`rosa run`: a mission to its end, with what happened and why, and the files that it leaves."""
+"""`rosa run`: run a mission to its end, show what happens and why, and write the files asked for."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -55,7 +55,7 @@ def run(
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     if plot is not None:
         with needs("plot", "a picture of the run"):
-            import matplotlib  # noqa: F401  # it is found out before the run that it is missing
+            import matplotlib  # noqa: F401  # if it is missing, say so before the run
     found = find_mission(mission)
     changed = assignments(settings or [], "--set") | ({} if rules is None else {"rules": rules})
     console = open_console()

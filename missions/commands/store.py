@@ -1,4 +1,4 @@
-"""`rosa store`: what is in the store of a knowledge base, whether it is sound, copies of it, and its model."""
+"""`rosa store`: show, check, copy and repair the store of a knowledge base, and change its model."""
 
 import json
 import os
@@ -163,11 +163,11 @@ def migrate(
 
 @contextmanager
 def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.Connection, Survey]]:
-    """Give what is in a store, of a copy: whoever has it open goes on, and a damaged one is not touched.
+    """Survey a copy of a store: a program that has it open is not disturbed, and a damaged store is not touched.
 
-    The copy is as if that had been killed at one instant: SQLite's log beside the file only grows until it is begun
-    anew, and brings any mixture of the file's pages from before and after it was brought into the file to one state.
-    Only if it was begun anew is all copied again.
+    The copy is as if that program had been killed at one instant. SQLite's log (WAL) beside the file only grows until
+    it is restarted, and it turns any mixture of old and new pages of the file into one consistent state. So all is
+    copied again only if the log was restarted meanwhile.
     """
     try:
         with path.open("rb") as file, TemporaryDirectory(prefix=".rosa-", dir=folder) as place:
@@ -197,7 +197,7 @@ def _head(log: Path) -> bytes:
 
 
 def _sound(connection: sqlite3.Connection, until: int) -> list[Row]:
-    """Return the records up to one that are sound, from both ends if there is damage between."""
+    """Return the sound records up to a number, read from both ends in case there is damage between."""
     found: dict[int, Row] = {}
     for order in ("ASC", "DESC"):
         with suppress(*BROKEN):
@@ -215,7 +215,7 @@ def _free(to: Path) -> Path:
 
 
 def _save(connection: sqlite3.Connection, found: Survey, last: int, tail: bytes, to: Path) -> None:
-    """Close the database of a connection as one file of its own, and put it in its place."""
+    """Close a connection, leave its database as a single file, and move that to its place."""
     own = os.urandom(16)
     write_about(connection, own, str(found.declared), found.since)
     write_life(connection, own, is_open=False, last=last, tail=tail)
@@ -231,7 +231,7 @@ def _save(connection: sqlite3.Connection, found: Survey, last: int, tail: bytes,
 
 
 def _carry_over(written: dict[str, Any], before: Network, after: Network, now: float) -> list[str]:
-    """Leave in what was known, as JSON, only what is about elements of another model, too; return what is dropped."""
+    """Keep of a state (JSON) only what is about elements of the new model, too; return what is dropped, in words."""
     dropped = []
 
     def kept(values: Iterable[Any], place: int = 0, words: str = "") -> list[Any]:
@@ -258,7 +258,7 @@ def _carry_over(written: dict[str, Any], before: Network, after: Network, now: f
 
 
 def _moved(ref: Iterable[Any], before: Network, after: Network) -> Ref | None:
-    """Return what refers in another model to the same: of the same name, or a constraint that says the same."""
+    """Return the reference to the same element in the new model: by name, or to a constraint that says the same."""
     try:
         old = before.referred(tuple(ref))
         new = after.referred(old.ref[:2])

@@ -22,15 +22,15 @@ _IMPORTS: Final = "from missions.engine.registry import find_mission\nfrom missi
 def verify(
     mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
     task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
-    failures: Annotated[int, typer.Option(min=0, help="So many components have failed at once at most.")] = 1,
-    at_once: Annotated[int, typer.Option(help="So many facts change between two ticks at most.")] = 1,
+    failures: Annotated[int, typer.Option(min=0, help="How many components may have failed at once.")] = 1,
+    at_once: Annotated[int, typer.Option(help="How many facts may change between two ticks.")] = 1,
     slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
     reaction: Annotated[int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")] = 1,
     exclusive: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")] = None,
-    most: Annotated[int, typer.Option(help="So many situations at most.")] = 100_000,
-    seconds: Annotated[float, typer.Option(help="For so long at most [s].")] = 60.0,
-    cores: Annotated[int | None, typer.Option(min=1, help="So many processes; as many as cores without it.")] = None,
-    resume: Annotated[Path | None, typer.Option(help="Go on from this file if there is one; it is left anew.")] = None,
+    most: Annotated[int, typer.Option(help="Stop at this number of situations.")] = 100_000,
+    seconds: Annotated[float, typer.Option(help="Stop after this time [s].")] = 60.0,
+    cores: Annotated[int | None, typer.Option(min=1, help="How many processes explore; default: all cores.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Go on from this file if it exists; write it at the end.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
     test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
@@ -81,7 +81,7 @@ def verify(
 
 @contextmanager
 def _interruptible(found: Exploration) -> Iterator[None]:
-    """Have an interrupt end the exploration, so that what was found is shown and kept; a second one ends all."""
+    """Let Ctrl-C end the exploration, so that what was found is shown and kept; a second one ends the program."""
 
     def stop(*_: object) -> None:
         found.stop()

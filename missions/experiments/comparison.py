@@ -1,4 +1,4 @@
-"""The runs of a campaign in groups that are compared, and the published figures beside them."""
+"""The runs of a campaign in groups to compare, and the published figures."""
 
 from array import array
 from collections import defaultdict
@@ -19,7 +19,7 @@ NO_FIGURES = {"seed", "task"}
 
 
 class Published(NamedTuple):
-    """Of a row of the paper's table means and standard deviations by figure, and mean reaction times [s]."""
+    """A row of the paper's table: by figure the mean and standard deviation, and mean reaction times [s]."""
 
     figures: Mapping[str, tuple[float, float]]
     reactions_s: Mapping[str, float]
@@ -44,8 +44,8 @@ PAPER: Final = {
 class Group:
     """The runs of one manager that did not crash; `task` is the task layer of ours, None for other managers.
 
-    Held are 8 bytes for each figure and reaction of a run, as there may be a million: by kind ("figure"; "delay" and
-    "thought" of a reaction) and name. Times are in [s]. Inputs are what was taken from published results of it.
+    `columns` has 8 bytes for each figure and reaction of a run, as there may be a million runs, by kind ("figure", or
+    "delay" and "thought" of a reaction) and name; times in [s]. `inputs` are settings taken from published results.
     """
 
     manager: str
@@ -58,7 +58,7 @@ class Group:
     columns: "dict[tuple[str, str], array[float]]" = field(default_factory=lambda: defaultdict(lambda: array("d")))
 
     def add(self, record: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
-        """Add the next run, in the order of seeds, and what is known of how long it took; empty for nothing."""
+        """Add the next run, in the order of seeds, with its timing, which may be empty."""
         for name, value in record.items():
             if name.startswith(INPUT):
                 self.inputs[name.removeprefix(INPUT)] = value
@@ -75,15 +75,15 @@ class Group:
 
     @property
     def label(self) -> str:
-        """What it is called in the report; a star says that figures of the paper were put in."""
+        """Its name in the report; a star says that it was given figures of the paper."""
         return f"{self.manager}{f' ({self.task})' if self.task else ''}{'*' if self.inputs else ''}"
 
     def of(self, kind: str, name: str) -> Array:
-        """Return what is held of a kind and name; that of figures by run, up to the last that has it."""
+        """Return a column by kind and name; a figure has one value for each run, up to the last run that has it."""
         return np.asarray(self.columns.get((kind, name), ()), dtype=float)
 
     def values(self, figure: str) -> tuple[Array, Array]:
-        """Return seeds and a figure of the runs that have it; a search without success takes as long as the mission."""
+        """Return seeds and values of a figure, of runs that have it; a failed search counts as long as the mission."""
         found, seeds = np.full(self.runs, nan), self.of("figure", "seed")
         found[: self.of("figure", figure).size] = self.of("figure", figure)
         if figure == SEARCH:
@@ -92,14 +92,14 @@ class Group:
 
     @property
     def searches(self) -> Array:
-        """The search times of the runs that found what they searched for [s]."""
+        """The search times of the runs whose search succeeded [s]."""
         found = self.of("figure", SEARCH)
         return found[~np.isnan(found)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """A mission with some settings, under several managers: one group for each that has runs, and each task layer."""
+    """A mission with some settings: one group of runs for each manager and task layer."""
 
     mission: str
     settings: Mapping[str, str]
@@ -112,7 +112,7 @@ class Comparison:
 
     @property
     def figures(self) -> tuple[str, ...]:
-        """Every figure that is a number in some run, in the order of the results."""
+        """All figures that are numbers in some run, in the order of the results."""
         names = [name for group in self.groups for kind, name in group.columns if kind == "figure"]
         return tuple(dict.fromkeys(name for name in names if name not in NO_FIGURES))
 
@@ -122,7 +122,7 @@ class Comparison:
 
 
 def comparisons(kept: Kept) -> list[Comparison]:
-    """Return what is compared in a campaign; what has no runs yet is left out."""
+    """Return the comparisons of a campaign, without those that have no runs yet."""
     parts = defaultdict[Any, dict[Any, Group]](dict)
     for record, timing in kept.rows():
         if record["outcome"] != CRASHED:

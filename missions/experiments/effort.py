@@ -1,7 +1,7 @@
-"""How large models are by the ROSA paper's way of counting (Silva et al., section on development effort).
+"""The size of models, counted as in the ROSA paper (Silva et al., section on development effort).
 
-One rule gives the published counts of all four models: what in TypeDB is an entity or a relation counts one. As TypeQL,
-a model has a statement for each.
+One rule gives the published counts of all four models: each entity and each relation in TypeDB counts one. As TypeQL, a
+model has a statement for each.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -29,28 +29,28 @@ RULE: Final = (
 """What is counted, in two lines."""
 
 MOST_ADAPTATIONS: Final = 6
-"""Generated models have up to that many adaptations of each kind."""
+"""Generated models have up to this many adaptations of each kind."""
 
 MODELS: Final = {"suave": (18, 12), "suave_extended": (22, 16), "agv": (18, 36), "uav": (24, 16)}
-"""Published: entities and relations of each model."""
+"""Published: numbers of entities and relations of each model."""
 
 TREES: Final = {"suave": (27, 30), "suave_extended": (34, 38)}
-"""Published, for the tree that manages: nodes without those of the task, and modes with their parameters."""
+"""Published, for the tree of the manager `bt`: nodes without those of the task, and modes with parameters."""
 
 TASK_NODES: Final = {"suave": 10, "suave_extended": 16}
-"""Published: nodes of the tree with the task only, which are deducted from those of the tree that manages."""
+"""Published: nodes of the tree with the task only, which are subtracted."""
 
 AS_PUBLISHED: Final = {"agv": agv_model}
-"""Missions whose model holds more than the published one, and what is counted for them."""
+"""Missions whose model has more than the published one, each with the model that is counted instead."""
 
 
 def law(structural: int, parameter: int) -> int:
-    """Return how many elements one action needs with that many adaptations, as published."""
+    """Return the published number of elements for one action with this many adaptations."""
     return 10 + 6 * structural + 3 * parameter
 
 
 def count(model: Model) -> dict[str, Any]:
-    """Count the entities and relations of a model, each kind and all; what is so from the start is not counted."""
+    """Count the entities and relations of a model, by kind and in total, without the initial facts."""
     entities = {
         "actions": len(model.actions),
         "functions": len(model.functions),
@@ -71,7 +71,7 @@ def count(model: Model) -> dict[str, Any]:
 
 
 def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
-    """Make the smallest model for a number of adaptations of each action (Silva et al., assumptions 1 and 2).
+    """Make the smallest model with these numbers of adaptations of each action (Silva et al., assumptions 1 and 2).
 
     Each action requires a function of its own, with one design of one component with one configuration. A structural
     adaptation is one more such design, a parameter adaptation one more configuration of the first component. Every
@@ -107,7 +107,7 @@ def survey(names: Iterable[str] = ()) -> dict[str, Any]:
             joined by commas; by default all missions of the registry.
 
     Returns:
-        Plain data; `published` is None for what the paper does not have.
+        Plain data; `published` is None if the paper has no such count.
 
     Raises:
         MissionError, KnowledgeBaseError, RosaPddlError: one is unknown, or cannot be read or built.
@@ -135,10 +135,10 @@ def _published(table: Mapping[str, tuple[int, int]], name: str, *keys: str) -> d
 
 
 def count_tree(mission: Mission) -> dict[str, int]:
-    """Count the nodes of the tree that the manager `bt` builds for a mission in the sea, and its modes.
+    """Count the nodes and modes of the tree that the manager `bt` builds for a mission in the sea.
 
-    `nodes` are those of the whole tree, `task_nodes` those of the mission's own, which has the task only; `modes` are
-    modes and the values in them, of the functions whose component the mission has; `total` is all without the task.
+    `nodes` is of the whole tree, `task_nodes` of the mission's own tree, which has the task only; `modes` counts modes
+    and the values in them, for functions whose component the mission has; `total` is all without the task.
     """
     run = open_run(mission, manager=TreeManager)
     assert isinstance(run, BaselineRun)
@@ -148,7 +148,7 @@ def count_tree(mission: Mission) -> dict[str, int]:
         run.world.close()
     model = _model(mission.name, mission)
     given = KnowledgeBase(model), Percepts()
-    task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only asked about; each of the sea has one
+    task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only for isinstance; each mission in the sea has one
     needed = [modes.values() for component, modes in FUNCTIONS.values() if component in model.components]
     modes = sum(2 + len(mode.parameters) for means in needed for mode in means)  # itself, `active`, and each value
     nodes, task_nodes = (sum(1 for _ in root.iterate()) for root in (tree, task))
@@ -175,7 +175,7 @@ TREES_DIFFER: Final = (
 
 
 def lines_of(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what a survey found as lines for people: a table of models, one of trees, and the law."""
+    """Yield a survey as lines for people: a table of models, one of trees, and the law."""
     about = [*RULE, *([AGV] if any(one["name"] == "agv" for one in found["models"]) else [])]
     rows = [["model", "entities", "relations", "total", "published"]]
     for one in found["models"]:

@@ -1,7 +1,7 @@
-"""What runs teach about a model: how fast attributes change, how long actions take, what choices do, what is kept back.
+"""Learn from runs: rates of attributes, durations of actions, effects of choices, and whether thresholds fit.
 
-Each finding is a suggestion with its interval; nothing is changed unless that is asked for. Intervals are Student's, of
-the means of whole runs: what is measured within a run hangs together, runs do not.
+Each finding is a suggestion with its interval; the model changes only on request. Intervals are Student's, of the means
+of whole runs, because the measurements within a run are not independent.
 """
 
 import math
@@ -23,18 +23,18 @@ from missions.experiments.results import FILE, read_store
 from missions.wires.mcap import read_bag
 
 LEVEL: Final = 0.95  # how often an interval holds the true value
-_ROUNDING: Final = 1e-6  # part of a value that no interval is narrower than, as times and values are rounded
-_SURE: Final = 0.5  # part of a value that its interval reaches to either side at most, if nothing was stated before
-_BENT: Final = 0.05  # part of its change by which half of a series lies beside a straight line at most
+_ROUNDING: Final = 1e-6  # relative half width below which no interval falls, as times and values are rounded
+_SURE: Final = 0.5  # largest relative half width of an interval, if the model states nothing
+_BENT: Final = 0.05  # largest median distance of a series from a straight line, relative to its change
 _ANY: Final = (-math.inf, math.inf)
-_EPISODES: Final = 5  # how often a threshold has to be passed before anything is said of it
+_EPISODES: Final = 5  # how often a threshold has to be passed before it is judged
 
 _Slopes = dict[tuple[str, frozenset[str]], dict[int, float]]
-"""How fast something changes while an action alone is done, as it is configured then: the mean of each run."""
+"""By action, done alone, and its configuration: the mean rate of change in each run, by number of the run."""
 
 
 class Experience(NamedTuple):
-    """A run as far as it can be learned from: its name, what was known and decided, and what was heard."""
+    """What can be learned from of a run: its name, its events, and the messages."""
 
     name: str
     events: Sequence[Event]
@@ -42,7 +42,7 @@ class Experience(NamedTuple):
 
     @classmethod
     def of(cls, name: str, run: MissionRun) -> Self:
-        """Do a run that is open, and return what is to be learned from it."""
+        """Do an open run, and return it as an experience."""
         messages: list[Message] = []
 
         def hear(heard: Sequence[Message], _: float) -> Sequence[Message]:
@@ -55,7 +55,7 @@ class Experience(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """A mean, between which values the true one is, and of how many observations; infinite bounds of one alone."""
+    """A mean, its interval, and the number of observations; the bounds of a single one are infinite."""
 
     value: float
     low: float
@@ -64,7 +64,7 @@ class Spread(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[float], *, next_one: bool = False) -> Self:
-        """Return the mean of values with its interval, or with that of the next value."""
+        """Return the mean of values, with the interval of the true mean or, if `next_one`, of the next value."""
         with needs("plot", "the intervals of what is learned"):
             from scipy.stats import t
         mean, count, half = fmean(values), len(values), math.inf
@@ -78,7 +78,7 @@ class Spread(NamedTuple):
 
     @property
     def is_sure(self) -> bool:
-        """Whether it is known which way it goes and roughly how much."""
+        """Whether the sign is certain, and the size roughly."""
         return 0.0 < self.high - self.low <= 2 * _SURE * abs(self.value)
 
     def __str__(self) -> str:
@@ -89,7 +89,7 @@ class Spread(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Suggestion:
-    """Something that runs tell of a model.
+    """A finding from runs about a model.
 
     Attributes:
         kind: "rate", "duration", "estimation", "worth" or "threshold".
@@ -97,7 +97,7 @@ class Suggestion:
         found: the value with its interval.
         stated: what the model says; None if it says nothing.
         change: what would change, in words; empty if nothing would.
-        apply: changes the model so; None if it is not for the model to say, or not sure.
+        apply: makes this change in the model; None if the model does not state it, or it is not certain.
     """
 
     kind: str
@@ -114,14 +114,14 @@ class Suggestion:
 
 @dataclass(slots=True)
 class _Span:
-    """A time in which the same was done and chosen, with what was measured or said in it by name."""
+    """A span of time with the same actions and choices, and the values measured in it, by name."""
 
     doing: frozenset[str]
     chosen: frozenset[str]
     series: dict[str, tuple[list[float], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
 
     def slopes(self, model: Model) -> Iterator[tuple[str, float]]:
-        """Yield how fast each changes [1/s] between its bounds, where it goes straight and there is enough of it."""
+        """Yield the slope [1/s] of each series between its bounds, if it is long enough and nearly straight."""
         ranges = {one.name: (one.low, one.high) for one in model.attributes.values()}
         parts = ((of, part) for of, seen in self.series.items() for part in Series(*seen).inside(*ranges.get(of, _ANY)))
         for name, (times, values) in parts:
@@ -134,7 +134,7 @@ class _Span:
 
 
 def spans_of(one: Experience, model: Model) -> list[_Span]:
-    """Return a run in parts in each of which the same was done and chosen, as far as that was in use."""
+    """Divide a run into spans with the same actions and the same choices, of those that were in use."""
     said = deque((float(message["time"]), *pair) for message in one.messages for pair in _numbers(message))
     spans, doing, chosen = [_Span(frozenset(), frozenset())], dict[str, None](), dict[str, None]()
     for event in one.events:
@@ -164,7 +164,7 @@ def _add(span: _Span, time: float, name: str, value: float) -> None:
 
 
 def _numbers(message: Message) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of which only the task layer hears."""
+    """Yield the numbers in a message that are for the task layer only."""
     for status in message["status"]:
         if str(status["message"]).casefold() == MISSION_STATUS:
             for key, value in status["values"].items():
@@ -189,7 +189,7 @@ def _slopes(runs: Sequence[Sequence[_Span]], model: Model) -> dict[str, _Slopes]
 
 
 def _by_action(slopes: _Slopes) -> dict[str, Spread]:
-    """Return how fast it changes while each action is done; under "" alone if that makes no difference."""
+    """Return the rate of change during each action; only one, under "", if actions make no difference."""
     values: dict[str, dict[int, list[float]]] = defaultdict(lambda: defaultdict(list))
     for (action, _), by_run in slopes.items():
         for number, slope in by_run.items():
@@ -202,10 +202,10 @@ def _by_action(slopes: _Slopes) -> dict[str, Spread]:
 
 
 def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = None) -> list[Suggestion]:
-    """Return what runs tell of a model, and of how long a mission says that actions take.
+    """Return suggestions for a model, and for the durations in the schemas of a mission.
 
     Raises:
-        MissionError: a run is of another robot: an action of it is not in the model.
+        MissionError: an action of a run is not in the model, so the run is of another robot.
     """
     known = list(runs)
     for run in known:
@@ -225,9 +225,9 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
 
 
 def _rates(name: str, slopes: _Slopes, attribute: Attribute | None = None) -> Iterator[Suggestion]:
-    """Say how fast an attribute changes, or else what is counted grows: what a second of an action is worth."""
+    """Yield the rates of an attribute or, without one, of a counted quantity: what a second of an action is worth."""
     if attribute is not None and attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
-        return  # what the robot does changes itself, not its surroundings
+        return  # the robot changes its own qualities, not its surroundings
     kind, unit = ("worth", "[1/s]") if attribute is None else ("rate", f"[{attribute.unit or '1'}/s]")
     for action, found in _by_action(slopes).items() if slopes else ():
         about = f"{name}{f' while {action}' if action else ', always'} {unit}"
@@ -235,7 +235,7 @@ def _rates(name: str, slopes: _Slopes, attribute: Attribute | None = None) -> It
             yield from _rate(attribute, action, found, about)
         elif found.is_sure and found.value > 0:
             yield Suggestion(kind, about, found)
-    # configurations in which an action makes it change at rates that surely differ
+    # configurations of an action whose rates certainly differ
     for action in sorted({action for action, _ in slopes}):
         spreads = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
         common, each = frozenset.intersection(*spreads), spreads.values()
@@ -260,7 +260,7 @@ def _rate(attribute: Attribute, action: str, found: Spread, about: str) -> Itera
 
 
 def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Suggestion]:
-    """Find estimations that are off: what is taken is another than estimated with one choice, and right without it."""
+    """Find wrong estimations: with one choice the measured rate differs from the estimate, and without it it fits."""
     by_attribute: dict[str, list[Estimation]] = defaultdict(list)
     for one in model.estimations:
         if one.kind is not EstimationKind.ABSOLUTE:
@@ -316,7 +316,7 @@ def _durations(runs: Sequence[Experience], mission: Mission | None) -> Iterator[
 
 
 def _last_thresholds(model: Model) -> Iterator[tuple[Attribute, float, float, list[Constraint]]]:
-    """Yield the constraints beyond which no action is constrained by an attribute, upwards of 1 or downwards of -1."""
+    """Yield the outermost constraints of actions: for side 1 the lowest of `>=`, for side -1 the highest of `<=`."""
     of_actions = [one for one in model.constraints if any(isinstance(each, Action) for each in one.constrained)]
     for attribute in model.attributes.values():
         for side, bound, signs in ((1.0, attribute.low, (">=", ">")), (-1.0, attribute.high, ("<=", "<"))):
@@ -329,7 +329,7 @@ def _last_thresholds(model: Model) -> Iterator[tuple[Attribute, float, float, li
 def _threshold(
     attribute: Attribute, side: float, bound: float, constraints: Sequence[Constraint], runs: Sequence[Experience]
 ) -> Iterator[Suggestion]:
-    """Look how much was left of the range whenever an action was given up at a threshold, until it could be again."""
+    """Judge a threshold by how much was left of the range each time it was passed, until it held again."""
     constraint, left = constraints[0], list[float]()
     for run in runs:
         worst: float | None = None
@@ -360,10 +360,10 @@ def _threshold(
 
 
 def read_runs(paths: Iterable[Path]) -> Iterator[Experience]:
-    """Read recordings, and do the runs of campaigns again: a run depends on nothing but its name and the code.
+    """Read recordings, and repeat the runs of campaigns, which depend only on their names and the code.
 
     Raises:
-        MissionError: there is nothing to be learned from one of them; the message says why.
+        MissionError: nothing can be learned from one of them; the message says why.
     """
     for path in paths:
         if (path / FILE).exists():

@@ -1,4 +1,4 @@
-"""What came of a campaign: the published figures beside ours, tests, distributions and reaction times."""
+"""The report on a campaign: our figures beside the published ones, tests, distributions and reaction times."""
 
 import base64
 import html
@@ -35,7 +35,7 @@ img { max-width: 100%; } code { background: #f3f3f3; padding: 0 .2rem; }
 
 
 class Document:
-    """Headings, paragraphs, tables, commands and figures, one after the other, in Markdown."""
+    """A Markdown document, built of headings, paragraphs, lists, tables and figures in order."""
 
     def __init__(self, title: str) -> None:
         self._title, self._parts = title, [f"# {title}"]
@@ -51,7 +51,7 @@ class Document:
         self._parts.append("\n".join(f"- {text}" for text in texts))
 
     def table(self, head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-        """Add a table, without columns that hold nothing; the first column names the rows."""
+        """Add a table without its empty columns; the first column names the rows."""
         full = [at for at in range(len(head)) if at == 0 or any(row[at] != NONE for row in rows)]
         head, rows = [head[at] for at in full], [[row[at] for at in full] for row in rows]
         marks = ["---", *["---:"] * (len(head) - 1)]
@@ -59,7 +59,7 @@ class Document:
         self._parts.append("\n".join(lines))
 
     def figure(self, name: str, caption: str, drawn: bytes) -> None:
-        """Add a picture (SVG); the page holds it within itself."""
+        """Add a picture (SVG); the HTML page embeds it."""
         self._parts.append(f"![{caption}]({name}.svg)")
         self.pictures[f"{name}.svg"] = drawn
 
@@ -67,7 +67,7 @@ class Document:
         return "\n\n".join(self._parts) + "\n"
 
     def as_html(self) -> str:
-        """Return the whole as a web page that needs no other file."""
+        """Return the document as a web page that needs no other file."""
         from markdown_it import MarkdownIt
 
         body = MarkdownIt("commonmark", {"html": False}).enable("table").render(self.as_markdown())
@@ -81,17 +81,17 @@ class Document:
 HEADLINES = {SEARCH: "search time [s]", "distance_inspected_m": "distance inspected [m]"}
 NONE = "-"
 CLEAR = 3.5
-"""Separation of two clusters: above that of the halves of an even spread."""
+"""Two clusters are clear above this separation, which the halves of a uniform distribution have."""
 
 
 def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequence[str] = ()) -> list[Path]:
     """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
 
-    With pages, the runs that stand out are done again, and each has a page to click through. The figures are those that
-    managers are compared by; by default the published ones, or else the first two.
+    With `pages`, the runs that stand out are done again, and each gets a page to click through. Managers are compared
+    by `figures`; by default the published ones, or else the first two.
 
     Raises:
-        MissionError: there is nothing to report, or no mission has such a figure.
+        MissionError: no run is done, or no run has such a figure.
     """
     parts, crashed = comparisons(kept), kept.crashed
     if not parts:
@@ -130,7 +130,7 @@ def _introduce(document: Document, kept: Kept, crashed: int) -> None:
 
 
 def _headlines(comparison: Comparison, asked: Sequence[str]) -> Mapping[str, str]:
-    """Return the figures by which managers are compared, each with what it is called."""
+    """Return the figures by which managers are compared, each with its label."""
     names = [name for name in asked or HEADLINES if name in comparison.figures] or comparison.figures[:2]
     return {name: HEADLINES.get(name, name) for name in names}
 
@@ -209,7 +209,7 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
 
 
 def _add_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
-    """Compare ours with each other manager, or without ours each two: runs with the same seed, and ranks."""
+    """Compare ours with each other manager, or, without ours, all pairs: by runs with the same seed, and by ranks."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
     rows, ps = [], []
@@ -241,7 +241,7 @@ def _add_all(document: Document, comparison: Comparison) -> None:
 
 
 def _add_standouts(document: Document, parts: Sequence[Comparison], figures: Sequence[str]) -> None:
-    """Add pages of the runs with the lowest and the highest figure of each group, and links to them."""
+    """Add a page of the runs with the lowest and the highest figure of each group, with links."""
     from missions.views.recorder import RunRecorder
     from missions.views.report import report
 
@@ -303,7 +303,7 @@ def _mean_sd(values: Array, runs: int) -> str:
 
 
 def _chance() -> np.random.Generator:
-    """Return the chance of one estimate: always the same, so that a report is the same to the byte."""
+    """Return a generator with a fixed seed for one estimate, so that a report is always the same to the byte."""
     return np.random.default_rng(0)
 
 
@@ -321,13 +321,13 @@ STYLE: Final[dict[Any, Any]] = {
 }
 
 Rows = Mapping[Group, Sequence[tuple[Array, tuple[float, float] | None]]]
-"""Of each manager what the cells of its row show: values, and published mean and standard deviation."""
+"""By manager, the cells of its row: values, and the published mean and standard deviation if there are any."""
 
 
 def distribution(comparison: Comparison, figure: str, label: str, *, clusters: bool) -> bytes:
-    """Draw a histogram of a figure for each manager, one above the other; returns it as SVG.
+    """Draw a histogram of a figure for each manager, one above the other; return it as SVG.
 
-    Of search times two clusters are shown, and apart those that never succeeded.
+    With `clusters`, for search times, show two clusters, and apart from them the runs that never found anything.
     """
     rows = {one: [(one.values(figure)[1], one.published.figures.get(figure))] for one in comparison.groups}
     found = np.concatenate([values for cells in rows.values() for values, _ in cells])
@@ -337,7 +337,7 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
 
 
 def reaction_histograms(comparison: Comparison) -> bytes:
-    """Draw how soon each manager reacted to each uncertainty, over a logarithmic axis [s]; returns it as SVG."""
+    """Draw the reaction times of each manager to each uncertainty over a logarithmic axis [s]; return it as SVG."""
     names, rows = comparison.uncertainties, {}
     for group in comparison.groups:
         means = (group.published.reactions_s.get(name) for name in names)
@@ -380,7 +380,7 @@ def _drawn(
             cell.set_xlabel(label)
         _explain(drawing, list(rows), clusters, mark)
         content = BytesIO()
-        drawing.savefig(content, format="svg", metadata={"Date": None})  # nothing of when it was made
+        drawing.savefig(content, format="svg", metadata={"Date": None})  # the same bytes each time
         return content.getvalue()
 
 

@@ -1,4 +1,4 @@
-"""The statistics of a report, on plain samples; every function is pure, and chance is handed in."""
+"""The statistics of a report, on plain samples; all functions are pure, with the random generator as an argument."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,12 +14,12 @@ Values = Sequence[float] | Array
 
 DRAWS = 10_000
 MOST_DRAWN = 2_000_000  # values in memory at once
-MOST_RESAMPLED = 10_000  # of more values, means and deviations are as good as normally distributed
+MOST_RESAMPLED = 10_000  # of more values, means and deviations are nearly normally distributed
 LEVEL = 0.95
 
 
 class Interval(NamedTuple):
-    """An estimate, from the sample itself, and the ends of the interval that holds the true value with 95 %."""
+    """An estimate from a sample, and the ends of its 95 % confidence interval."""
 
     estimate: float
     low: float
@@ -31,11 +31,10 @@ class Interval(NamedTuple):
 
 
 class Clusters(NamedTuple):
-    """A sample cut in two where that leaves the least variance within the parts.
+    """A sample cut in two so that the variance within the parts is least.
 
-    The separation is that of the means, in units of the spread within the parts (the root of the mean of their
-    variances; infinite if there is none). The halves of an even spread have 3.5, those of a bell curve 2.6: what is
-    above that is two clusters.
+    The separation is the distance of the means, divided by the root of the mean variance within the parts (infinite if
+    that is 0). The halves of a uniform distribution have 3.5, those of a normal one 2.6; a larger one means clusters.
     """
 
     cut: float
@@ -48,19 +47,19 @@ class Clusters(NamedTuple):
 def interval_of_mean(values: Values, rng: Generator) -> Interval:
     """Return the mean of at least one value and its interval by the bootstrap (percentiles of 10,000 resamples).
 
-    Of more than 10,000 values it is that of a normal distribution, which differs by less than what chance leaves.
+    For more than 10,000 values it is that of a normal distribution, which differs less than resampling varies.
     """
     sample = _sample(values)
     return _interval(sample, sample.mean(), sample.std(), lambda drawn: drawn.mean(axis=1), rng)
 
 
 def interval_of_sd(values: Values, rng: Generator) -> Interval:
-    """Return the standard deviation (divisor n - 1) and its interval as that of a mean; NaN for a single value."""
+    """Return the standard deviation (divisor n - 1) and its interval, as for the mean; NaN for a single value."""
     sample = _sample(values)
     if sample.size < 2:
         return Interval(math.nan, math.nan, math.nan)
     sd = sample.std(ddof=1)
-    spread = np.square(sample - sample.mean()).std() / (2 * sd) if sd else 0.0  # the variance's, by the delta method
+    spread = np.square(sample - sample.mean()).std() / (2 * sd) if sd else 0.0  # of the variance, by the delta method
     return _interval(sample, sd, spread, lambda drawn: drawn.std(axis=1, ddof=1), rng)
 
 
@@ -82,7 +81,7 @@ def contrast(first: Values, second: Values) -> tuple[float, float]:
 
 
 def holm(ps: Sequence[float]) -> list[float]:
-    """Correct p-values for how many tests there were (Holm 1979); the order is kept."""
+    """Correct p-values for multiple tests (Holm 1979); they keep their order."""
     order = np.argsort(ps)
     corrected = np.minimum(np.maximum.accumulate(np.take(ps, order) * np.arange(len(ps), 0, -1)), 1.0)
     return [float(one) for one in corrected[np.argsort(order)]]
@@ -111,7 +110,7 @@ def _sample(values: Values) -> Array:
 def _interval(
     sample: Array, estimate: float, spread: float, statistic: Callable[[Array], Array], rng: Generator
 ) -> Interval:
-    """Return an estimate that is as good as a mean of values with this spread, with its interval.
+    """Return an estimate with its interval; for many values, as the mean of values with this `spread`.
 
     The statistic maps resamples (k, n) to estimates (k,).
     """

@@ -234,6 +234,8 @@ def test_analysis_ends_with_the_sample_for_which_it_was_begun():
     [
         ("samples", "8", "allowed is a whole number from 1 to 7"),
         ("samples", "2.5", "allowed is a whole number from 1 to 7"),
+        ("samples", "3.0", "allowed is a whole number from 1 to 7"),
+        ("samples", "9" * 400, "allowed is a whole number from 1 to 7"),
         ("wind_m_s", "abc", "allowed is a number from 0 to 4"),
         ("capacity_j", "nan", "allowed is a number from 1000"),
     ],
