@@ -649,7 +649,8 @@ class KnowledgeBase:
         if self.store is not None:
             self._check_open(self.store)
         known = self._knowledge
-        known.refuse_in_the_midst()
+        if known.telling.locked():
+            known.refuse_in_the_midst()
         last = known.log.time
         known.now = now = now if now >= last else last
         if known.pending is not None or now >= known.measurements.alarms.next:
