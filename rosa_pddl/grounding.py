@@ -177,7 +177,7 @@ class Grounded:
         graph, task, scales = self._graph(goal, rules, frozen, mentioned, weights)
         left = self._usage.remaining(numbers)
         limits = tuple([one.whole(scale) for one, scale in zip(left, scales, strict=True)])
-        task = Task(start, goal, task.operations, limits, task.rules)
+        task = Task(start, goal, task.operations, task.amounts, limits, task.rules, task.more)
         if problem.until:
             task = self._timed(task, problem, numbers)
             graph = TaskGraph(task)
@@ -211,7 +211,7 @@ class Grounded:
             changes.append(Change(_ALWAYS, first, False, 0))
             operations.append(one.extended(tests, changes))
         start = SearchState(task.start.atoms, (*task.start.numbers, *left))
-        return Task(start, task.goal, tuple(operations), task.limits, task.rules)
+        return Task(start, task.goal, tuple(operations), task.amounts, task.limits, task.rules, task.more)
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
         """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
@@ -388,12 +388,9 @@ class Grounded:
             amounts.append(self._values_of([one.uses[index] for one in ready], f"uses of {name}", numbers))
         columns, (scale, *scales) = zip(*map(whole, amounts), strict=True)
         more = [number and ("*", scale, self._number(number, numbers)) for number in varying]
-        operations = [
-            one.operation.priced(cost, tuple(uses), varied)
-            for one, varied, (cost, *uses) in zip(ready, more, zip(*columns, strict=True), strict=True)
-        ]
-        limits = (0,) * len(scales)
-        task = Task(_NO_STATE, goal, tuple(operations), limits, self._rules_of(rules, frozen))
+        operations, limits = tuple([one.operation for one in ready]), (0,) * len(scales)
+        each, rules = tuple(zip(*columns, strict=True)), self._rules_of(rules, frozen)
+        task = Task(_NO_STATE, goal, operations, each, limits, rules, tuple(more) if any(more) else ())
         return TaskGraph(task), task, tuple(scales)
 
     def _rules_of(self, rules: Iterable[Rule], frozen: State) -> tuple[Rule, ...]:

@@ -208,10 +208,7 @@ class Change(NamedTuple):
 
 
 class Operation(NamedTuple):
-    """A grounded action, which its number names: what it needs, makes false and true, also on conditions, and changes.
-
-    Besides its cost it may cost more, which depends on numbers that rise and fall.
-    """
+    """A grounded action, named by its number: what it needs, makes false and true, on conditions too, and changes."""
 
     number: int
     condition: Condition
@@ -219,12 +216,6 @@ class Operation(NamedTuple):
     adds: frozenset[str] = frozenset()
     effects: tuple[tuple[Condition, str, bool], ...] = ()
     changes: tuple[Change, ...] = ()
-    cost: int = 0
-    uses: tuple[int, ...] = ()
-    more: Number = 0
-
-    def priced(self, cost: int, uses: tuple[int, ...], more: Number) -> "Operation":
-        return Operation(*self[:6], cost, uses, more)
 
     def extended(self, tests: Sequence[Test], changes: Sequence[Change]) -> "Operation":
         """Return the operation with further comparisons in its condition, and further changes."""
@@ -241,13 +232,19 @@ class Rule(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A grounded task; costs and what is used up are whole. Limits say how much of each resource may be used up."""
+    """A grounded task. Limits say how much of each resource may be used up.
+
+    Amounts are what each operation costs, and uses up of each resource; they are whole. More is what each costs besides
+    that, which depends on numbers that rise and fall; it is empty if nothing does.
+    """
 
     start: State
     goal: Condition
     operations: tuple[Operation, ...]
+    amounts: tuple[tuple[int, ...], ...]
     limits: tuple[int, ...]
     rules: tuple[Rule, ...] = ()
+    more: tuple[Number, ...] = ()
 
 
 class TaskGraph:
@@ -268,8 +265,7 @@ class TaskGraph:
         self._directions = _directions(task)
         # what axioms derive is left out, as no operation shows what that takes
         goals = sorted(task.goal.needs - self._derived)
-        spent = zip(*((one.cost, *one.uses) for one in task.operations), strict=True) if task.operations else ()
-        arcs = [_arcs(task, amounts, self._derived) for amounts in spent]
+        arcs = [_arcs(task, column, self._derived) for column in zip(*task.amounts, strict=True)]
         self._left = [[distances(each, [goal]) for goal in goals] for each in arcs or [[]] * (1 + len(task.limits))]
 
     def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
@@ -310,7 +306,7 @@ class TaskGraph:
         return least
 
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
-        operations = self._task.operations
+        operations, amounts, varying = self._task.operations, self._task.amounts, self._task.more
         candidates = [rank for atom in (None, *state.atoms) for rank in self._by_need.get(atom, ())]
         for rank in sorted([rank for rank in candidates if _holds(operations[rank].condition, state)]):
             operation = operations[rank]
@@ -323,11 +319,12 @@ class TaskGraph:
             if numbers is None:
                 continue
             to = self._closed((state.atoms - deletes) | adds, numbers)
-            more = value_of(operation.more, state.numbers)
+            more = value_of(varying[rank], state.numbers) if varying else 0
             if more is not None and more < 0:
                 raise NegativeCostError
             if to != state and more is not None:
-                yield Move(to, operation.cost + more, operation.uses, operation.number)
+                cost, *uses = amounts[rank]
+                yield Move(to, cost + more, tuple(uses), operation.number)
 
     def _closed(self, atoms: frozenset[str], numbers: tuple[Any, ...]) -> State:
         """Return a state with everything derived that the axioms derive."""
@@ -388,8 +385,8 @@ def _directions(task: Task) -> dict[int, int]:
     if not changes:
         return {}
     signs: dict[int, set[int]] = {change.place: set() for change in changes}
-    for operation in task.operations:
-        _note_signs(operation.more, 1, signs)
+    for number in task.more:
+        _note_signs(number, 1, signs)
     for asked in (task.goal, *(one.condition for one in task.operations), *(rule.condition for rule in task.rules)):
         for kind, one, other in asked.tests:
             for number, sign in ((one, 1), (other, -1)):
@@ -458,15 +455,13 @@ def _plain(thing: Any) -> Any:  # noqa: ANN401  # what tasks are made of
 
 
 def _main() -> None:
-    start, goal, operations, limits, rules = marshal.load(sys.stdin.buffer)
+    start, goal, operations, amounts, limits, rules, _ = marshal.load(sys.stdin.buffer)
     made = [
-        Operation(
-            number, Condition(*needed), deletes, adds, tuple((Condition(*one[0]), *one[1:]) for one in effects), *more
-        )
-        for number, needed, deletes, adds, effects, *more in operations
+        Operation(number, Condition(*needed), deletes, adds, tuple((Condition(*one[0]), *one[1:]) for one in effects))
+        for number, needed, deletes, adds, effects, _ in operations
     ]
     derived = [Rule(layer, Condition(*needed), atom) for layer, needed, atom in rules]
-    task = Task(State(*start), Condition(*goal), tuple(made), limits, tuple(derived))
+    task = Task(State(*start), Condition(*goal), tuple(made), amounts, limits, tuple(derived))
     found = TaskGraph(task).plan(task.start, limits)
     print(*(["none"] if found is None else ["plan", *(move.what for move in found.moves)]))
 

@@ -31,16 +31,17 @@ def condition(facts):
 def tasks(draw):
     """Return a small task with up to two resources, cycles that cost nothing, and conditional effects."""
     resources = draw(st.integers(0, 2))
-    operations = []
+    operations, amounts = [], []
     for number in range(draw(st.integers(0, 6))):
         sure = condition(draw(FACTS))
         effects = [(condition(draw(FACTS)), atom, truth) for atom, truth in draw(FACTS).items()]
         uses = tuple(draw(st.integers(0, 3)) for _ in range(resources))
         needed, cost = condition(draw(FACTS)), draw(st.integers(0, 4))
-        operations.append(Operation(number, needed, sure.denies, sure.needs, tuple(effects), (), cost, uses))
+        operations.append(Operation(number, needed, sure.denies, sure.needs, tuple(effects)))
+        amounts.append((cost, *uses))
     start = State(draw(st.frozensets(st.sampled_from(ATOMS))))
     limits = tuple(draw(st.integers(-1, 8)) for _ in range(resources))
-    return Task(start, condition(draw(FACTS)), tuple(operations), limits)
+    return Task(start, condition(draw(FACTS)), tuple(operations), tuple(amounts), limits)
 
 
 def holds(condition, state):
@@ -68,13 +69,13 @@ def by_exhaustion(task):
     waiting = list(cost)
     while waiting:
         state, used = key = waiting.pop()
-        for operation in task.operations:
+        for operation, (costs, *uses) in zip(task.operations, task.amounts, strict=True):
             after = applied(operation, state)
-            more = tuple(map(sum, zip(used, operation.uses, strict=True)))
+            more = tuple(map(sum, zip(used, uses, strict=True)))
             if after is None or any(amount > limit for amount, limit in zip(more, task.limits, strict=True)):
                 continue
-            if cost[key] + operation.cost < cost.get((after, more), inf):
-                cost[after, more] = cost[key] + operation.cost
+            if cost[key] + costs < cost.get((after, more), inf):
+                cost[after, more] = cost[key] + costs
                 waiting.append((after, more))
     reached = [spent for (state, _), spent in cost.items() if holds(task.goal, state)]
     return min(reached, default=None)
@@ -89,7 +90,7 @@ def test_the_search_finds_what_trying_everything_finds(task):
     state, used = task.start, [0] * len(task.limits)
     for move in found.moves:
         state = applied(task.operations[move.what], state)
-        used = [a + b for a, b in zip(used, task.operations[move.what].uses, strict=True)]
+        used = [a + b for a, b in zip(used, task.amounts[move.what][1:], strict=True)]
     assert holds(task.goal, state)
     assert all(amount <= limit for amount, limit in zip(used, task.limits, strict=True))
 
