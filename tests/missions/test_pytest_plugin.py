@@ -75,7 +75,7 @@ def test_replay_looks_beside_the_test_and_reads_like_the_story(run, pytester):
         def test_it_recharges_when_the_battery_drops(replay):
             decisions = replay("battery_drop.jsonl", "suave_extended")
             decisions.assert_adapts(at=150.0, from_="inspect_pipeline", to="recharge", within=0.2)
-            assert replay.__doc__.startswith("Decide once more")
+            assert replay.__doc__.startswith("Replay a recording")
     """)
     result.assert_outcomes(passed=1)
 
