@@ -9,7 +9,7 @@ from kb.model import Model
 from kb.owl import individuals
 
 Amendment = Sequence[Any]
-"""What became of elements: those "declared" or "changed" as `plain_json` writes them, the id of the one "removed"."""
+"""How elements were amended and which: "declared" or "changed" as `plain_json` writes them, "removed" by id."""
 
 
 def amendment(how: str, changed: Sequence[Changeable], serials: individuals.Serials) -> Amendment:
@@ -46,7 +46,7 @@ def amend(model: Model, serials: individuals.Serials, how: str, written: Any) ->
 
 
 def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, individuals.Serials]:
-    """Return a model that was declared so (in `plain_json`) and then amended so, and the numbers in it."""
+    """Return the model of a declaration (in `plain_json`) and later amendments, and the numbers of its elements."""
     given = individuals.from_json(declared)
     names = [str(value) for one in given if one.kind == individuals.MODEL for value in one.values["name"]]
     then = Model(names[0])
@@ -58,7 +58,7 @@ def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[M
 
 
 def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> individuals.Serials | None:
-    """Return the numbers of one model for another that is as it; None if it is not."""
+    """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
     if then != model:
         return None
     pairs = zip(individuals.unnamed(then), individuals.unnamed(model), strict=True)
@@ -66,7 +66,7 @@ def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> in
 
 
 def differences(then: Model, now: Model) -> list[str]:
-    """Say what one model says and the other does not; nothing if they are the same."""
+    """Say which statements are in only one of two models; nothing if the models are equal."""
     if then == now:
         return []
     before, after = _statements(then), _statements(now)

@@ -1,4 +1,4 @@
-"""Events: everything that becomes known, as data that can be told again; the log of them, and who hears of them."""
+"""Events: everything that becomes known, as data that can be told again; their log, and its subscribers."""
 
 import logging
 import math
@@ -19,7 +19,7 @@ from kb.status import Status
 
 
 class EventKind(StrEnum):
-    """What kind of knowledge arrived: the original's three kinds, and what is only put on record."""
+    """What kind of knowledge arrived: the three kinds of ROSA, and what is only put on record."""
 
     MONITORING_DATA = "monitoring data"
     ACTION_UPDATE = "action update"
@@ -29,11 +29,11 @@ class EventKind(StrEnum):
 
 _MADE: Final = frozenset({"component_configured", "component_started", "component_ended", "finish_plan", "store"})
 RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer", "progress"}
-"""The verbs of what is only put on record, and changes no fact of the state."""
+"""The verbs of events that are only put on record and change no fact of the state."""
 
 
 class StatusChange(NamedTuple):
-    """A status that is not what it was."""
+    """A status that changed."""
 
     kind: str
     name: str
@@ -190,7 +190,7 @@ class Log:
         self._others: deque[Event] = deque()
 
     def append(self, event: Event) -> None:
-        """Add an event; one that is there already, by its number, is added no second time."""
+        """Add an event, unless one of its number is there already."""
         events = self._measured if event.verb == "measure" else self._others
         if not events or events[-1].number < event.number:  # no signal is handled between this and what follows
             events.append(event)
@@ -231,7 +231,7 @@ def _newest(events: deque[Event], number: int) -> list[Event]:
 
 @dataclass(slots=True, eq=False)
 class _Subscriber:
-    """Who is called, the number of the last event that it was called with, and whether it failed on one."""
+    """A callback, the number of the last event that it was called with, and whether it failed on one."""
 
     call: Callable[[Event], None]
     heard: int
@@ -241,9 +241,9 @@ class _Subscriber:
 class Publisher:
     """Calls every subscriber with every event of a log, once, one event at a time, in order.
 
-    No lock is held while a subscriber is called. An event that it causes comes after the one that it is called with;
-    so does one of another thread, which need not wait for that. What interrupts a subscriber reaches whoever told; the
-    others hear of the event at the next call. One that answers without end is called no more.
+    No lock is held while a subscriber is called. If it tells an event, or another thread does, that is delivered after
+    the present one, and nobody waits for it. An interrupt in a subscriber reaches the caller who told the event; the
+    other subscribers get the event at the next call. A subscriber that answers its own events without end is dropped.
     """
 
     def __init__(self, log: Log, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
@@ -266,7 +266,7 @@ class Publisher:
         return partial(self._stop, subscriber)
 
     def deliver(self, told: int = 0) -> None:
-        """Call the subscribers with what is new, unless a thread is at it already, which then does this too.
+        """Call the subscribers with new events, unless a thread does so already: then that thread delivers these too.
 
         The number given is that of the event that this thread has just told.
         """
@@ -293,7 +293,7 @@ class Publisher:
                     self._turn.release()
 
     def _answered(self, told: int) -> None:
-        """Note that whoever is called on this thread has told an event, in answer to that with which it is called."""
+        """Note that the subscriber called on this thread has told an event in answer to the one it was called with."""
         if not told or self._called is None or self._called[0] != get_ident():
             return
         _, subscriber, depth = self._called

@@ -1,7 +1,7 @@
-"""What a model consists of, for those who read or fill one; and the facts that it states from the start.
+"""What a model consists of, for code that reads or fills one; and the facts that it states from the start.
 
 A file of a robot's model may say what was known when it was written; a knowledge base made of the model begins with
-that. What is not stated is not so: no component is active, nothing is selected or required, nothing is measured.
+that. Without such facts no component is active, nothing is selected or required, and nothing is measured.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -14,9 +14,9 @@ from kb.status import Status
 
 @dataclass(frozen=True, slots=True)
 class MeasurementFact:
-    """An attribute had a value, in its unit; unless it is the latest that was known it belongs to the history only.
+    """An attribute had a value, in its unit; a value that is not the latest one goes to the history only.
 
-    It was measured at a time [s since 1970-01-01 UTC]; None is that when the knowledge base is made.
+    The time of measurement is in s since 1970-01-01 UTC; None stands for the time when the knowledge base is made.
     """
 
     attribute: str
@@ -56,9 +56,9 @@ class ActiveFact:
 
 @dataclass(frozen=True, slots=True)
 class RequiredActionFact:
-    """An action was asked for, with the weight of each attribute to favour; it still is while there is no end.
+    """An action was requested, with the weight of each attribute to favour; without an end it is still required.
 
-    Start and end are times [s since 1970-01-01 UTC]; a start of None is that when the knowledge base is made.
+    Start and end are times [s since 1970-01-01 UTC]; a start of None is the time when the knowledge base is made.
     """
 
     action: str

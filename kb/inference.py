@@ -1,8 +1,8 @@
 """Incremental inference: what depends on a changed fact is consulted again, and nothing else.
 
 Inference has two directions. Being required flows down: action to functions, selected design to components. Status
-flows up, in levels: constraint, configuration, component, design, function, action. What requires nothing of a part
-depends only on whether that is possible at all, so a status that stays on one side of that is told to few.
+flows up, in levels: constraint, configuration, component, design, function, action. An element that does not use a part
+depends only on whether the part is possible at all; while that stays the same, only the users of a part are inferred.
 """
 
 from collections.abc import Iterable
@@ -87,7 +87,7 @@ def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> No
 
 
 def _require(state: State, node: Node) -> None:
-    """Bring up to date whether a function or component is required, and whom a function serves."""
+    """Update whether a function or component is required, and which components its designs serve."""
     required = state.asserted_required[node.index] or bool(state.users[node.index])
     if required == state.required[node.index]:
         return
@@ -98,7 +98,7 @@ def _require(state: State, node: Node) -> None:
 
 
 def _serve(state: State, design: Node, required: bool) -> None:
-    """Count a design of a function that has become required among those that its components serve, or no longer."""
+    """Update, for the components of a design, how many designs of required functions they are in."""
     state.mark(state.obsolete, design, state.selected[design.index] and not required)
     served, put = state.served, state.put
     for component in design.parts:
@@ -123,7 +123,7 @@ def _mark_configuration(state: State, configuration: Node) -> None:
 
 
 def is_adaptable(state: State, node: Node) -> bool:
-    """Tell whether a function or component has to be chosen for, or may be chosen for better."""
+    """Tell whether a function or component needs a choice, or may get a better one."""
     status = state.status[node.index]
     if status is Status.SOLVED:
         return bool(node.element.always_improve)
@@ -161,6 +161,6 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 
 def infer_anew(state: State) -> None:
-    """Infer everything from the facts, as after a change of the model; it may be done again."""
+    """Infer everything from the facts, as after a change of the model; it can be repeated."""
     state.forget_inferred()
     propagate(state, state.network.present())

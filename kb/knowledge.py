@@ -1,8 +1,8 @@
 """What is known: the fold of the events of a log, each put in place as a whole or not at all.
 
-While an event changes facts and statuses, what was there before is kept: interrupted, all that is undone by whoever
-comes next. Then it is in: what else it makes is put in place, and whoever comes next does that again where it was
-interrupted. Either may be done any number of times.
+While an event changes facts and statuses, the old values are kept. If it is interrupted, the next caller undoes it.
+Once the changes are complete the event is in: records, histories and alarms follow, and if that is interrupted, the
+next caller does it again. Both steps can be repeated any number of times with the same result.
 """
 
 import math
@@ -45,13 +45,13 @@ planner. An event that is not in is "open"."""
 
 
 class Knowledge:
-    """Facts, what follows from them, and what is on record.
+    """Facts, the statuses that follow from them, and the records.
 
     Args:
-        model: what is spoken of; it is to be watched, see `Observer`.
-        clock: gives the time [s] of such a change.
-        lock: to be held by whoever calls anything here; held for such a change.
-        memory: how much of the past is held.
+        model: the model that the facts are about; this object observes its changes, see `Observer`.
+        clock: gives the time of a change of the model [s].
+        lock: every caller holds it; a change of the model takes it itself.
+        memory: how much of the past is held in memory.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Knowledge:
     # ---------------------------------------------------------------- putting in place
 
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
-        """Make an event of what is said, and put it in place; None if it would change nothing."""
+        """Make an event of a verb and its arguments and put it in place; None if it would change nothing."""
         if self.pending is not None:
             self.finish()
         if verb not in RECORDS:
@@ -96,7 +96,7 @@ class Knowledge:
         return made
 
     def measure(self, node: Node, value: float, time: float) -> Event:
-        """Make an event of a measurement; the quickest of all, for it is the most frequent."""
+        """Make an event of a measurement and put it in place; written for speed, as it is the most frequent event."""
         if self.pending is not None:
             self.finish()
         index, state, measurements = node.index, self.state, self.measurements
@@ -136,7 +136,7 @@ class Knowledge:
         return self._put(event, touched, *puts, words=words, matters=None)
 
     def settle(self, now: float) -> None:
-        """Put in place what was interrupted, and take in what time has done by now [s]."""
+        """Complete or undo an interrupted event, then make the events that time causes until now [s]."""
         self.refuse_in_the_midst()
         with self.telling:
             self.finish()
@@ -145,7 +145,7 @@ class Knowledge:
                 self.advance(self.now)
 
     def advance(self, now: float) -> None:
-        """Make events of what time has done until now, each at its own instant."""
+        """Make the events that time causes until now, each at its own instant."""
         while (due := self.measurements.alarms.due(now)) is not None:
             time, key = max(due[0], self.log.time), due[1]  # after a change of the model it may have been over before
             node = self.network.nodes[key if key >= 0 else ~key]
@@ -160,7 +160,7 @@ class Knowledge:
                 self.apply(time, "dwell", (node.ref,))
 
     def finish(self) -> None:
-        """Undo what was interrupted before it was in; put the rest in place if it was in."""
+        """Undo the pending event if it is not in; put the rest of it in place if it is in."""
         pending, state = self.pending, self.state
         if pending is None:
             return
@@ -192,7 +192,7 @@ class Knowledge:
             witness(event)
 
     def settled(self) -> State:
-        """Return what is known once an event that was interrupted is in or out."""
+        """Return the state, after an interrupted event is completed or undone."""
         if self.pending is not None:
             self.refuse_in_the_midst()
             with self.telling:
@@ -215,10 +215,10 @@ class Knowledge:
         words: str = "",
         matters: bool | None = True,
     ) -> Event:
-        """Put an event in place, with all that follows from the touched nodes, and what else is to be put there.
+        """Infer what follows from the touched nodes, and put the event in place.
 
-        What is put may be put again. Some statuses may have changed already; that and what else there is to say of it
-        is as in `Event`. It can matter to a planner, or it cannot; None if only changed statuses do.
+        Each of `puts` can be called again. `changes` holds the statuses that have changed already; this and the
+        following are as in `Event`. `matters` tells whether a planner has to know; None: only if a status changed.
         """
         if touched:
             changes = [*changes, *propagate(self.state, touched)]
@@ -230,7 +230,7 @@ class Knowledge:
         return event
 
     def _open(self) -> None:
-        """Begin to change the state: until the event is in, what was there is kept."""
+        """Begin to change the state: the old values are kept until the event is in."""
         self.state.kept = []
         self.pending = "open"
 
@@ -438,20 +438,20 @@ class Knowledge:
                 propagate(self.state, [node])
 
     def prepare(self) -> None:
-        """Take in what time has done by now, before the model changes; what the clock raises stops that."""
+        """Make the events that time causes until now, before the model changes; an error of the clock stops that."""
         now = self.clock()
         with self._lock:
             self.settle(now)
 
     def catch_up(self) -> None:
-        """Take in what time has done by now; who asks between two events of one call gets what is known so far."""
+        """Make the events that time causes until now, unless an event is just being told."""
         now = self.clock()
         with self._lock:
             if self.pending is not None or not self.telling.locked():
                 self.settle(now)
 
     def amended(self, change: facts.Amended) -> None:
-        """Know what follows from a change of the model; nothing more if that is known already."""
+        """Make the event of a change of the model, unless that is done already."""
         with self._lock:
             self.refuse_in_the_midst()
             with self.telling:
@@ -474,7 +474,7 @@ class Knowledge:
         self.finish()
 
     def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:
-        """Relate what is in the model now, and infer all anew; it may be done again."""
+        """Relate the elements of the model as it is now and infer all statuses anew; it can be repeated."""
         self.network.renew()
         for node in gone:
             self.state.forget(node)
@@ -489,7 +489,7 @@ class Knowledge:
         self._amended = change
 
     def _changes(self) -> tuple[StatusChange, ...]:
-        """Return the statuses that are not what they were before the model changed."""
+        """Return the statuses that differ from those before the model changed."""
         now = [
             (node, self._before.get(node, unset(node)), self.state.status[node.index])
             for node in self.network.present()
@@ -499,7 +499,7 @@ class Knowledge:
     # ---------------------------------------------------------------- the fold, and what it is at one moment
 
     def repeat(self, event: Event) -> None:
-        """Put an event of a log in place, as it was then; the model is as it is now."""
+        """Put an event of a log in place again, as it was then, with the model as it is now."""
         self.log.resume(event.number - 1)
         if event.verb == "measure":
             name, value = event.arguments
@@ -539,7 +539,7 @@ class Knowledge:
         }
 
     def from_json(self, written: Mapping[str, Any], number: int, time: float) -> None:
-        """Know what `to_json` returned, after the event of a number and at its time [s]."""
+        """Restore what `to_json` returned: the state after the event of this number, at its time [s]."""
         network, state, remembered = self.network, self.state, self.measurements
         touched: dict[Node, None] = {}
         for name, values in written["facts"].items():
@@ -569,7 +569,7 @@ class Knowledge:
     # ---------------------------------------------------------------- what led to what
 
     def cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
-        """Return the event that last changed the status of what is chosen for or among; else that ended a request."""
+        """Return the event that last changed these choices, their owners or alternatives, or ended a request."""
         about = [one.index for node in chosen for whole in node.wholes for one in (whole, *whole.parts)]
         known = [self.changed_by[index] for index in about if index in self.changed_by]
         if not chosen and self.records.last_end is not None:
@@ -577,7 +577,7 @@ class Knowledge:
         return max(known, default=None)
 
     def cause_of_request(self, now: float) -> int | None:
-        """Return the event that ended another request at this instant, or else that last turned an action."""
+        """Return the event that ended another request at this instant, else the one that last changed a feasibility."""
         ended = self.records.last_end
         return ended[1] if ended is not None and ended[0] == now else self.feasibility
 

@@ -46,22 +46,22 @@ from kb.store import HELD_OVER_FORKS, KEPT, Store
 _log = logging.getLogger(__name__)
 
 _BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
-"""What time, the model and the store do, in every knowledge base by itself."""
+"""The verbs of events that time, the model and the store cause; no caller tells them."""
 _TOLD: Final = {"measure": "measure", "amend": "_amend"}
-"""The method for each verb that can be told: `_telling` adds the others."""
+"""The name of the method for each verb that can be told; `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
-"""How far a clock may go back: threads that read it at once tell in any order, and it may be corrected a little [s]."""
+"""How far a clock may go back [s]: threads that read it together tell in any order; clocks are corrected a little."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
-    """Make a method hold the base while it tells something, after what time has done; then subscribers hear of it.
+    """Make a method hold the base while it tells, after the events that time causes, and then call the subscribers.
 
-    Whoever gives the time or a mapping, and who is called, is not ours and may wait for another thread: no lock is held
-    then.
+    The clock, mappings that are given and subscribers are code of others, which may wait for another thread. So they
+    are called without a lock.
     """
     _TOLD[method.__name__.removeprefix("_")] = method.__name__
 
@@ -645,7 +645,7 @@ class KnowledgeBase:
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
     def _settle(self, now: float) -> None:
-        """Take in what time has done by now, before something is told; mostly that is nothing."""
+        """Make the events that time causes until now, before something is told; mostly there are none."""
         if self.store is not None:
             self._check_open(self.store)
         known = self._knowledge
@@ -708,7 +708,7 @@ class _Time:
 
 
 def _settle(model: Model, held: AbstractContextManager[State]) -> None:
-    """Put in place what was interrupted."""
+    """Complete or undo an interrupted change of the model or event."""
     if model.pending is not None:
         model.settle()
     with held:
@@ -716,10 +716,10 @@ def _settle(model: Model, held: AbstractContextManager[State]) -> None:
 
 
 def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # noqa: ANN401  # an RLock has no type
-    """Return what holds a base while it is read; what was interrupted is put in place first.
+    """Return a context manager that holds a base while it is read, after an interrupted event is completed or undone.
 
-    An interrupt comes between two steps of Python and never within one of C. So the lock is taken and noted in one
-    step, and given back by its own method: there is no instant at which it stays taken.
+    A signal is handled between two instructions of Python, never within a C function. So one C call takes the lock and
+    notes it, and the lock's own method releases it: no interrupt can leave the lock taken.
     """
     once = (True,)
 
@@ -738,7 +738,7 @@ def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # n
 
 
 def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:
-    """Return what is chosen, by name of what it is for; each is to be one of that."""
+    """Return the nodes chosen, given by the names of their owners; each must be a part of its owner."""
     if given is not None and not isinstance(given, Mapping):
         raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {given!r}")
     chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]

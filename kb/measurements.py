@@ -1,8 +1,8 @@
 """Measurements, and what follows from them with time: histories, ageing, and constraints that do not flap.
 
-A constraint can be debounced by hysteresis, by dwell, and by n of the last k measurements; all are without effect by
-default, as in ROSA. What such a constraint is depends on what was measured before, so its verdict is a fact that is
-remembered; inference reads it there.
+A constraint can be debounced by hysteresis, by dwell, and by n of the last k measurements; by default it is not, as in
+ROSA. The status of a debounced constraint depends on earlier measurements, so it is stored as a fact, its verdict,
+which inference reads.
 """
 
 import heapq
@@ -28,7 +28,7 @@ class Alarms:
         self.next = math.inf
 
     def set(self, key: int, time: float) -> None:
-        """Set the alarm of a key, in place of the one that it has; it may be done again."""
+        """Set the alarm of a key [s], in place of the one that it has; it can be repeated."""
         before = self._times.get(key)
         self._times[key] = time
         if before is None or time <= before:  # one that is put off is found when it would have been due
@@ -55,7 +55,7 @@ class Alarms:
 
 
 class Judged(NamedTuple):
-    """What becomes of a debounced constraint."""
+    """The new verdict of a debounced constraint, None for no change, and when to look again [s], None for never."""
 
     node: Node
     verdict: Status | None
@@ -63,7 +63,7 @@ class Judged(NamedTuple):
 
 
 class Measurements:
-    """What is remembered of measurements beside the latest; nothing here changes a state."""
+    """What is remembered of measurements beside the latest."""
 
     def __init__(self, state: State, memory: Memory) -> None:
         self._state, self._memory = state, memory
@@ -97,7 +97,7 @@ class Measurements:
             self.alarms.set(attribute.index, math.nextafter(measured + max_age, math.inf))
 
     def put_judged(self, judged: Iterable[Judged], now: float) -> None:
-        """Remember since when debounced constraints are what they are, and when to look again; may be done again."""
+        """Remember since when debounced constraints have their verdict, and when to look again; it can be repeated."""
         for node, after, wait in judged:
             if after is not None:
                 self.since[node.index] = now
@@ -161,9 +161,9 @@ class Measurements:
 
 
 def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
-    """Return what a constraint is by the latest measurements that count, whatever its dwell.
+    """Return the status of a constraint by the latest measurements that count, without its dwell.
 
-    That is what it was before (None if neither satisfied nor violated), unless enough of them say otherwise.
+    It stays what it was before (None if neither satisfied nor violated) unless enough of them say otherwise.
     """
     votes = [_side(constraint, value, before) for value in values]
     agreed = [status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough]

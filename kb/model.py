@@ -90,13 +90,13 @@ class Observer(Protocol):
     """What is informed of every change of a model."""
 
     def prepare(self) -> None:
-        """Something will change now; if this raises anything, it does not."""
+        """The model is about to change; if this raises anything, it does not change."""
 
     def amended(self, change: Amended) -> None:
-        """Something has changed, as a whole; what was interrupted comes again."""
+        """The model has changed; called again with the same change if it was interrupted."""
 
     def heard(self) -> None:
-        """All who watch have been informed."""
+        """All observers have been informed."""
 
 
 class Model:
@@ -111,7 +111,7 @@ class Model:
         tables: all of it, by class: each of those above, constraints and estimations, after those that it refers to.
         notes: what a file said that has no meaning in a model, and what was made of it; `check` reports it.
         places: where the elements that come from files stand there, as file:line:column.
-        pending: a change that is being made, or was interrupted; see `settle`.
+        pending: the change that is being made or was interrupted, or None; see `settle`.
     """
 
     def __init__(self, name: str) -> None:
@@ -408,7 +408,7 @@ class Model:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Make all that is declared within the `with` statement one change, or none if something is refused."""
+        """Make everything declared within the `with` statement one change, or nothing if something is refused."""
         batch = self._batch = []
         try:
             yield
@@ -435,7 +435,7 @@ class Model:
             put()  # one step, which nobody hears of
 
     def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
-        """Change something; it is in or out, for whoever watches too, once it is `pending`."""
+        """Make a change; once it is `pending`, it is in, for all observers too."""
         self.settle()
         observers = self._watching()
         for observer in observers:
@@ -505,7 +505,7 @@ def _users_of(model: Contents, element: Element) -> list[str]:
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact that speaks of elements of the model only, and says what such elements can be."""
+    """Return a fact after checking that its elements are in the model and that its values are allowed for them."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
     if isinstance(fact, StatusFact):
@@ -561,7 +561,7 @@ def _described(model: Contents) -> list[Any]:
 
 
 def _facts(element: Element) -> str:
-    """Say what is declared of an element, but for what is as always."""
+    """Say what is declared of an element, without the defaults."""
     said = []
     for one in fields(element):
         value = getattr(element, one.name)

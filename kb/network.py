@@ -76,10 +76,10 @@ class Node:
 
 
 class Thresholds:
-    """The constraints on one attribute in the order of the values at which they turn.
+    """The constraints on one attribute in the order of the values at which their status turns.
 
-    Each of the four comparisons turns at one value t: it is one thing below t and the other from t on. For `>` and
-    `<=` that is the next number above the written one.
+    Each of the four comparisons turns at one value t: it has one status below t and the other one from t on. For `>`
+    and `<=`, t is the next number above the written one.
     """
 
     def __init__(self, constraints: Sequence[Node]) -> None:
@@ -88,7 +88,7 @@ class Thresholds:
         self._turns = sorted(((_turn(node), node) for node in constraints if not is_steady(node)), key=_FIRST)
 
     def crossed(self, old: float, new: float) -> list[Node]:
-        """Return the constraints that are not for the new value what they were for the old one."""
+        """Return the constraints whose status differs between the old and the new value."""
         low, high = sorted((bisect_right(self._turns, old, key=_FIRST), bisect_right(self._turns, new, key=_FIRST)))
         return [node for _, node in self._turns[low:high]]
 
@@ -101,7 +101,7 @@ _FIRST = itemgetter(0)
 
 
 def is_steady(node: Node) -> bool:
-    """Tell whether what a constraint is depends on earlier measurements too; see `kb.measurements`."""
+    """Tell whether the status of a constraint depends on earlier measurements too; see `kb.measurements`."""
     return node.constraint.hysteresis > 0 or node.constraint.dwell > 0 or node.attribute.agreement != (1, 1)
 
 
@@ -156,9 +156,9 @@ class Network:
         return node.constraints[position[0]] if position else node
 
     def renew(self) -> None:
-        """Relate all that is in the model now, as it is now; it may be done again.
+        """Relate all elements that are in the model now; it can be repeated.
 
-        An element keeps its node. The place in the arrays of one that went stays empty.
+        An element keeps its node. The index of a removed element is not used again.
         """
         self.revision += 1
         self._thresholds.clear()

@@ -1,7 +1,7 @@
-"""The questions that a knowledge base answers, as it is or as it would be if.
+"""The questions that a knowledge base answers, for what is known and for "what if".
 
-Each is a function of whatever can be read, and a method of `KnowledgeBase` and of `Situation`, which is a knowledge
-base as it would be if some facts were different. Nothing is changed.
+Each question is a function, and a method of both `KnowledgeBase` and `Situation`: a situation answers as the base would
+if some facts were different. No question changes anything.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -152,7 +152,7 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
 
 
 def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
-    """Return a preference in plain names and finite weights; any other is refused."""
+    """Return a preference as the name of an attribute, or finite weights by name; any other is refused."""
     if given is None or not isinstance(given, Mapping):
         return None if given is None else network.attributes[given].name
     weights = {network.attributes[name].name: finite_number(one) for name, one in given.items()}
@@ -182,17 +182,17 @@ def suppose(
     at: float | None = None,
     **attributes: float | None,
 ) -> "Situation":
-    """Return what would be if, to be asked the same questions; the facts stay as they are, and nothing is copied.
+    """Return a situation, "what if", that answers the same questions; the facts are neither changed nor copied.
 
     Args:
-        base: what it is a situation of; what is said here goes before what was said there.
+        base: what the situation starts from; what is supposed here overrides what is known or supposed there.
         measured: values by name of attribute, for names that are no Python names; None is "not measured".
         failed: names of components supposed to have failed.
         recovered: names of components supposed not to have.
         requested: names of actions supposed to be required, even if they are unfeasible.
-        at: a time from now on [s, by the clock], for which attributes are forecast as of now while what is required,
-            and what is supposed to be, is done. That only adds caution: what is violated now stays so, and what the
-            worse end of a forecast's interval violates is violated then.
+        at: a time from now on [s, by the clock]. Attributes are forecast for it, as if all actions that are required,
+            or supposed to be, were done until then. A forecast only adds caution: what is violated now stays violated,
+            and what the worse end of a forecast's interval violates is violated then.
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     if not isinstance(measured, Mapping | None):
@@ -222,10 +222,9 @@ def suppose(
 
 
 class Situation:
-    """A knowledge base as it would be if; made by `KnowledgeBase.situation`.
+    """A knowledge base as it would be if some facts were different; made by `KnowledgeBase.situation`.
 
-    Nothing is copied and the facts stay as they are. What the base learns later holds here too, under the same
-    assumptions.
+    The facts are neither changed nor copied. What the base learns later holds here too, under the same assumptions.
     """
 
     def __init__(
@@ -260,7 +259,7 @@ class Situation:
 
     @property
     def now(self) -> float:
-        """The time that it is of, or else that by the clock [s]."""
+        """The time for which it was made, or else the time by the clock [s]."""
         return self._base.now if self._at is None else self._at
 
     @contextmanager
@@ -298,7 +297,7 @@ class Situation:
 
 
 def _suppose_measured(state: State, attribute: Node, value: float | None) -> list[Node]:
-    """Enter a value, measured at no time; returns the constraints whose status it may change."""
+    """Enter a value without a time of measurement; returns the constraints whose status it may change."""
     index, thresholds = attribute.index, state.network.thresholds(attribute)
     before, was_stale = state.value[index], state.stale[index]
     state.value[index], state.time[index], state.stale[index] = value, None, False
@@ -315,7 +314,7 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
 
 
 def number(refusal: str, value: object, attribute: Node) -> float:
-    """Return a number that an attribute can be; the refusal of anything else begins with what cannot be so."""
+    """Return a value as a number in the attribute's range; `refusal` begins the message of the error otherwise."""
     try:
         return attribute.attribute.checked(value)
     except InvalidValue as error:

@@ -18,15 +18,15 @@ RESULTS: Final = ("completed", "failed", "abandoned")
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """How much of the past a knowledge base holds in memory; what is so now is never forgotten.
+    """How much of the past a knowledge base holds in memory; what holds now is never forgotten.
 
-    At least so much is held, and at most twice that.
+    At least this much is held, and at most twice as much.
 
     Attributes:
         events: how many measurements, and how many other events, of the log; the newest.
         measurements: how many of each attribute; the newest.
         records: how many plans, requests, processes, attempts and answers that have ended, of each; the newest.
-        span: what is older than this is forgotten too [s].
+        span: anything older than this is forgotten too [s].
     """
 
     events: int = 100_000
@@ -204,7 +204,7 @@ class VetoAnswer:
 
 
 class Records:
-    """All that is on record, by number, in order. What is put here may be put again."""
+    """All that is on record, by number, in order. A record can be put here again."""
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
@@ -223,7 +223,7 @@ class Records:
         self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
 
     def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
-        """Put something on record; of what has ended, the oldest is forgotten when there is much."""
+        """Put something on record; when there is much, the oldest records that have ended are forgotten."""
         table: dict[int, Any] = getattr(self, name)
         table[number] = record
         if isinstance(record, RequiredAction) and record.end is None:
@@ -258,7 +258,7 @@ class Records:
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
 
     def begin(self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float) -> None:
-        """Put on record what a model states; what is open began now if nothing else is stated."""
+        """Put on record what a model states; a start that is not stated is the end, or else now [s]."""
         start = fact.start if fact.start is not None else fact.end if fact.end is not None else now
         if isinstance(fact, ProcessFact):
             self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
@@ -285,7 +285,7 @@ class Records:
         raise InvalidValue(f"{plan!r} is not a plan of this knowledge base; give one of kb.plans (numbers: {numbers})")
 
     def to_json(self) -> dict[str, Any]:
-        """Return all of it as values that JSON can hold, except what has to do with the plans of other bases."""
+        """Return all records as values that JSON can hold, without attempts and answers about forgotten plans."""
         known = {id(plan) for plan in self.plans.values()}
         return {
             **{name: list(map(_written, getattr(self, name).values())) for name in ("requests", "plans", "processes")},
@@ -327,7 +327,7 @@ class _Kept(Generic[T]):
 
 
 class HistoryView:
-    """What is not asked every day, of all that is on record; what has ended is forgotten at some time, see `Memory`.
+    """The records that are asked less often; those that have ended are forgotten some time later, see `Memory`.
 
     Attributes:
         actions: those that were required, in the order of the requests.

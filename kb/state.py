@@ -1,7 +1,7 @@
 """The facts of one moment and what is inferred from them, as arrays over a network; and layers of "what if" on top.
 
-A layer answers from its own changes first and from the state below otherwise, so that it costs what it changes and
-copies nothing. What an event changes in a state itself is kept as it was until the event is in, and can be undone.
+A layer answers from its own changes first and from the state below otherwise; so it copies nothing and costs only its
+changes. While an event changes the state itself, the old values are kept, and can be put back, until the event is in.
 """
 
 import math
@@ -30,7 +30,7 @@ class Array(Protocol[T]):
 
 
 class Reason(NamedTuple):
-    """What whoever told a fact said of it."""
+    """The reason that was given with a fact, and until when the fact holds [s]."""
 
     text: str = ""
     until: float | None = None
@@ -58,7 +58,7 @@ class _Layer(dict[Any, T], Generic[T]):
 
 
 class Marked:
-    """A set of nodes; `marked[node] = yes` has one in it, or not."""
+    """A set of nodes; `marked[node] = yes` adds a node, or removes it."""
 
     __slots__ = ("_most", "own")
 
@@ -90,7 +90,7 @@ class Marked:
 
 
 class _Supposed(Marked):
-    """A set on top of another: what is in it or not answers first."""
+    """A set on top of another one: its own entries come first, then those below."""
 
     __slots__ = ("_below",)
 
@@ -145,14 +145,14 @@ class History:
         return len(self.pairs) // 2
 
     def add(self, time: float, value: float, count: int) -> None:
-        """Add a measurement to so many numbers in `pairs`; nothing if there are more by now."""
+        """Add a measurement if `pairs` still holds `count` numbers; if it holds more, that is done already."""
         pairs, new = self.pairs, array("d", (time, value))
         place = 2 * self._place(time) if count and time < pairs[-2] else count
         if not pairs[count:]:  # no signal is handled between this and what follows
             pairs[place:place] = new
 
     def forget(self) -> None:
-        """Forget what is too much or too old, if that is much; before it is counted what is there."""
+        """Forget measurements that are too many or too old, if there are many of them."""
         pairs, memory = self.pairs, self._memory
         most = 2 * memory.measurements
         if pairs and (len(pairs) >= 2 * most or pairs[0] < pairs[-2] - 2 * memory.span):
@@ -206,7 +206,7 @@ class State:
     """Base facts, and what is inferred from them; every array is indexed by `Node.index`.
 
     Attributes:
-        kept: while an event changes a state: what was where before, in the order of changes, as (array, key, value).
+        kept: the old values while an event changes a state, in the order of changes, as (array, key, value).
     """
 
     kept: list[tuple[Any, Any, Any]] | None = None
@@ -252,7 +252,7 @@ class State:
             self.columns[name] += map(unset, new) if name == "status" else [value] * len(new)
 
     def forget(self, node: Node) -> None:
-        """Know nothing of a node any more."""
+        """Forget all facts about a node."""
         for name, unset in FACTS.items():
             self.columns[name][node.index] = unset
         self.histories.pop(node.index, None)
@@ -275,7 +275,7 @@ class State:
             self.put(self.reasons, key, reason)
 
     def put(self, changed: Any, key: Any, value: object) -> None:  # noqa: ANN401  # each of ours
-        """Change an entry; `undo` takes that back while it is kept what was there."""
+        """Change an entry; while old values are kept, `undo` puts this one back."""
         kept = self.kept
         if kept is not None:
             kept.append((changed, key, changed[key]))
@@ -289,7 +289,7 @@ class State:
             marked[node] = yes
 
     def undo(self) -> None:
-        """Make everything what it was before the changes that are kept; it may be done again."""
+        """Put back all old values that are kept; it can be repeated."""
         for changed, key, value in reversed(self.kept or ()):
             changed[key] = value
         self.kept = None

@@ -1,7 +1,7 @@
-"""The store: the log of a knowledge base in one SQLite file, with what was known at some of its events.
+"""The store: the log of a knowledge base in one SQLite file, with snapshots of what was known.
 
-One thread writes it, in order, and each commit is on disk before it is acknowledged. To open a store costs what was
-written after the last snapshot, not the history. A file that is not ours, or not well, is left as it is.
+One thread writes the events in order, and each commit is on disk before it is acknowledged. Opening a store reads only
+what was written after the last snapshot, not the history. A damaged file, or one of another program, is left unchanged.
 """
 
 import ctypes
@@ -159,7 +159,7 @@ class Store:
     # ---------------------------------------------------------------- write
 
     def start(self, known: Knowledge, lock: AbstractContextManager[object]) -> None:
-        """Write from now on; if that fails, say so once, and try it again until it is of no use any more."""
+        """Write from now on; if writing fails, report it once and try again until too many events wait."""
         self._knowledge, self._lock = known, lock
         with _blamed(self.path):
             try:
@@ -294,10 +294,10 @@ class Store:
                 os.fdatasync(self._mark)
 
     def _acknowledge(self) -> None:
-        """Say outside of the database what is in it, so that it is missed there if it is gone.
+        """Write beside the database which event is its last, so that a lost event is noticed.
 
-        That is not forced to the disk each time, which would double the wait: a process that is killed leaves it as it
-        is, and when the power fails, it is the mark that is behind, not the database.
+        The mark is not forced to disk each time, which would double the wait. If the process is killed, the mark stays
+        correct; if the power fails, the mark may be older than the database, never newer.
         """
         os.pwrite(self._mark, store_file.Mark(self._id, self._written, self._tail).written(), 0)
 
@@ -310,7 +310,7 @@ class Store:
         return last - self._snapshot >= (1000 if self._is_stopping else much)
 
     def adopt(self, model: Model, batch: Iterable[Event], snapshot: tuple[int, float, str]) -> None:
-        """Write some events, and go on with another model, of which a snapshot is given; in one step."""
+        """Write events and replace the model, with a snapshot of the new one, in one commit."""
         with _blamed(self.path):
             self._commit(batch, snapshot, model)
 
@@ -382,7 +382,7 @@ those of files, which a child may not use; they only keep SQLite's own locks fro
 
 
 def _hold() -> None:
-    """Wait until nothing is half-done, before the process is forked."""
+    """Take the locks before the process is forked, so that no event is half-done in the child."""
     _HELD.extend(lock for lock, longest in tuple(HELD_OVER_FORKS.items()) if lock.acquire(timeout=longest))
 
 

@@ -1,7 +1,7 @@
 """What an attribute will be, and until when an action stays feasible, as far as the past tells.
 
-Nothing is worked out before it is asked, and an answer is a function of what was measured and done until then: the same
-events give the same answers. A forecast only ever adds caution: what is violated now stays so, whatever is forecast.
+Forecasts are computed when they are asked for, and depend only on what was measured and done until then: the same
+events give the same answers. A forecast only adds caution: what is violated now stays violated, whatever is forecast.
 """
 
 import math
@@ -32,9 +32,9 @@ _Slopes = tuple[dict[str, float], set[str]]  # by action [1/s], and those of whi
 
 
 class Forecast(NamedTuple):
-    """What an attribute is expected to be at a time [s, by the clock], between which values how often, and why.
+    """The expected value of an attribute at a time [s, by the clock], its interval from low to high, and why.
 
-    Value, low and high are None for "do not know".
+    `level` is how often the interval holds what comes. Value, low and high are None where they are not known.
     """
 
     attribute: str
@@ -50,10 +50,10 @@ class Forecast(NamedTuple):
 
 
 class FeasibleUntil(NamedTuple):
-    """When an action is expected to become unfeasible [s, by the clock], and why; None for not `within` s from `now`.
+    """When an action is expected to become unfeasible [s, by the clock], and why; None: not `within` s from `now`.
 
-    It is as early if what it depends on is at the worse ends of the intervals, and as late if at the better ones;
-    `is_bounded` says whether the interval of what is reached is known.
+    `earliest` is for attributes at the worse ends of their intervals, `latest` for the better ends; `is_bounded` tells
+    whether the interval of the attribute that makes the action unfeasible is known.
     """
 
     action: str
@@ -105,7 +105,7 @@ class Forecaster:
         self._deeds: tuple[object, _Deeds] = None, _Deeds(())
 
     def __call__(self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None) -> Forecast:
-        """Say what an attribute is expected to be so far ahead [s], while by default what is required is done."""
+        """Forecast an attribute `horizon` s from now, while actions are done; by default those required now."""
         now, ahead = self._base.now, _horizon(horizon)
         with self._base.reading() as state:
             node = state.network.attributes[attribute]
@@ -135,7 +135,7 @@ class Forecaster:
         return Forecast(node.name, time, value, low if is_known else None, high if is_known else None, LEVEL, reason)
 
     def outlook(self, state: State, node: Node, doing: frozenset[str]) -> Outlook | str:
-        """Return how an attribute goes on while something is done, or why that is not known."""
+        """Return how an attribute goes on while these actions are done, or why that is not known."""
         element, history = node.attribute, state.histories.get(node.index)
         if not element.forecasting and not element.rates:
             return "its model says nothing of that (see Attribute.forecast)"
@@ -155,7 +155,7 @@ class Forecaster:
         return known[1]
 
     def _once(self, key: object, make: Callable[[], Any]) -> Any:  # noqa: ANN401  # what is made
-        """Return what is made of a point of the past, which stays as it is."""
+        """Return what is computed from a point of the past, which never changes; it is computed once."""
         if key not in self._fits:
             if len(self._fits) >= _MOST_FITS:
                 self._fits.clear()
@@ -186,9 +186,9 @@ class Forecaster:
 def feasible_until(
     base: Readable, action: str, within: float = 300.0, *, doing: Iterable[str] | None = None
 ) -> FeasibleUntil:
-    """Say until when an action stays feasible, as far as is known, and is looked ahead [s], while actions are done.
+    """Say until when an action stays feasible, looking ahead by `within` [s], while the actions of `doing` are done.
 
-    By default these are those that are required now if it is one of them, else it alone.
+    By default these are the actions that are required now, or only this one if it is not among them.
     """
     now, ahead = base.now, _horizon(within)
     with base.reading() as state:
@@ -269,7 +269,7 @@ def _constraints(node: Node) -> Iterator[Node]:
 
 
 def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> _Slopes:
-    """Return the rates by action, as stated or, where they are to be, as learned when it was done alone last [1/s]."""
+    """Return the rate of each action [unit/s]: as stated, or, if it learns, as measured when last done alone."""
     slopes, guessed = {rate.while_: rate.per_s for rate in element.rates}, set[str]()
     for name in [rate.while_ for rate in element.rates if rate.learns]:
         alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
@@ -283,7 +283,7 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> _Slopes:
 
 
 def _rated(node: Node, rates: _Slopes, past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
-    """Go on with rates while something is done all the time, or else, in the past, while what was done then is."""
+    """Go on with the rates of the actions that are done; without any given, of those that were done at each time."""
     (slopes, guessed), time, value = rates, past.times[-1], past.values[-1]
     if doing is not None:
         applying = [name for name in slopes if not name or name in doing]
