@@ -1,7 +1,7 @@
-"""What a robot is made of and can do, in ROSA's words; `Model` is their builder, and alone may change one.
+"""What a robot is made of and can do, in ROSA's words; only a `Model` makes and changes elements.
 
-An element is one thing in one model: it equals nothing but itself. How a field is checked, and whether it may change
-once it is declared, stands in its annotation.
+An element belongs to one model and equals nothing but itself. The annotation of a field says how the field is checked,
+and whether it may change after the declaration.
 """
 
 import json
@@ -26,7 +26,7 @@ Parameters = Mapping[str, Parameter]
 
 
 def shown(value: object) -> str:
-    """Write whatever was given, in short, even if it cannot be written."""
+    """Write any value in short, even one whose `repr` fails."""
     try:
         return f"{value!r:.200}"
     except Exception:  # whole numbers of thousands of digits, lists within themselves, what others have written
@@ -75,11 +75,11 @@ FUNCTIONS: Final[dict[str, ForecastFunction]] = {}
 
 
 class Field(NamedTuple):
-    """How a field of an element is given; stands in its annotation.
+    """How a field of an element is checked; it stands in the annotation of the field.
 
     Attributes:
         check: takes the field's name, the element's name and what is given; returns it as it is kept.
-        can_change: `Model.change` may give it anew.
+        can_change: `Model.change` may change it.
     """
 
     check: Callable[[str, str, Any], object]
@@ -110,7 +110,7 @@ def is_number(value: object) -> TypeGuard[int | float]:
 
 
 def _number(what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True) -> Field:
-    """Return a field that is a finite number, or also an infinite one if it is a bound, that fits; what, in words."""
+    """Return a field for a number that fits, finite unless it is a bound; `what` is the message for other values."""
 
     def check(field: str, name: str, value: object) -> float:
         is_finite = is_number(value) and abs(value) <= sys.float_info.max
@@ -128,7 +128,7 @@ def _priority(field: str, name: str, value: object) -> float | None:
 
 
 def agreement(field: str, name: str, value: object) -> tuple[int, int]:
-    """Return n and k, as they are declared or as files have them: "2 of 3", "[2, 3]"."""
+    """Return n and k, given as a pair or as text in a file: "2 of 3", "[2, 3]"."""
     given = [int(one) for one in re.findall(r"\d{1,9}", value)] if isinstance(value, str) else value
     if isinstance(given, tuple | list) and len(given) == 2:
         enough, last = given
@@ -141,7 +141,7 @@ def agreement(field: str, name: str, value: object) -> tuple[int, int]:
 
 
 def forecasting(field: str, name: str, value: object) -> str:
-    """Return the name of a way to forecast; a function is known by its name from then on."""
+    """Return the name of a way to forecast; a function is registered under its name."""
     if isinstance(value, str) and (value in ("", *FORECASTS) or ":" in value):
         return value
     function = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '<')}"
@@ -166,7 +166,7 @@ def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
 
 
 def whole(what: str, value: object, least: int = 1) -> int:
-    """Return a whole number from the least on; above what 64 bits hold it is refused too."""
+    """Return a whole number that is at least `least` and fits into 64 bits; any other value is refused."""
     if type(value) is int and least <= value < 2**63:
         return value
     raise InvalidValue(f"{what} is a whole number from {least}, not {shown(value)}")
@@ -192,7 +192,7 @@ def status_of(kind: str, given: object) -> Status:
 
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
-    """Return the items of a list; one text by itself is not taken for its letters."""
+    """Return the items of a list; a single text is refused, as it would be read as its letters."""
     if not isinstance(values, tuple | list) and (isinstance(values, str | bytes) or not isinstance(values, Iterable)):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
@@ -350,7 +350,7 @@ class Expression:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Constraint:
-    """An expression that must not be violated for the constrained elements to be possible; see `Expression.steady`."""
+    """An expression; while it is violated, the constrained elements are unfeasible. See `Expression.steady`."""
 
     attribute: str
     operator: str
@@ -444,8 +444,8 @@ class Attribute(Element):
     def changes(self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False) -> None:
         """State how fast this attribute changes [its unit per "s", "min" or "h"], always or while an action is done.
 
-        There is one rate for each action; those that apply at the same time add up. In place of one that learns stands
-        what is measured while its action alone is done.
+        There is one rate for each action; rates that apply at the same time add up. A rate that learns is replaced by
+        the rate that is measured while its action alone is done.
         """
         if per not in _PER:
             raise UnknownName("time in which an attribute changes", per, _PER)
@@ -574,7 +574,7 @@ KINDS: Final[Mapping[type, str]] = {
     Constraint: "constraint",
     Estimation: "estimation",
 }
-"""What each class of element is called, each after those that it refers to."""
+"""What each class of element is called; each class comes after those that it refers to."""
 
 REFERENCES: Final[Mapping[str, type[Element]]] = {
     "functions": Function,
@@ -599,11 +599,11 @@ CHECKS: Final[Mapping[type, Mapping[str, Field]]] = {
     }
     for cls in KINDS
 }
-"""How the fields of each class of elements are checked, but for those that name other elements."""
+"""How the fields of each class of elements are checked, except fields that name other elements."""
 
 
 class ByName(dict[Any, T]):
-    """What there is of one kind by name, in order of declaration; an unknown name says which are near it."""
+    """The elements of one kind by name, in order of declaration; the error for an unknown name lists similar ones."""
 
     def __init__(self, kind: str, table: Mapping[str, T] | None = None) -> None:
         super().__init__(table or {})

@@ -1,4 +1,4 @@
-"""Files that models are in: whole ones are read and written, or none; and where in them something stands."""
+"""Model files: they are read and written completely or not at all; and places in them, for messages."""
 
 import os
 from collections.abc import Iterator
@@ -86,7 +86,7 @@ def read_text(file: Path) -> str:
 
 @contextmanager
 def draft(path: Path) -> Iterator[Path]:
-    """Give a new file beside a place, which nobody else can know or have made; it is gone afterwards, if not put there.
+    """Make a new file of a random name beside a place; it is removed afterwards, unless it was put in that place.
 
     Raises:
         OSError: it cannot be made.
@@ -100,7 +100,7 @@ def draft(path: Path) -> Iterator[Path]:
 
 
 def put(part: Path, path: Path) -> None:
-    """Put a file that is complete in the place of another one, in one step; both are on disk then."""
+    """Replace a file by a complete one in one step, forced to disk with its folder."""
     with part.open("rb") as file:
         os.fsync(file.fileno())
     with suppress(FileNotFoundError):

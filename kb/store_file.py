@@ -1,7 +1,7 @@
-"""The file of a store: records that carry checks of themselves and of those before them, and what is sound in it.
+"""The file of a store: each record carries a digest of itself and the one before it, so damage is found.
 
-Beside the database, while it is in use, lies SQLite's own log (`-wal`), and a mark (`-mark`) of the last event that was
-acknowledged: whatever is cut off, flipped, missing or of another file is noticed by what the mark says is to be there.
+While the database is in use, SQLite's own log (`-wal`) and a mark (`-mark`) lie beside it. The mark names the last
+event that was acknowledged: by it a file that is cut off, altered, missing or exchanged is noticed.
 """
 
 import fcntl
@@ -41,7 +41,7 @@ BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)  # what read
 
 
 class StoreError(KnowledgeBaseError):
-    """A store cannot be opened, or is not one; it is as it was."""
+    """A store cannot be opened or used, or a file is no store; the file is unchanged."""
 
 
 def damaged(path: Path, what: object) -> StoreError:
@@ -54,7 +54,7 @@ def digest(before: bytes, *values: object) -> bytes:
 
 
 def is_sound(values: tuple[Any, ...]) -> bool:
-    """Whether a record ends with the digest of what it says, after that of the one before."""
+    """Tell whether a record ends with the digest of its values and of the record before it."""
     *said, before, own = values
     return isinstance(before, bytes) and own == digest(before, *said)
 
@@ -85,7 +85,7 @@ class Row(NamedTuple):
 
 
 class Snapshot(NamedTuple):
-    """What was known after an event; `others` counts the events up to it that are no measurements."""
+    """What was known after an event; `others` counts the events up to then that are not measurements."""
 
     number: int
     time: float
@@ -130,7 +130,7 @@ def beside(path: Path, of: str) -> Path:
 
 
 class Survey(NamedTuple):
-    """What is in a database as far as it is sound: the newest snapshot, and the events after it, without a gap."""
+    """The sound part of a database: the newest snapshot, and the events after it, without a gap."""
 
     declared: str | None  # the model; None if it is not as it was written
     since: int  # the event before which it was another model
@@ -218,7 +218,7 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
 
 
 def history(connection: sqlite3.Connection, after: int, until: int, only: str = "", most: int = -1) -> Iterator[Row]:
-    """Yield records; each is checked, and with the one before it where that is still there."""
+    """Yield records in order; each is checked, also against the one before it if that is still there."""
     order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number LIMIT ?"
     before: Row | None = None
     for row in (Row(*one) for one in connection.execute(order, (after, until, most))):
@@ -233,10 +233,10 @@ def history(connection: sqlite3.Connection, after: int, until: int, only: str = 
 
 
 def make(path: Path, declared: str) -> bool:
-    """Make the file of a store beside its place, so that it is there as a whole or not at all.
+    """Make the file of a store under another name and then rename it, so that it is there complete or not at all.
 
     Returns:
-        False if there is one already, perhaps as another process has made it meanwhile.
+        False if there is a file already, perhaps because another process has made it meanwhile.
     """
     try:
         if path.exists() and (path.is_dir() or path.stat().st_size > 0):
@@ -282,9 +282,9 @@ def put_in_place(part: Path, path: Path) -> bool:
 
 
 def guarded(path: Path) -> int:
-    """Open a store that nobody else has open; returns the descriptor of its file.
+    """Open and lock a store that nobody else has open; returns the descriptor of its file.
 
-    It is kept until the database is closed: to close any descriptor of a file takes away the locks of SQLite on it.
+    Keep it until the database is closed: closing any descriptor of a file takes away the locks of SQLite on it.
     """
     descriptor = -1
     try:
@@ -317,7 +317,7 @@ def check_format(path: Path, head: bytes) -> None:
 
 
 def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
-    """Open a database for nobody else; one that is damaged or may not be written is left as it is."""
+    """Open a database exclusively; one that is damaged or cannot be written is left unchanged."""
     log = beside(path, "wal")
     content = log.read_bytes() if log.exists() else None
     try:
@@ -345,7 +345,7 @@ def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
 
 
 def _leave(connection: sqlite3.Connection, log: Path, content: bytes | None) -> None:
-    """Close a database, and leave it and its log as they were, which SQLite would bring into it, whatever that is."""
+    """Close a database and put its log back as it was, as SQLite would write any log into the database."""
     connection.interrupt()
     connection.close()
     if content is None:

@@ -1,9 +1,9 @@
-"""How a series of measurements may go on: curves through what was, and how far such curves were off so far.
+"""How a series of measurements may go on: curves through the past, and how far such curves were off so far.
 
-Intervals are conformal (Vovk, Gammerman and Shafer, "Algorithmic learning in a random world", 2005): what is forecast
-from earlier points of the same series is compared with what came, and the interval is as wide as would have held that
-often enough. After misses it widens, after hits it narrows (Gibbs and Candes, "Adaptive conformal inference under
-distribution shift", NeurIPS 2021). All is a function of the series; what was worked out before is only remembered.
+Intervals are conformal (Vovk, Gammerman and Shafer, "Algorithmic learning in a random world", 2005): forecasts from
+earlier points of the same series are compared with what was measured then, and the interval is as wide as would have
+held those values often enough. After misses it widens, after hits it narrows (Gibbs and Candes, "Adaptive conformal
+inference under distribution shift", NeurIPS 2021). Results depend on the series only; a cache just remembers them.
 """
 
 import logging
@@ -27,7 +27,7 @@ within a horizon at most: what overlaps more is no evidence of its own."""
 _PACE: Final = 0.1
 """How quickly an interval adapts after a hit or a miss."""
 _REACH: Final = 4.0
-"""How much further ahead than it could be checked a forecast goes; its interval grows with the time then."""
+"""How many times further ahead than it could be checked a forecast goes; there its interval grows with the time."""
 _MOST_POINTS, _LEAST_POINTS = 24, 8
 _WAVE_POINTS, _PERIODS, _ROUNDS, _SEEN = 64, 40, 4, 0.75
 """On how many points a wave is fitted, how many periods are tried, how often it is looked between the best ones, and
@@ -36,9 +36,9 @@ _ROUNDING: Final = 1e-9
 
 
 class Curve(NamedTuple):
-    """What an attribute is at a time [s], and how it gets there, in words with "{}" for its unit.
+    """The value of an attribute at a time [s], and how it gets there, in words with "{}" for its unit.
 
-    One that is guessed is of something that was not seen yet: that others were never off does not make it certain.
+    A guessed curve uses a rate that was not seen yet: earlier forecasts without error do not make it certain.
     """
 
     value: Callable[[float], float | None]
@@ -48,7 +48,7 @@ class Curve(NamedTuple):
 
 Fit = Callable[[int, float], Curve | None]
 Expected = tuple[float, float | None, str]
-"""A value, how far it may be off, if that is known, and how it gets there."""
+"""A value, how far it may be off (None if not known), and how it gets there, in words."""
 
 
 class Series(NamedTuple):
@@ -163,10 +163,10 @@ WAYS: Final = {"constant": constant, "trend": trend, "periodic": periodic}
 
 
 class Outlook:
-    """How one series goes on, and how far that may be off, by how far ahead it is.
+    """How one series goes on, and how far that may be off, for each time ahead.
 
-    It is continued by `fit` from one of its places, to be right about so far ahead [s]. Spans of time are alike if the
-    same is done in both; one that is stated is known to go on so, however little was seen.
+    `fit` continues the series from one of its points, to be right about so far ahead [s]. Spans of time are alike if
+    the same actions are done in both. A stated rate is trusted, however little was measured.
     """
 
     def __init__(self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], is_stated: bool) -> None:
@@ -194,7 +194,7 @@ class Outlook:
         return value, None if curve.is_guessed and is_exact else radius, curve.words
 
     def _radius(self, knot: int, ahead: float) -> float | None:
-        """Return how far it may be off so far ahead [s]: as found at each doubling of the step, straight between."""
+        """Return how far a forecast may be off so far ahead [s]: found at each doubling of the step, linear between."""
         radii = self._radii
         while len(radii) <= knot and not self._is_complete:
             radius = _quantile(self._errors(self._step * 2.0 ** len(radii)))
@@ -207,7 +207,7 @@ class Outlook:
         return radii[-1] * ahead / most if radii and (self._is_stated or ahead <= _REACH * most) else None
 
     def _errors(self, ahead: float) -> list[float]:
-        """Return how far forecasts of so far ahead [s] were off, by time; those alike only, if these are enough."""
+        """Return how far forecasts so far ahead [s] were off, by time; only of alike spans, if enough."""
         times, gap = self._series.times, max(self._step, ahead / _GAPS)
         found = list[tuple[float, bool]]()
         last, turn = -1, math.floor((times[-1] - ahead) / gap)
@@ -235,7 +235,7 @@ class Outlook:
 
 
 def _quantile(errors: Sequence[float]) -> float | None:
-    """Return what the next error does not exceed, as often as an interval shall hold; None of too few errors."""
+    """Return the bound that the next error keeps as often as an interval shall hold; None for too few errors."""
     chance, radius = 1.0 - LEVEL, None
     for count in range(_ENOUGH, len(errors) + 1):
         ranked, rank = sorted(errors[:count]), max(1, math.ceil((count + 1) * (1.0 - chance)))
