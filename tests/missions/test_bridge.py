@@ -537,7 +537,7 @@ def test_wrong_settings_are_told(tmp_path):
                 BridgeSettings.load(file)
         file.write_text('[attributes]\nenergy = "/battery_state.percentage"\n[components]\ncamera = "/camera"\n')
         assert BridgeSettings.load(file).attributes == {"energy": "/battery_state.percentage"}
-        with pytest.raises(MissionError, match="no address"):
+        with pytest.raises(MissionError, match="not the address"):
             Rosbridge("robot:9090")
         with pytest.raises(MissionError, match="give another port"):
             RosbridgeServer(server.port)
