@@ -47,6 +47,7 @@ def run(
     token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
     allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")] = False,
     tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
     speed: Annotated[
         float | None, typer.Option(help="Times real time at most, 0: no limit; else 1 with --live and --tui.")
     ] = None,
@@ -63,7 +64,7 @@ def run(
         mcap = record if record is not None and record.suffix == ".mcap" else None
         lines = None if mcap else record
         files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines})
-        steering = Steering((1.0 if live is not None or tui else 0.0) if speed is None else speed)
+        steering = Steering((1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed)
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
         progress = progress and not tui
         narrator, page = Narrator(console, opened.settings.duration_s), None

@@ -221,7 +221,7 @@ def test_link_is_followed_not_replaced(quick, tmp_path):
 
 
 def test_termination_leaves_no_draft_behind(tmp_path):
-    command = [sys.executable, "-m", "missions", "run", "suave", "--speed", "1", "--json", str(tmp_path / "x.json")]
+    command = [sys.executable, "-m", "missions", "run", "suave", "--realtime", "--json", str(tmp_path / "x.json")]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
         assert "suave (task layer" in running.stdout.readline()
         running.terminate()
@@ -255,7 +255,8 @@ def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quic
 def test_help_names_every_option():
     shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "120", "NO_COLOR": "1"}).output
     for option in (
-        *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--speed", "--no-progress"),
+        *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--realtime"),
+        *("--speed", "--no-progress"),
     ):
         assert option in shown
 
