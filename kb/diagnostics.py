@@ -1,8 +1,8 @@
-"""Monitoring data by the /diagnostics convention of ROS (REP 107): what an array of statuses says, in our words.
+"""Reading of ROS diagnostics (the /diagnostics convention, REP 107): from an array of statuses to facts.
 
-An array is taken in any of the forms in which it travels: an object or a mapping with `status`, or a list of statuses;
-a status is an object or a mapping with `message` and `values`; values are a mapping, key/value pairs, or objects or
-mappings with `key` and `value`. A message of a ROS 2 Python node, its JSON, and a plain dict all do.
+An array is an object or a mapping with `status`, or a list of statuses; a status is an object or a mapping with
+`message` and `values`; values are a mapping, key/value pairs, or objects or mappings with `key` and `value`. So a
+message of a ROS 2 Python node, its JSON, and a plain dict are all accepted.
 """
 
 import math
@@ -19,7 +19,7 @@ COMPONENT_VALUES: Final = dict.fromkeys(("ok", "recovered"), "component_recovere
 
 
 class Reading(NamedTuple):
-    """What a key and its value say: the verb that tells it, with its arguments, and the value as it is written."""
+    """The fact that a key and its value give: the verb and arguments that tell it, and the value as written."""
 
     verb: str
     arguments: tuple[str] | tuple[str, float]
@@ -38,11 +38,11 @@ class DiagnosticProblem(NamedTuple):
 
 
 def read_diagnostics(array: object) -> Iterator[Reading | DiagnosticProblem]:
-    """Yield what each key/value of an array says; statuses whose message is not ours are passed over."""
+    """Yield the fact or problem of each key/value in an array; skip statuses with other messages than those above."""
     try:
         for status in _items(array, "status"):
             yield from _read_status(status)
-    except Exception as error:  # of the one who gives them
+    except Exception as error:  # an iterator of the caller may raise anything
         yield DiagnosticProblem("diagnostics", type(array).__name__, f"no more can be read: {error}")
 
 
@@ -53,12 +53,12 @@ def _read_status(status: object) -> Iterator[Reading | DiagnosticProblem]:
         if message in MEASUREMENTS or message in COMPONENT_REPORTS:
             for key, value in _pairs(_part(status, "values", ())):
                 yield _measured(key, value) if message in MEASUREMENTS else _reported(key, value)
-    except Exception as error:  # of an object that is no text, or breaks when it is looked at
+    except Exception as error:  # an object of the caller may raise anything when it is read
         yield DiagnosticProblem(message or "status", type(status).__name__, f"it cannot be read: {error}")
 
 
 def _measured(key: str, value: str) -> Reading | DiagnosticProblem:
-    # float() reads more than numbers: underscores, and digits of every script
+    # float() alone would also accept underscores and digits of any script
     number = float(value) if NUMBER.fullmatch(value.strip()) else math.nan
     if not math.isfinite(number):
         return DiagnosticProblem(key, value, "a measurement is a finite number")
@@ -79,7 +79,7 @@ def _part(whole: object, name: str, default: object) -> object:
 def _items(whole: object, name: str) -> Iterable[object]:
     items = _part(whole, name, whole)
     if not isinstance(items, list) and (isinstance(items, Mapping | str | bytes) or not isinstance(items, Iterable)):
-        return (items,)  # one status by itself
+        return (items,)  # a single status
     return items
 
 

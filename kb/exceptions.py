@@ -1,10 +1,10 @@
-"""What can go wrong in the knowledge base; each message names what was given, what exists and what to do."""
+"""The errors of the knowledge base; each message says what was given, what exists and what to do."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 _MANY = 5000
-"""Of more names than this, only those that begin alike are compared with an unknown one."""
+"""With more names than this, an unknown name is compared only with those that begin with the same letters."""
 
 
 class KnowledgeBaseError(Exception):
@@ -12,35 +12,35 @@ class KnowledgeBaseError(Exception):
 
 
 class ModelError(KnowledgeBaseError, ValueError):
-    """A model is declared in a way that has no meaning."""
+    """A declaration in a model is not valid."""
 
 
 class DuplicateName(ModelError):
-    """A name is given twice within one kind of element."""
+    """Two elements of one kind have the same name."""
 
 
 class InvalidValue(KnowledgeBaseError, ValueError):
-    """A value is outside what is allowed; the facts are as they were."""
+    """A value is not allowed; no fact has changed."""
 
 
 class Unselectable(InvalidValue):
-    """A design or configuration is to be selected that is unfeasible now; nothing is selected."""
+    """A design or configuration cannot be selected because it is unfeasible now; nothing is selected."""
 
 
 class ProtocolError(KnowledgeBaseError, TypeError):
-    """A managed system, planner, executor or monitor is not what its protocol says: a slip in a program."""
+    """A managed system, planner, executor or monitor does not follow its protocol: an error in a program."""
 
 
 class AmbiguousName(KnowledgeBaseError, ValueError):
-    """A bare name stands for elements of several kinds."""
+    """A name is given without its kind, and elements of several kinds have it."""
 
 
 class UnknownName(KnowledgeBaseError, KeyError):
-    """A name that nothing of that kind has.
+    """No element of this kind has the given name.
 
     Args:
-        kind: what was looked for, e.g. "action".
-        name: what was given.
+        kind: the kind of element that was looked for, e.g. "action".
+        name: the name that was given.
         known: the names that exist; the message lists the nearest ones first.
     """
 

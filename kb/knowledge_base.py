@@ -1,4 +1,4 @@
-"""The knowledge base: facts come in, statuses follow, actions are requested and configurations selected."""
+"""The knowledge base: it takes in facts, infers statuses, and keeps the required actions and what is selected."""
 
 import logging
 import math
@@ -46,22 +46,22 @@ from kb.store import HELD_OVER_FORKS, KEPT, Store
 _log = logging.getLogger(__name__)
 
 _BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
-"""The verbs of events that time, the model and the store cause; no caller tells them."""
+"""The verbs of events that are caused by time, by the model or by the store, and never told by a caller."""
 _TOLD: Final = {"measure": "measure", "amend": "_amend"}
 """The name of the method for each verb that can be told; `_telling` adds the others."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
-"""How far a clock may go back [s]: threads that read it together tell in any order; clocks are corrected a little."""
+"""How far a clock may go back [s]: clocks are corrected, and threads may tell in another order than they read it."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 
 def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
-    """Make a method hold the base while it tells, after the events that time causes, and then call the subscribers.
+    """Make a method tell facts: hold the lock, make the events that are due, run it, then call the subscribers.
 
-    The clock, mappings that are given and subscribers are code of others, which may wait for another thread. So they
-    are called without a lock.
+    The clock, the mappings among the arguments and the subscribers are foreign code, which may wait for another
+    thread. So they are called without the lock.
     """
     _TOLD[method.__name__.removeprefix("_")] = method.__name__
 
@@ -74,13 +74,13 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
             self._settle(now)
             with telling:
                 before = log.last
-                result = method(self, *given, **caused)  # type: ignore[arg-type]  # as they were
+                result = method(self, *given, **caused)  # type: ignore[arg-type]  # the same arguments
                 told = log.last
         if self._publisher.is_heard:
             self._publisher.deliver(told if told > before else 0)
         return result
 
-    return held  # type: ignore[return-value]  # with self as a name, which is never used
+    return held  # type: ignore[return-value]  # ParamSpec loses the name of self, which nobody uses
 
 
 def _own(value: object) -> object:
@@ -91,25 +91,25 @@ class KnowledgeBase:
     """What is known about a robot now, and what follows from it.
 
     Args:
-        model: what the robot is made of and can do. It may be amended later: the next question sees it.
-        clock: gives the time [s]; times of facts, requests and plans are its. By default that is the time of day, in
-            seconds since 1970-01-01 UTC.
-        store: a file that keeps the log; the base continues from what is in it. See `flush` and `close`.
-        keep: how many measurements of each attribute the store keeps; the newest.
+        model: what the robot is made of and can do. It may be amended later; the next question sees the change.
+        clock: returns the time [s]; facts, requests and plans get their times from it. By default it is the time of
+            day, in seconds since 1970-01-01 UTC.
+        store: the file that keeps the log; the base continues from what is in it. See `flush` and `close`.
+        keep: how many measurements of each attribute the store keeps; it keeps the newest.
         memory: how much of the past is held in memory.
 
-    Time does not go back: while the clock shows less than it did, by up to a second, it stands still, so that facts
-    keep the order in which they are told. A clock that goes back further, or gives no time, is refused.
+    Time does not go back, so that facts keep the order in which they are told: if the clock goes back by up to a second,
+    the time stands still until the clock has caught up. A clock that goes back further, or returns no time, is refused.
 
-    Facts may be told from any thread; each call holds the base until what follows from it is inferred. Each is in or
-    out: whatever interrupts a call, the base answers as if it had been told, or had not.
+    Facts may be told from any thread; each call holds the lock until all that follows from the fact is inferred. Each
+    fact is in or out: if a call is interrupted, the base answers as if the fact was told, or as if it was not.
 
     Attributes:
-        model: as it is now.
-        log: the events, in order; the newest, see `Log.begins`.
-        history: what is on record and not asked every day.
-        store: the file of the log, and what is wrong with it; None without one.
-        forecast: looks ahead: `kb.forecast("energy", 30.0)`, see `Forecaster`.
+        model: the model as it is now.
+        log: the events, in order; it holds the newest ones, see `Log.begins`.
+        history: records that are needed less often.
+        store: the file of the log, and its error if it has one; None without a store.
+        forecast: predicts attributes, as in `kb.forecast("energy", 30.0)`; see `Forecaster`.
         actions, functions, components, designs, configurations, attributes: read-only views by name.
     """
 
@@ -139,7 +139,7 @@ class KnowledgeBase:
         known.now = now = self._time()
         if self.store is not None and not self.store.is_new:
             self.store.restore(known, now)
-            known.log.time = -math.inf  # its clock may have begun anew
+            known.log.time = -math.inf  # the clock may have started again at 0
         elif model.facts:
             known.begin(model.facts, now)
         self._publisher = Publisher(known.log, self._lock)
@@ -162,7 +162,7 @@ class KnowledgeBase:
         if self.store is not None:
             self.store.start(known, self._lock)
             finalize(self, self.store.close)
-            self._catch_up()  # with what time has done meanwhile
+            self._catch_up()  # with the events that came due meanwhile
 
     # ---------------------------------------------------------------- asked
 
@@ -174,7 +174,7 @@ class KnowledgeBase:
             node = network.actions.get(action)
             status = statuses[node.index] if node is not None and network.revision == revision else None
             if status is not None and (network.revision, known.state.visited) == (revision, visited):
-                return status is not Status.UNFEASIBLE  # one reading needs no lock, unless something is inferred
+                return status is not Status.UNFEASIBLE  # a single read needs no lock unless inference runs
         return questions.is_feasible(self, action)
 
     selectable_actions = questions.selectable_actions
@@ -223,8 +223,8 @@ class KnowledgeBase:
 
     @property
     def revision(self) -> int:
-        """Grows whenever a fact changed that can matter to a planner: a measurement only if a status changed by it."""
-        self.reading()  # what time has done by now is in it; one reading needs no lock
+        """Grows whenever a fact changes that can matter to a planner; a measurement counts only if a status changes."""
+        self.reading()  # makes the events that are due; a single read needs no lock
         return self._knowledge.revision
 
     @property
@@ -234,7 +234,7 @@ class KnowledgeBase:
 
     @property
     def plans(self) -> tuple[ReconfigurationPlan, ...]:
-        """Every plan, in the order in which they were made."""
+        """All plans, in the order in which they were made."""
         return tuple(self._records().plans.values())
 
     @property
@@ -249,22 +249,22 @@ class KnowledgeBase:
 
     @property
     def processes(self) -> tuple[Process, ...]:
-        """Every process that a component ran as, in the order in which they were started."""
+        """All processes in which components ran or run, in the order in which they were started."""
         return tuple(self._records().processes.values())
 
     def query(self, sparql: str, timeout: float = 10.0) -> list[tuple[Answer, ...]]:
-        """Answer a SPARQL query over the model, all that was told, and the statuses that follow from it.
+        """Answer a SPARQL query over the model, all facts that were told, and the statuses that follow from them.
 
         Args:
-            sparql: a SELECT; `:` and `rosa:` stand for the words of ROSA.
-            timeout: how long it may take [s].
+            sparql: a SELECT query; the prefixes `:` and `rosa:` stand for the vocabulary of ROSA.
+            timeout: how long the query may take [s].
 
         Returns:
-            One tuple for each answer: numbers, texts, booleans, None; an individual is given as its IRI.
+            One tuple for each answer, of numbers, texts, booleans or None; an individual is given by its IRI.
 
         Raises:
-            InvalidValue: it is no query, or would change something.
-            KnowledgeBaseError: it was stopped at its time-out.
+            InvalidValue: the text is no query, or the query would change something.
+            KnowledgeBaseError: the query did not end within the timeout.
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
@@ -276,8 +276,8 @@ class KnowledgeBase:
         """Tell that an attribute was measured just now.
 
         Raises:
-            UnknownName: no such attribute.
-            InvalidValue: not a finite number, or outside the attribute's range; the facts are as they were.
+            UnknownName: the model has no such attribute.
+            InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is told.
         """
         node = self._knowledge.network.attributes[attribute]
         of: Any = node.element
@@ -293,7 +293,7 @@ class KnowledgeBase:
 
     @_telling
     def component_failed(self, component: str, reason: str = "") -> None:
-        """Tell that a component has failed; the reason, in words, stands in explanations and in the store."""
+        """Tell that a component has failed; explanations and the store give the reason, in words."""
         text("the reason of a failure", reason)
         node, state = self._component(component), self._knowledge.state
         is_known = state.failed[node.index] and reason in ("", state.reason("failed", node).text)
@@ -302,25 +302,25 @@ class KnowledgeBase:
 
     @_telling
     def component_recovered(self, component: str) -> None:
-        """Tell that a component has not failed, or no longer."""
+        """Tell that a component works again after a failure."""
         node, state = self._component(component), self._knowledge.state
         if state.failed[node.index] or state.asserted[node.index] is Status.FAILURE:
             self._tell("component_recovered", node.name)
 
     @_telling
     def component_active(self, component: str, active: bool, reason: str = "") -> None:
-        """Tell whether a component is running; why it is not, in words, stands in explanations as long as it is not."""
+        """Tell whether a component is running; if it is not, explanations give the reason, in words."""
         node = self._component(component)
         text("the reason why a component is not active", reason)
         if self._knowledge.state.active[node.index] != flag("active", active, InvalidValue):
             self._tell("component_active", node.name, active, reason)
 
     def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
-        """Take in a DiagnosticArray; see `kb.diagnostics` for the forms in which it may come.
+        """Tell the facts in a DiagnosticArray of ROS; see `kb.diagnostics` for the forms that are accepted.
 
         Returns:
-            What could not be used, and why; all the rest has been taken in. These are logged and counted in
-            `history.rejected` too.
+            The parts that could not be used, and why; all other parts are told. These problems are also logged, and
+            counted in `history.rejected`.
         """
         problems = []
         for reading in read_diagnostics(diagnostics):
@@ -339,13 +339,13 @@ class KnowledgeBase:
 
     @_telling
     def assert_status(self, element: Meant, status: Status | str, reason: str = "", until: float | None = None) -> None:
-        """State an element's status outright; it stands in place of the inferred one until it is retracted.
+        """Set an element's status; it replaces the inferred status until it is retracted or lapses.
 
         Args:
             element: a view, an element of the model, or a name that only one element has.
             status: one that an element of this kind can have.
-            reason: why, in words; it stands in explanations and in the store.
-            until: when it lapses by itself [s, by the clock of this base], after now; None or `math.inf` for never.
+            reason: why, in words; explanations and the store give it.
+            until: when it lapses by itself [s, by the clock of this base], later than now; None or `math.inf`: never.
         """
         text("the reason of an asserted status", reason)
         end = None if until is None or until == math.inf else finite_number(until)
@@ -357,12 +357,12 @@ class KnowledgeBase:
 
     @_telling
     def retract_status(self, element: Meant) -> None:
-        """Take back an asserted status; the inferred one holds again."""
+        """Take back an asserted status; the inferred status holds again."""
         self._tell("retract_status", self._node(element, ELEMENTS).ref)
 
     @_telling
     def assert_required(self, element: Meant, required: bool | None) -> None:
-        """State that an element is required; False or None takes that back and hides no inferred requirement."""
+        """State that an element is required; False or None takes that back, but not an inferred requirement."""
         node = self._node(element, ("action", "function", "component"))
         if required is not None:
             flag("required", required, InvalidValue)
@@ -370,7 +370,7 @@ class KnowledgeBase:
 
     @_telling
     def assert_selected(self, element: Meant, selected: bool | None, reason: str = "") -> None:
-        """State that a design or configuration is the selected one, or is not; the reason stands in explanations."""
+        """State whether a design or configuration is selected; explanations give the reason."""
         text("the reason why something is selected or not", reason)
         node = self._node(element, ("function design", "configuration"))
         if selected is not None:
@@ -383,14 +383,14 @@ class KnowledgeBase:
     def request_action(
         self, action: str, preference: str | Mapping[str, float] | None = None, *, cause: int | None = None
     ) -> Reply:
-        """Ask that the robot be configured for an action; refused, with the reason, while it is unfeasible.
+        """Request that the robot is configured for an action; an unfeasible action is refused, with the reason.
 
         Args:
-            action: its name.
-            preference: name of the attribute to favour when a configuration is chosen for it, or the weight of each
-                of several.
-            cause: number of the event that led to it; without one, that which ended another action at this instant, or
-                the latest that made an action feasible or unfeasible.
+            action: name of the action.
+            preference: name of the attribute to favour when a configuration is chosen for the action, or a mapping
+                from names of attributes to weights.
+            cause: number of the event that led to the request; by default the event that ended another action at this
+                instant, else the latest event that made an action feasible or unfeasible.
         """
         known = self._knowledge
         node = known.network.actions[action]
@@ -407,13 +407,13 @@ class KnowledgeBase:
     def cancel_action(
         self, action: str, result: str = "abandoned", reason: str = "", *, cause: int | None = None
     ) -> None:
-        """Say that an action is no longer required, and how it ended; nothing happens if it is not required.
+        """Tell that an action is no longer required, and how it ended; nothing happens if it is not required.
 
         Args:
-            action: its name.
+            action: name of the action.
             result: "completed", "failed" or "abandoned".
-            reason: why it ended so, in words; for those who listen and for the history.
-            cause: number of the event that led to it; without one, that which made the action unfeasible, if it is.
+            reason: why the action ended in this way, in words; subscribers and the history get it.
+            cause: number of the event that led to the end; by default the one that made the action unfeasible, if any.
         """
         known = self._knowledge
         node = known.network.actions[action]
@@ -434,21 +434,21 @@ class KnowledgeBase:
         dry_run: bool = False,
         cause: int | None = None,
     ) -> ReconfigurationPlan | None:
-        """Select a design for each function and a configuration for each component named; unselect what is obsolete.
+        """Select a design for each given function, a configuration for each given component; unselect what is obsolete.
 
         Args:
-            designs: name of the design by name of its function.
-            configurations: name of the configuration by name of its component.
-            reason: why these, in words, if not by priority; it is kept with what is selected and with the plan.
-            dry_run: only return the plan; nothing is selected, and nobody hears of it.
-            cause: number of the event that made it needed; without one, the latest that changed what is chosen
-                for, or among.
+            designs: maps the name of a function to the name of its design.
+            configurations: maps the name of a component to the name of its configuration.
+            reason: why these are chosen, in words, if not by priority; it is kept with the selection and with the plan.
+            dry_run: only return the plan; nothing is selected, and no event is made.
+            cause: number of the event that led to the selection; by default the latest event that changed one of the
+                functions, components or alternatives.
 
         Returns:
-            The plan that leads there from the present state; None if there is nothing to do.
+            The plan that leads from the present state to the selection; None if there is nothing to do.
 
         Raises:
-            InvalidValue: one of them is unfeasible now; nothing is selected.
+            InvalidValue: a design or configuration is unfeasible now; nothing is selected.
         """
         if reason != "":
             text("the reason of a choice", reason)
@@ -471,9 +471,9 @@ class KnowledgeBase:
 
     @_telling
     def finish_plan(self, plan: ReconfigurationPlan | int, result: str) -> bool:
-        """Close a plan as "completed", "failed" or "abandoned"; returns whether it was open.
+        """End a plan as "completed", "failed" or "abandoned"; returns whether it was open.
 
-        One that completes abandons every other plan that is open.
+        When a plan completes, all other open plans are abandoned.
         """
         if result not in RESULTS:
             check_result(result)
@@ -485,7 +485,7 @@ class KnowledgeBase:
 
     @_telling
     def note_no_choice(self, reason: str) -> None:
-        """Say why nothing can be selected for what is required, in words, for explanations; empty if something can."""
+        """Give explanations the reason why nothing can be selected for what is required; empty if something can."""
         text("the reason why nothing can be selected", reason)
         self._tell("note_no_choice", reason)
 
@@ -493,19 +493,19 @@ class KnowledgeBase:
 
     @_telling
     def component_configured(self, component: str, parameters: Parameters) -> None:
-        """Tell which parameters a component was given; see `parameters_in_force` of its view."""
+        """Tell which parameters were set on a component; see `parameters_in_force` of its view."""
         name = self._component(component).name
         self._tell("component_configured", name, checked_parameters(name, parameters))
 
     @_telling
     def component_started(self, component: str, pid: int) -> Process:
-        """Tell that a component runs as a process of the operating system, whether it is active already or not."""
+        """Tell that a process of the operating system was started for a component; it need not be active yet."""
         self._tell("component_started", self._component(component).name, whole("a process number", pid, 0))
         return next(reversed(self._knowledge.records.processes.values()))
 
     @_telling
     def component_ended(self, component: str, pid: int | None = None) -> None:
-        """Tell that the process of a component has ended: that of a number, or all of them."""
+        """Tell that a process of a component has ended: the one with this number, or all of them without one."""
         number = None if pid is None else whole("a process number", pid, 0)
         self._tell("component_ended", self._component(component).name, number)
 
@@ -519,14 +519,14 @@ class KnowledgeBase:
         parameters: Parameters | None = None,
         number: int = 1,
     ) -> Attempt:
-        """Put on record that a command is given now; `finish_attempt` tells what came of it.
+        """Record that a command is given now; `finish_attempt` records its result.
 
         Args:
-            plan: what it is part of; one of `plans`, or its number.
-            component: name of what is commanded.
+            plan: the plan that gives the command; one of `plans`, or its number.
+            component: name of the component that is commanded.
             operation: "activate", "deactivate" or "configure".
-            configuration: name of what the component is configured with, None for a switch; with its parameters.
-            parameters: what is to be set.
+            configuration: name of the configuration to set, None if the component is only switched.
+            parameters: the parameters to set.
             number: 1 for the first time that the plan gives this command.
         """
         if operation not in _OPERATIONS:
@@ -542,10 +542,10 @@ class KnowledgeBase:
 
     @_telling
     def finish_attempt(self, attempt: Attempt | int, result: str, reason: str = "") -> bool:
-        """Put on record what came of a command; returns whether that was not known yet.
+        """Record the result of a command; returns False if the attempt has ended already or is unknown.
 
-        The attempt may be given by its serial number; a result is "completed", "failed" or "abandoned". The parameters
-        of a command that has configured a component are in force then.
+        The attempt may be given by its serial number; the result is "completed", "failed" or "abandoned". When a
+        "configure" command completes, its parameters are in force.
         """
         if result not in RESULTS:
             check_result(result)
@@ -562,7 +562,7 @@ class KnowledgeBase:
 
     @_telling
     def record_answer(self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = "") -> VetoAnswer:
-        """Put on record what was answered about a plan before it was executed, and why it was forbidden if it was."""
+        """Record whether a plan was vetoed before its execution, and why."""
         flag("is_vetoed", is_vetoed, InvalidValue)
         text("the reason of an answer", reason)
         self._tell("record_answer", self._knowledge.records.plan_of(plan).number, is_vetoed, reason)
@@ -571,13 +571,13 @@ class KnowledgeBase:
     # ---------------------------------------------------------------- the log
 
     def tell(self, event: Event) -> None:
-        """Tell an event again; the clock of this base should show its time.
+        """Repeat an event, e.g. of another base; the clock of this base should show the time of the event.
 
-        What time does comes by itself, and so does what the model states and what is said of the store. Only "stale"
-        may come before its time: who measured the attribute is gone.
+        Events that time, the model or the store cause are made by this base itself, not repeated. Only "stale" is
+        repeated: an attribute may be stale before its time because its source is gone.
 
         Raises:
-            InvalidValue: it is no event that can be told; nothing has changed.
+            InvalidValue: the event cannot be told; nothing has changed.
         """
         verb = event.verb if isinstance(event, Event) else None
         if verb in _BY_ITSELF:
@@ -610,10 +610,10 @@ class KnowledgeBase:
             self._tell("stale", name)
 
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
-        """Call a function with every event from now on, in order; returns how to stop that.
+        """Call a function with every event from now on, in order; returns a function that ends the subscription.
 
-        It is called by a thread that told, which holds nothing meanwhile: it may ask and tell. What it raises is
-        logged and reaches nobody else.
+        The callback runs on a thread that tells facts, without the lock, so it may ask and tell. An exception in it
+        is logged and goes no further.
         """
         stop = self._publisher.subscribe(callback)
         self._knowledge.in_words = True
@@ -625,11 +625,11 @@ class KnowledgeBase:
         return self.store.saved if self.store else 0
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait, at most for a timeout [s], until all that was told by now is on disk; returns whether it is."""
+        """Wait, at most for a timeout [s], until all events so far are on disk; returns whether they are."""
         return self.store is not None and self.store.flush(timeout)
 
     def close(self) -> None:
-        """Save what is left and give the store back: what memory holds can be asked, nothing more told; see `flush`."""
+        """Save all events and close the store; you can still ask what is held in memory, but tell nothing more."""
         with self._lock:
             self._is_closed = self.store is not None
         if self.store is not None:
@@ -645,7 +645,7 @@ class KnowledgeBase:
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
     def _settle(self, now: float) -> None:
-        """Make the events that time causes until now, before something is told; mostly there are none."""
+        """Make the events that time causes until now, before something is told; usually there are none."""
         if self.store is not None:
             self._check_open(self.store)
         known = self._knowledge
@@ -677,11 +677,11 @@ class KnowledgeBase:
 
 
 class _Time:
-    """The time of a base: that by its clock, or that of the last event if that is later [s].
+    """The time of a base: the time of its clock, or that of the last event if that is later [s].
 
     Attributes:
-        clock: as given.
-        known: whose time it is.
+        clock: the function that was given to the base.
+        known: the knowledge whose log has the last event.
     """
 
     known: Knowledge
@@ -692,7 +692,7 @@ class _Time:
     def __call__(self) -> float:
         if self._model.pending is not None:
             self._model.settle()
-        last, now = self.known.log.time, self.clock()  # in this order, as another thread may tell something meanwhile
+        last, now = self.known.log.time, self.clock()  # in this order: another thread may tell meanwhile
         if type(now) is float and last <= now < math.inf:
             return now
         try:
@@ -708,7 +708,7 @@ class _Time:
 
 
 def _settle(model: Model, held: AbstractContextManager[State]) -> None:
-    """Complete or undo an interrupted change of the model or event."""
+    """Complete or undo a change of the model, or an event, that was interrupted."""
     if model.pending is not None:
         model.settle()
     with held:
@@ -716,10 +716,10 @@ def _settle(model: Model, held: AbstractContextManager[State]) -> None:
 
 
 def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # noqa: ANN401  # an RLock has no type
-    """Return a context manager that holds a base while it is read, after an interrupted event is completed or undone.
+    """Return a context manager that completes or undoes an interrupted event, then holds the lock during a read.
 
-    A signal is handled between two instructions of Python, never within a C function. So one C call takes the lock and
-    notes it, and the lock's own method releases it: no interrupt can leave the lock taken.
+    Python handles a signal between two instructions, never within a C function. So one C call takes the lock and
+    notes that it is taken, and the lock's own method releases it: no interrupt can leave the lock taken.
     """
     once = (True,)
 
@@ -738,7 +738,7 @@ def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # n
 
 
 def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:
-    """Return the nodes chosen, given by the names of their owners; each must be a part of its owner."""
+    """Return the chosen nodes from a mapping of owner to choice, by name; each choice must be a part of its owner."""
     if given is not None and not isinstance(given, Mapping):
         raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {given!r}")
     chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]

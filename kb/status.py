@@ -1,7 +1,7 @@
-"""The six status tables: which status an element has, as pure functions of what it depends on.
+"""The six status tables: pure functions that give the status of an element from the statuses it depends on.
 
-Each function is one table; its lines are tried from the top and the first that holds gives the status, so every
-element has exactly one. `inference` decides when a table is consulted again; nothing else decides a status.
+Each function is one table: the first line from the top that holds gives the status, so every element has exactly
+one. `inference` decides when a table is consulted again; nothing else decides a status.
 The conceptual model is that of ROSA (Silva et al., "ROSA: a knowledge-based solution for robot self-adaptation").
 """
 
@@ -46,15 +46,15 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
 """The statuses that an element of each kind can have, in the order of its table."""
 
 
-# short names, which are found quicker than what a class has
+# module-level names: their lookup is faster than that of an attribute of the class
 NOT_EVALUATED, SATISFIED, VIOLATED, UNFEASIBLE, FAILURE, ERROR, IMPLICIT_ERROR, UNSOLVED, SOLVED, FEASIBLE = Status
 IMPOSSIBLE = frozenset({UNFEASIBLE, FAILURE, VIOLATED})
-"""With one of these an element, and what needs it, cannot be."""
+"""An element with one of these statuses cannot be used, nor can anything that needs it."""
 Statuses = Sequence[Status]
 
 
 def constraint_status(measured: float | None, relation: str, threshold: float) -> Status:
-    """Status of a constraint: the latest measurement, if any, against `measured (relation) threshold`."""
+    """Status of a constraint: whether `measured (relation) threshold` holds for the latest measurement, if any."""
     if measured is None:
         return NOT_EVALUATED
     return SATISFIED if OPERATORS[relation](measured, threshold) else VIOLATED
@@ -68,7 +68,7 @@ def configuration_status(constraints: Statuses) -> Status:
 def component_status(
     *, failed: bool, constraints: Statuses, configurations: Statuses, selected: Statuses, required: bool, active: bool
 ) -> Status:
-    """Status of a component, from its own constraints, and its configurations and those selected of them."""
+    """Status of a component, from its own constraints, all its configurations and the selected ones."""
     if failed:
         return FAILURE
     if VIOLATED in constraints or (configurations and _all(UNFEASIBLE, configurations)):
@@ -81,7 +81,7 @@ def component_status(
 
 
 def design_status(*, constraints: Statuses, components: Statuses, selected: bool) -> Status:
-    """Status of a function design, from its own constraints and the components it is made of."""
+    """Status of a function design, from its own constraints and its components."""
     if VIOLATED in constraints or FAILURE in components or UNFEASIBLE in components:
         return UNFEASIBLE
     if not selected:
@@ -92,7 +92,7 @@ def design_status(*, constraints: Statuses, components: Statuses, selected: bool
 
 
 def function_status(*, designs: Statuses, selected: Statuses, required: bool) -> Status:
-    """Status of a function, from its designs and those selected of them."""
+    """Status of a function, from all its designs and the selected ones."""
     if _all(UNFEASIBLE, designs):
         return UNFEASIBLE
     if not required:

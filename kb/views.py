@@ -1,6 +1,6 @@
-"""Read-only views of the elements of a knowledge base: what they are, and what is known of them at this moment.
+"""Read-only views of the elements of a knowledge base: what the model declares, and what is known now.
 
-A view answers from the base it was taken from each time it is asked; nothing can be changed through it.
+A view reads from its knowledge base each time it is asked; nothing can be changed through it.
 """
 
 import math
@@ -20,7 +20,7 @@ T = TypeVar("T")
 
 
 class Readable(Protocol):
-    """Whatever can be asked: a knowledge base, or one as it would be if."""
+    """What views read from: a knowledge base, or a situation that supposes other facts."""
 
     @property
     def now(self) -> float:
@@ -28,7 +28,7 @@ class Readable(Protocol):
 
     @property
     def forecast(self) -> Any:  # noqa: ANN401  # a `Forecaster`, which is made of views
-        """What looks ahead."""
+        """The forecaster, which predicts attributes."""
 
     def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
@@ -36,11 +36,11 @@ class Readable(Protocol):
 
 @dataclass(frozen=True, repr=False)
 class ElementView:
-    """What every element has: a name, and its kind in words.
+    """What all views have in common.
 
     Attributes:
-        base: what it was taken from.
-        node: its place there.
+        base: the knowledge base or situation that the view reads from.
+        node: the node of the element in its network.
     """
 
     __slots__ = ("base", "node")
@@ -50,12 +50,12 @@ class ElementView:
 
     @property
     def name(self) -> str:
-        """The element's name, unique within its kind; a constraint is called by its text."""
+        """The element's name, unique within its kind; the name of a constraint is its text."""
         return self.node.name
 
     @property
     def element(self) -> Element | Constraint:
-        """The element of the model that this is a view of, e.g. to amend it there."""
+        """The element of the model that this view shows, e.g. to change it there."""
         found: Element | Constraint = self.node.element
         return found
 
@@ -64,7 +64,7 @@ class ElementView:
 
 
 class Known(Generic[T]):
-    """What is known of an element at this moment, by the name of the array of the state that holds it."""
+    """A property that reads an element's present value from the array of the state that has this name."""
 
     def __init__(self, column: str) -> None:
         self._column = column
@@ -76,7 +76,7 @@ class Known(Generic[T]):
 
 
 class Declared(Generic[T]):
-    """What the model says of an element, by the name of the field; see the class of that kind in `kb.elements`."""
+    """A property that reads the field of the same name of the model's element; see its class in `kb.elements`."""
 
     def __set_name__(self, _: type, name: str) -> None:
         self._field = name
@@ -87,7 +87,7 @@ class Declared(Generic[T]):
 
 
 class Parts:
-    """Names of what an element is made of, in order of declaration."""
+    """A property that gives the names of an element's parts, in order of declaration."""
 
     def __get__(self, view: ElementView, _: type) -> tuple[str, ...]:
         with view.base.reading():
@@ -95,7 +95,7 @@ class Parts:
 
 
 class ConstraintView(ElementView):
-    """A constraint: `attribute operator value`; the value is the threshold, in the attribute's unit."""
+    """A constraint: `attribute operator value`, where the value is the threshold in the attribute's unit."""
 
     __slots__ = ()
 
@@ -112,13 +112,13 @@ class _StatusView(ElementView):
 
     @property
     def constraints(self) -> tuple[ConstraintView, ...]:
-        """The constraints on this element itself."""
+        """The constraints on this element itself, not on its parts."""
         with self.base.reading():
             return tuple(ConstraintView(self.base, node) for node in self.node.constraints)
 
 
 class ActionView(_StatusView):
-    """An action, and whether it can be done now; it is required while the mission is doing it."""
+    """An action and whether it is feasible now; an action is required while the mission does it."""
 
     __slots__ = ()
 
@@ -127,7 +127,7 @@ class ActionView(_StatusView):
 
 
 class FunctionView(_StatusView):
-    """A function, and whether it is realised now; it is required while what the mission is doing needs it."""
+    """A function and whether it is realised now; a function is required while a required action needs it."""
 
     __slots__ = ()
 
@@ -137,7 +137,7 @@ class FunctionView(_StatusView):
 
 
 class ComponentView(_StatusView):
-    """A component: whether it is required, as a function is, whether it is running, and with which parameters."""
+    """A component: whether it is required, whether it is running, and with which parameters."""
 
     __slots__ = ()
 
@@ -152,13 +152,13 @@ class ComponentView(_StatusView):
 
     @property
     def selected_configuration(self) -> str | None:
-        """Name of the configuration that is selected, if one is."""
+        """Name of the selected configuration; None if none is selected."""
         with self.base.reading() as state:
             return next((part.name for part in self.node.parts if state.selected[part.index]), None)
 
     @property
     def parameters_in_force(self) -> Parameters:
-        """The parameters that it was last given; empty before that."""
+        """The parameters that were set last; empty before the first time."""
         with self.base.reading() as state:
             return MappingProxyType(dict(state.parameters.get(self.name, {})))
 
@@ -171,13 +171,13 @@ class _SelectableView(_StatusView):
 
     @property
     def reason(self) -> str:
-        """Why it was selected, in the words of whoever selected it; empty if that was not said, or it is not."""
+        """The reason that was given with its selection; empty without a reason, or if it is not selected."""
         with self.base.reading() as state:
             return state.reason("selected", self.node).text if state.selected[self.node.index] else ""
 
 
 class DesignView(_SelectableView):
-    """A function design, one set of components that realises a function, and whether it is the one chosen."""
+    """A function design, one set of components that realises a function, and whether it is selected."""
 
     __slots__ = ()
 
@@ -186,7 +186,7 @@ class DesignView(_SelectableView):
 
 
 class ConfigurationView(_SelectableView):
-    """A component configuration, one set of parameter values, and whether it is the one chosen."""
+    """A component configuration, one set of parameter values, and whether it is selected."""
 
     __slots__ = ()
 
@@ -195,9 +195,9 @@ class ConfigurationView(_SelectableView):
 
 
 class AttributeView(ElementView):
-    """A measured attribute: the latest value, when that was measured [s], both None before the first, and its history.
+    """A measured attribute: its latest value and the time of that [s], both None before the first, and its history.
 
-    It is stale once that is longer ago than `max_age` [s].
+    It is stale when the latest measurement is older than `max_age` [s].
     """
 
     __slots__ = ()
@@ -213,19 +213,19 @@ class AttributeView(ElementView):
 
     @property
     def history(self) -> tuple[tuple[float, float], ...]:
-        """The measurements so far, as (time [s], value), by time; the newest, see `begins`."""
+        """The measurements as (time [s], value), in order of time; old ones may be forgotten, see `begins`."""
         return self._asked(History.samples, ())
 
     @property
     def begins(self) -> float:
-        """The time from which on every measurement is in the history [s]; `-math.inf` while none is forgotten."""
+        """The history has all measurements from this time on [s]; `-math.inf` while none is forgotten."""
         return self._asked(attrgetter("begins"), -math.inf)
 
     def at(self, time: float) -> float | None:
-        """Return what the latest measurement was at a time [s]; None before the first.
+        """Return the value that was the latest at a time [s]; None before the first measurement.
 
         Raises:
-            InvalidValue: that is forgotten.
+            InvalidValue: the measurements of that time are forgotten.
         """
         finite_number(time)
         return self._asked(lambda history: history.at(time), None)
@@ -240,7 +240,7 @@ ViewT = TypeVar("ViewT", bound=ElementView)
 
 
 class Views(Mapping[str, ViewT]):
-    """Views of the elements of one kind by name, in order of declaration; an unknown name says which are near it."""
+    """Views of all elements of one kind by name, in order of declaration; an unknown name raises UnknownName."""
 
     def __init__(self, base: Readable, nodes: Mapping[str, Node], view: type[ViewT]) -> None:
         self._base, self._table, self._view = base, nodes, view
@@ -262,11 +262,11 @@ class Views(Mapping[str, ViewT]):
             return iter(tuple(self._table))
 
     def values(self) -> ValuesView[ViewT]:
-        """Return the views, as of now."""
+        """Return the views of the elements that exist now."""
         return self._now().values()
 
     def items(self) -> ItemsView[str, ViewT]:
-        """Return the names and views, as of now."""
+        """Return the names and views of the elements that exist now."""
         return self._now().items()
 
     def _now(self) -> dict[str, ViewT]:
