@@ -1,8 +1,8 @@
-"""Incremental inference: what depends on a changed fact is consulted again, and nothing else.
+"""Incremental inference: after a fact changes, only the elements that depend on it are inferred again.
 
-Inference has two directions. Being required flows down: action to functions, selected design to components. Status
-flows up, in levels: constraint, configuration, component, design, function, action. An element that does not use a part
-depends only on whether the part is possible at all; while that stays the same, only the users of a part are inferred.
+Inference has two directions. "Required" goes down: from an action to its functions, from a selected design to its
+components. Status goes up, level by level: constraint, configuration, component, design, function, action. While a part
+stays possible, or stays impossible, its new status matters only to its users (required actions, selected designs).
 """
 
 from collections.abc import Iterable
@@ -29,7 +29,7 @@ _TOP: Final = LEVELS["attribute"]
 
 
 def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
-    """Infer again whatever depends on the touched nodes, whose facts have changed."""
+    """Infer all that depends on the touched nodes, whose facts have changed; returns the changes of status."""
     agenda: Agenda = [{} for _ in LEVELS]
     for node in touched:
         _touch(state, node, agenda)
@@ -77,7 +77,7 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
         for component in node.parts:
             _use(state, component, node, selected, agenda)
     elif node.kind == "configuration":
-        agenda[node.wholes[0].level][node.wholes[0]] = None  # which one is selected matters to its component
+        agenda[node.wholes[0].level][node.wholes[0]] = None  # a component's status depends on which is selected
         _mark_configuration(state, node)
 
 
@@ -98,7 +98,7 @@ def _require(state: State, node: Node) -> None:
 
 
 def _serve(state: State, design: Node, required: bool) -> None:
-    """Update, for the components of a design, how many designs of required functions they are in."""
+    """Update how many designs of required functions each component of this design is in."""
     state.mark(state.obsolete, design, state.selected[design.index] and not required)
     served, put = state.served, state.put
     for component in design.parts:
@@ -123,7 +123,7 @@ def _mark_configuration(state: State, configuration: Node) -> None:
 
 
 def is_adaptable(state: State, node: Node) -> bool:
-    """Tell whether a function or component needs a choice, or may get a better one."""
+    """Tell whether a choice is needed for a function or component, or a better one may be looked for."""
     status = state.status[node.index]
     if status is Status.SOLVED:
         return bool(node.element.always_improve)
@@ -161,6 +161,6 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 
 def infer_anew(state: State) -> None:
-    """Infer everything from the facts, as after a change of the model; it can be repeated."""
+    """Infer everything from the facts, e.g. after a change of the model; it can be called again after an interrupt."""
     state.forget_inferred()
     propagate(state, state.network.present())

@@ -98,8 +98,8 @@ class KnowledgeBase:
         keep: how many measurements of each attribute the store keeps; it keeps the newest.
         memory: how much of the past is held in memory.
 
-    Time does not go back, so that facts keep the order in which they are told: if the clock goes back by up to a second,
-    the time stands still until the clock has caught up. A clock that goes back further, or returns no time, is refused.
+    Time does not go back, so that facts keep the order in which they are told: if the clock goes back up to a second,
+    time stands still until the clock has caught up. A clock that goes back further, or returns no time, is refused.
 
     Facts may be told from any thread; each call holds the lock until all that follows from the fact is inferred. Each
     fact is in or out: if a call is interrupted, the base answers as if the fact was told, or as if it was not.

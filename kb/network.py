@@ -1,4 +1,4 @@
-"""What depends on what in a model, as a network of nodes that grows and shrinks with the model."""
+"""The network of a model: one node for each element, connected to the nodes that its status depends on."""
 
 import math
 from bisect import bisect_right
@@ -23,25 +23,25 @@ from kb.exceptions import InvalidValue, UnknownName
 from kb.facts import Contents
 
 Ref = tuple[str, str] | tuple[str, str, int]
-"""What stands for a node in plain data: (kind, name), or (kind, name, position) of a constraint by what it is on."""
+"""A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an element it is on."""
 
 _UPWARDS: Final = ("constraint", "configuration", "component", "function design", "function", "action", "attribute")
 LEVELS: Final = {kind: level for level, kind in enumerate(_UPWARDS)}
-"""The order in which statuses are inferred; an attribute has none."""
+"""The order in which the kinds are inferred; attributes come last because they have no status."""
 
 
 class Node:
-    """An element's place in the network.
+    """An element in the network.
 
-    Its parts are what its status is inferred from: a component's configurations, a design's components, a function's
-    designs, an action's functions, a constraint's attribute. Its wholes are what is inferred from its status.
+    Its status is inferred from its parts: a component's configurations, a design's components, a function's designs,
+    an action's functions, a constraint's attribute. Its wholes are the elements that it is a part of.
     """
 
     __slots__ = ("constraints", "element", "index", "kind", "level", "name", "parts", "wholes")
 
-    element: Any  # what it stands for in the model; of which class, `kind` says
+    element: Any  # the element of the model; `kind` says of which class
     name: str
-    constraints: list["Node"]  # those on it; of an attribute those that compare it
+    constraints: list["Node"]  # those on this element; for an attribute those that compare it
     parts: list["Node"]
     wholes: list["Node"]
 
@@ -52,7 +52,7 @@ class Node:
 
     @property
     def attribute(self) -> Attribute:
-        """The attribute that it stands for, or which it compares."""
+        """The attribute of this node, or the one that this constraint compares."""
         found: Attribute = self.parts[0].element if self.kind == "constraint" else self.element
         return found
 
@@ -76,14 +76,14 @@ class Node:
 
 
 class Thresholds:
-    """The constraints on one attribute in the order of the values at which their status turns.
+    """The constraints on one attribute, in the order of the values at which their status changes.
 
-    Each of the four comparisons turns at one value t: it has one status below t and the other one from t on. For `>`
-    and `<=`, t is the next number above the written one.
+    Each of the four comparisons changes at one value t: it has one status below t and the other one from t on. For
+    `>` and `<=`, t is the next floating-point number above the written one.
     """
 
     def __init__(self, constraints: Sequence[Node]) -> None:
-        # not in that order: what these are depends on earlier measurements too
+        # kept apart: the status of these depends on earlier measurements too
         self.steady = [node for node in constraints if is_steady(node)]
         self._turns = sorted(((_turn(node), node) for node in constraints if not is_steady(node)), key=_FIRST)
 
@@ -111,11 +111,11 @@ def _turn(node: Node) -> float:
 
 
 class Network:
-    """One node per element of a model, by name within its kind; constraints by themselves."""
+    """One node for each element of a model, found by name within its kind; a constraint is found by itself."""
 
     def __init__(self, model: Contents) -> None:
         self.model = model
-        self.revision = 0  # grows whenever the model is related anew
+        self.revision = 0  # grows at each `renew`
         self.nodes: list[Node] = []
         self._thresholds: dict[Node, Thresholds] = {}
         self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
@@ -131,7 +131,7 @@ class Network:
         self.renew()
 
     def find(self, element: Element | Constraint) -> Node:
-        """Return the node of an element of this model."""
+        """Return the node of an element of this model; UnknownName if it is not, or no longer, in the model."""
         table = self._tables[type(element)]
         node = table.get(element if isinstance(element, Constraint) else element.name)
         if node is None or node.element is not element:
@@ -156,7 +156,7 @@ class Network:
         return node.constraints[position[0]] if position else node
 
     def renew(self) -> None:
-        """Relate all elements that are in the model now; it can be repeated.
+        """Connect the nodes of all elements that are in the model now; it can be called again after an interrupt.
 
         An element keeps its node. The index of a removed element is not used again.
         """

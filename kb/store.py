@@ -1,7 +1,7 @@
 """The store: the log of a knowledge base in one SQLite file, with snapshots of what was known.
 
-One thread writes the events in order, and each commit is on disk before it is acknowledged. Opening a store reads only
-what was written after the last snapshot, not the history. A damaged file, or one of another program, is left unchanged.
+One thread writes the events in order, and each commit is on disk before it is acknowledged. Opening a store reads the
+last snapshot and the events after it, not the whole history. A damaged or foreign file is left unchanged.
 """
 
 import ctypes
@@ -26,18 +26,18 @@ from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.owl.individuals import Serials, individuals, plain_json
 
-KEPT: Final = 10_000  # how many measurements of each attribute are kept; the newest
+KEPT: Final = 10_000  # how many measurements of each attribute are kept: the newest ones
 _EXCESS: Final = """
     DELETE FROM events WHERE number IN (SELECT number FROM (SELECT number, row_number() OVER (
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
         WHERE place > ? AND number <= ?)"""
 
-_SNAPSHOT_AFTER: Final = 10_000  # events that are written, at least, before what is known is; more where that is much
-_PAUSE: Final = 0.001  # in which those who tell go on before it is written what they have told together [s]
-_AHEAD: Final = 1 << 20  # that is written to the log beside the file before it is brought into the file [bytes]
-_AGAIN: Final = 1.0  # after which it is tried again to write, and the mark is forced to the disk [s]
-_LONGEST_HOLD: Final = 5.0  # for which a fork waits until another thread has used a file [s]
-_MOST_WAITING: Final = 100_000  # events that wait for room on the disk before it is given up: memory has an end too
+_SNAPSHOT_AFTER: Final = 10_000  # the least number of events between two snapshots; large states wait for more
+_PAUSE: Final = 0.001  # the writer waits this long, so that one commit holds several events [s]
+_AHEAD: Final = 1 << 20  # how long SQLite's write-ahead log gets before it is copied into the file [bytes]
+_AGAIN: Final = 1.0  # how often a failed write is tried again, and the mark is forced to disk [s]
+_LONGEST_HOLD: Final = 5.0  # how long a fork waits for another thread that uses the file [s]
+_MOST_WAITING: Final = 100_000  # with more events than this to write, the store gives up: memory is limited
 
 _log = logging.getLogger(__name__)
 
@@ -46,18 +46,18 @@ class Store:
     """The log of a knowledge base on disk.
 
     Attributes:
-        path: of the file.
-        is_new: there is nothing in it yet.
-        saved: number of the last event that is acknowledged to be on disk.
-        error: why nothing is saved at present, or any more; None while all is well.
-        left: actions that were required when it was opened, by a program that has ended; a task layer settles them.
-        model: what is spoken of; without one given, that of the file.
-        time: of the last event in it when it was opened [s].
-        using: is held while the file is used.
+        path: path of the file.
+        is_new: whether the file has no events yet.
+        saved: number of the last event that is certainly on disk.
+        error: why nothing is saved now, or any more; None while there is no error.
+        left: actions that an earlier program left required; a task layer resumes or cancels them.
+        model: the model that the events are about; if none is given, the model in the file.
+        time: time of the last event in the file when it was opened [s].
+        using: a lock that is held while the file is used.
 
     Raises:
-        InvalidValue: the path is none.
-        StoreError: the file cannot be opened, is damaged, is no store, or that of another model.
+        InvalidValue: the path is not a path.
+        StoreError: the file cannot be opened, is damaged, is no store, or is the store of another model.
     """
 
     def __init__(self, path: str | Path, model: Model | None, keep: int = KEPT) -> None:
@@ -94,12 +94,12 @@ class Store:
         except BaseException:
             self._release()
             raise
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))  # a child of a fork that drops it would write
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))  # else a forked child that frees it would write
 
     # ---------------------------------------------------------------- read
 
     def restore(self, known: Knowledge, now: float) -> None:
-        """Take in all that is in the file; plans and attempts that were under way are abandoned now [s]."""
+        """Restore all that is in the file; plans and attempts that were under way end now [s] as "abandoned"."""
         known.serials, found = self._serials, self._found
         with _blamed(self.path):
             if found.snapshot.number:
@@ -116,9 +116,9 @@ class Store:
         self.left = tuple(known.records.required)
 
     def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
-        """Return the events in the file after one, at most so many, with the measurements that are kept or without.
+        """Return at most `most` events of the file after a number, with or without the measurements that it keeps.
 
-        Once it is closed nothing is read from it: what is held in memory is all that can be asked.
+        A closed store returns none: then only what is held in memory can be asked.
         """
         self.check_owner()
         only = "" if measurements else "AND verb <> 'measure'"
@@ -127,7 +127,7 @@ class Store:
             return [row.event for row in rows]
 
     def check_owner(self) -> None:
-        """Raise StoreError in a process that was forked from the one that has opened the store."""
+        """Raise StoreError in a process that was forked from the one that opened the store."""
         if os.getpid() != self._owner:
             raise store_file.StoreError(
                 f"{self.path}: the store is open in the process that this one was forked from, which goes on with it. "
@@ -135,7 +135,7 @@ class Store:
             )
 
     def _matched(self, model: Model | None) -> tuple[Model, Serials]:
-        """Return the model that is gone on with, as it was amended, and the numbers in it."""
+        """Return the model to continue with, amended as in the file, and the serial numbers of its elements."""
         stored, since = str(self._found.declared), self._found.since
         with _blamed(self.path):
             rows = store_file.history(self._connection, since, self._written, "AND verb = 'amend'")
@@ -159,7 +159,7 @@ class Store:
     # ---------------------------------------------------------------- write
 
     def start(self, known: Knowledge, lock: AbstractContextManager[object]) -> None:
-        """Write from now on; if writing fails, report it once and try again until too many events wait."""
+        """Write events from now on; a failure is reported once, and tried again until too many events wait."""
         self._knowledge, self._lock = known, lock
         with _blamed(self.path):
             try:
@@ -177,12 +177,12 @@ class Store:
             self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // 4096}")  # in pages
             self._connection.execute(f"PRAGMA journal_size_limit={_AHEAD}")
             self._live(is_open=True)
-            self._connection.execute("PRAGMA wal_checkpoint(FULL)")  # so that a log that is missing is noticed
+            self._connection.execute("PRAGMA wal_checkpoint(FULL)")  # so that a missing write-ahead log is noticed
         known.log.heard = self._wake.set
         self._begin()
 
     def flush(self, timeout: float | None = None) -> bool:
-        """Wait until all that was told by now is on disk; returns whether it is."""
+        """Wait, at most for a timeout [s], until all events so far are on disk; returns whether they are."""
         self.check_owner()
         wanted = self._knowledge.log.last
         self._wake.set()
@@ -191,17 +191,17 @@ class Store:
         return self.saved >= wanted
 
     def close(self) -> None:
-        """Save what is left and give the file back.
+        """Save all events and close the file.
 
         Raises:
-            StoreError: not all could be saved. It is kept, and tried again: make room and close again.
+            StoreError: some events could not be saved. The store keeps trying: make room on the disk and close again.
         """
         if self._closing or self._is_stopping or os.getpid() != self._owner:
             return
         self._is_stopping = True
         self._wake.set()
         if self._thread is threading.current_thread():
-            self._ends_itself = True  # nobody holds the base any more, as this thread found out
+            self._ends_itself = True  # this thread dropped the last reference to the base, and cannot join itself
             return
         unsaved = 0
         if self._thread is not None:
@@ -250,7 +250,7 @@ class Store:
             self._wake.clear()
             if not self._is_stopping:
                 time.sleep(_PAUSE)
-            is_last = self._is_stopping  # if it is told to stop while it writes, there may be more
+            is_last = self._is_stopping  # if `close` is called during the write, there may be more
             self._write()
             if is_last and (self.error or self.saved == self._knowledge.log.last):
                 break
@@ -260,7 +260,7 @@ class Store:
             self._end()
 
     def _write(self) -> None:
-        """Write what is new; if that fails, everything is as before."""
+        """Write the new events; if that fails, the file is as before."""
         known, snapshot = self._knowledge, None
         with self._lock:
             known.settled()
@@ -294,23 +294,23 @@ class Store:
                 os.fdatasync(self._mark)
 
     def _acknowledge(self) -> None:
-        """Write beside the database which event is its last, so that a lost event is noticed.
+        """Write the number of the last event into the mark, a file beside the database, so that a loss is noticed.
 
-        The mark is not forced to disk each time, which would double the wait. If the process is killed, the mark stays
-        correct; if the power fails, the mark may be older than the database, never newer.
+        The mark is not forced to disk each time, as that would double the wait. If the process is killed, the mark is
+        still correct; if the power fails, the mark may be older than the database, never newer.
         """
         os.pwrite(self._mark, store_file.Mark(self._id, self._written, self._tail).written(), 0)
 
     def _needs_snapshot(self, batch: Iterable[Event], last: int) -> bool:
         if any(event.verb == "amend" for event in batch):
-            return True  # so that what is repeated after a snapshot is all of one model
+            return True  # so that all events after a snapshot belong to one model
         state = self._knowledge.state
         measured = sum(min(len(one), self.keep) for one in state.histories.values())
         much = max(min(_SNAPSHOT_AFTER, 10 * self.keep), len(state.network.nodes), measured // 2)
         return last - self._snapshot >= (1000 if self._is_stopping else much)
 
     def adopt(self, model: Model, batch: Iterable[Event], snapshot: tuple[int, float, str]) -> None:
-        """Write events and replace the model, with a snapshot of the new one, in one commit."""
+        """Write events, replace the model, and write a snapshot for the new model, in one commit."""
         with _blamed(self.path):
             self._commit(batch, snapshot, model)
 
@@ -328,7 +328,7 @@ class Store:
                 kept = store_file.Snapshot.of(*snapshot, others, before)
                 self._connection.execute("INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
                 self._connection.execute("DELETE FROM snapshots WHERE number < ?", (self._snapshot,))
-                # not what was written since the last one, from which all can be known again
+                # events after the previous snapshot stay: they can be repeated from there
                 self._connection.execute(_EXCESS, (self.keep, self._snapshot))
             if model is not None:
                 store_file.write_about(self._connection, self._id, _declared(model), rows[-1].number)
@@ -374,15 +374,15 @@ def _blamed(path: Path) -> Iterator[None]:
 # -------------------------------------------------------------------- forks
 
 HELD_OVER_FORKS: Final[WeakKeyDictionary[Any, float]] = WeakKeyDictionary()
-"""The locks that a fork takes first, and how long it waits for each [s]; -1 for as long as it takes.
+"""The locks that are taken before a fork, and how long it waits for each [s]; -1 means without a limit.
 
-It always takes those of knowledge bases: a child can never use one whose lock another thread held. It waits less for
-those of files, which a child may not use; they only keep SQLite's own locks from being inherited as they are.
+The locks of knowledge bases have no limit: if another thread held one at the fork, the child could never use that base.
+Those of files have one: a child may not use the file; they only keep it from inheriting locks of SQLite that are taken.
 """
 
 
 def _hold() -> None:
-    """Take the locks before the process is forked, so that no event is half-done in the child."""
+    """Take the locks before the process is forked, so that no event is half-done in the child process."""
     _HELD.extend(lock for lock, longest in tuple(HELD_OVER_FORKS.items()) if lock.acquire(timeout=longest))
 
 
