@@ -1,8 +1,8 @@
-"""What is known: the fold of the events of a log, each put in place as a whole or not at all.
+"""What is known: the result of applying all events of a log in order, each as a whole or not at all.
 
-While an event changes facts and statuses, the old values are kept. If it is interrupted, the next caller undoes it.
-Once the changes are complete the event is in: records, histories and alarms follow, and if that is interrupted, the
-next caller does it again. Both steps can be repeated any number of times with the same result.
+While an event changes facts and statuses, the old values are kept; if it is interrupted, the next caller restores them.
+Once these changes are complete, the event is in: then records, histories and alarms are updated, and if that is
+interrupted, the next caller does it again. Both steps can be repeated any number of times with the same result.
 """
 
 import math
@@ -34,14 +34,14 @@ from kb.status import Status
 Put = Callable[[], None]
 
 _ENDED: Final = 4
-"""How many requests that have ended a plan names as its reason at most."""
+"""How many ended requests the reason of a plan names at most."""
 
 _STATUSES: Final = ("asserted", "verdict")
 _IN_THE_MIDST: Final = "a signal handler or finalizer can ask and tell nothing in the midst of an event; do that later"
 
 _Pending = tuple[Event, Sequence[Put], bool, bool] | Literal["open"]
-"""An event that is in; what is still to be put in place; whether the state has changed, and whether it matters to a
-planner. An event that is not in is "open"."""
+"""An event that is in, the updates that must still be made, whether it changes the state, and whether it matters to a
+planner; or "open" for an event that is not in yet."""
 
 
 class Knowledge:
@@ -70,21 +70,21 @@ class Knowledge:
         propagate(self.state, [node for node in network.functions.values() if not node.parts])  # all else is feasible
         self.measurements = Measurements(self.state, memory)
         self.records = Records(memory)
-        self.now = -math.inf  # until when time has done what it does [s]
+        self.now = -math.inf  # all events that time causes are made until here [s]
         self.revision = 0  # number of the last event that can matter to a planner
-        self.changed_by: dict[int, int] = {}  # the event that last changed a node's status but by a plan's switches
+        self.changed_by: dict[int, int] = {}  # by node: the last event that changed its status, plans aside
         self.feasibility: int | None = None  # number of the event that last made an action feasible or unfeasible
-        self.in_words = False  # whether measurements are put in words, too
+        self.in_words = False  # whether events of measurements have a text too
         self.heard: Callable[[], None] = lambda: None  # called after a change of the model, without the lock
         self.pending: _Pending | None = None  # an event that was interrupted; see `finish`
-        self.telling = Lock()  # held, with the other lock, from the checks of what is told until it is in place
+        self.telling = Lock()  # held, with the other lock, from the checks of a fact until its event is in
         self._amended: facts.Amended | None = None
         self._before: Mapping[Node, Status] = {}
 
     # ---------------------------------------------------------------- putting in place
 
     def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
-        """Make an event of a verb and its arguments and put it in place; None if it would change nothing."""
+        """Make an event from a verb and its arguments and apply it; None if it would change nothing."""
         if self.pending is not None:
             self.finish()
         if verb not in RECORDS:
@@ -96,7 +96,7 @@ class Knowledge:
         return made
 
     def measure(self, node: Node, value: float, time: float) -> Event:
-        """Make an event of a measurement and put it in place; written for speed, as it is the most frequent event."""
+        """Make the event of a measurement and apply it; written for speed, as it is the most frequent event."""
         if self.pending is not None:
             self.finish()
         index, state, measurements = node.index, self.state, self.measurements
@@ -115,7 +115,7 @@ class Knowledge:
             touched = thresholds.crossed(before, value)
         is_heard = self.in_words or self.log.witnesses
         words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if is_heard else ""
-        event = tuple.__new__(  # which is quicker
+        event = tuple.__new__(  # quicker than the constructor
             Event, (self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
         )
         if not touched and not thresholds.steady:
@@ -145,9 +145,9 @@ class Knowledge:
                 self.advance(self.now)
 
     def advance(self, now: float) -> None:
-        """Make the events that time causes until now, each at its own instant."""
+        """Make the events that time causes until now, each with the time at which it was due."""
         while (due := self.measurements.alarms.due(now)) is not None:
-            time, key = max(due[0], self.log.time), due[1]  # after a change of the model it may have been over before
+            time, key = max(due[0], self.log.time), due[1]  # a changed model may make it due in the past
             node = self.network.nodes[key if key >= 0 else ~key]
             if key < 0:
                 until = self.state.reason("asserted", node).until
@@ -160,7 +160,7 @@ class Knowledge:
                 self.apply(time, "dwell", (node.ref,))
 
     def finish(self) -> None:
-        """Undo the pending event if it is not in; put the rest of it in place if it is in."""
+        """Undo the pending event if it is not in; complete it if it is in."""
         pending, state = self.pending, self.state
         if pending is None:
             return
@@ -176,7 +176,7 @@ class Knowledge:
         if event.verb == "amend":
             event = Event(*event[:4], self._changes(), *event[5:])
         if event.changes:
-            # else a plan has switched it: of one that ends by itself a reason is told
+            # not a switch by a plan; when a component stops by itself, a reason is given
             if event.verb != "component_active" or event.arguments[2] or not self.records.open_plans:
                 for array, index, _ in state.kept or ():
                     if array is state.status:
@@ -200,7 +200,7 @@ class Knowledge:
         return self.state
 
     def refuse_in_the_midst(self) -> None:
-        """Raise KnowledgeBaseError if this thread, which holds the lock, is already putting an event in place."""
+        """Raise KnowledgeBaseError if this thread, which holds the lock, is already applying an event."""
         if self.telling.locked():
             raise KnowledgeBaseError(_IN_THE_MIDST)
 
@@ -215,10 +215,10 @@ class Knowledge:
         words: str = "",
         matters: bool | None = True,
     ) -> Event:
-        """Infer what follows from the touched nodes, and put the event in place.
+        """Infer what follows from the touched nodes, then complete the event.
 
-        Each of `puts` can be called again. `changes` holds the statuses that have changed already; this and the
-        following are as in `Event`. `matters` tells whether a planner has to know; None: only if a status changed.
+        Each of `puts` updates records or histories, and can be called again. `changes` are those made already; it and
+        the arguments after it are as in `Event`. `matters` is whether planners need it; None: if a status changed.
         """
         if touched:
             changes = [*changes, *propagate(self.state, touched)]
@@ -438,20 +438,20 @@ class Knowledge:
                 propagate(self.state, [node])
 
     def prepare(self) -> None:
-        """Make the events that time causes until now, before the model changes; an error of the clock stops that."""
+        """Make the events that time causes until now, before the model changes; an error of the clock prevents that."""
         now = self.clock()
         with self._lock:
             self.settle(now)
 
     def catch_up(self) -> None:
-        """Make the events that time causes until now, unless an event is just being told."""
+        """Make the events that time causes until now, unless this thread is just telling a fact."""
         now = self.clock()
         with self._lock:
             if self.pending is not None or not self.telling.locked():
                 self.settle(now)
 
     def amended(self, change: facts.Amended) -> None:
-        """Make the event of a change of the model, unless that is done already."""
+        """Make the event of a change of the model, unless it is made already."""
         with self._lock:
             self.refuse_in_the_midst()
             with self.telling:
@@ -474,7 +474,7 @@ class Knowledge:
         self.finish()
 
     def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:
-        """Relate the elements of the model as it is now and infer all statuses anew; it can be repeated."""
+        """Update the network to the model as it is now and infer all statuses anew; it can be called again."""
         self.network.renew()
         for node in gone:
             self.state.forget(node)
@@ -489,7 +489,7 @@ class Knowledge:
         self._amended = change
 
     def _changes(self) -> tuple[StatusChange, ...]:
-        """Return the statuses that differ from those before the model changed."""
+        """Return the changes of status since before the model changed."""
         now = [
             (node, self._before.get(node, unset(node)), self.state.status[node.index])
             for node in self.network.present()
@@ -499,7 +499,7 @@ class Knowledge:
     # ---------------------------------------------------------------- the fold, and what it is at one moment
 
     def repeat(self, event: Event) -> None:
-        """Put an event of a log in place again, as it was then, with the model as it is now."""
+        """Apply an event of a log again, with the number it had, to the model as it is now."""
         self.log.resume(event.number - 1)
         if event.verb == "measure":
             name, value = event.arguments
@@ -569,7 +569,7 @@ class Knowledge:
     # ---------------------------------------------------------------- what led to what
 
     def cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
-        """Return the event that last changed these choices, their owners or alternatives, or ended a request."""
+        """Return the last event that changed these choices, their owners or alternatives, or else ended a request."""
         about = [one.index for node in chosen for whole in node.wholes for one in (whole, *whole.parts)]
         known = [self.changed_by[index] for index in about if index in self.changed_by]
         if not chosen and self.records.last_end is not None:
@@ -577,7 +577,7 @@ class Knowledge:
         return max(known, default=None)
 
     def cause_of_request(self, now: float) -> int | None:
-        """Return the event that ended another request at this instant, else the one that last changed a feasibility."""
+        """Return the event that ended another request at this instant, else the last that changed a feasibility."""
         ended = self.records.last_end
         return ended[1] if ended is not None and ended[0] == now else self.feasibility
 

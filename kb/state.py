@@ -1,7 +1,7 @@
-"""The facts of one moment and what is inferred from them, as arrays over a network; and layers of "what if" on top.
+"""The facts of one moment and what is inferred from them, as arrays over a network; and layers for "what if" on top.
 
-A layer answers from its own changes first and from the state below otherwise; so it copies nothing and costs only its
-changes. While an event changes the state itself, the old values are kept, and can be put back, until the event is in.
+A layer holds only its own changes and reads all else from the state below, so nothing is copied. While an event changes
+the state itself, the old values are kept, so that they can be restored until the event is in.
 """
 
 import math
@@ -30,13 +30,13 @@ class Array(Protocol[T]):
 
 
 class Reason(NamedTuple):
-    """The reason that was given with a fact, and until when the fact holds [s]."""
+    """The reason that was given with a fact, and the time until which the fact holds [s]."""
 
     text: str = ""
     until: float | None = None
 
     def __str__(self) -> str:
-        """Write it as it follows a statement: until when, and why in brackets."""
+        """Return the words that follow a statement: the time it ends, and the reason in brackets."""
         lapse = "" if self.until is None else f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s"
         return f"{lapse} ({self.text})" if self.text else lapse
 
@@ -45,7 +45,7 @@ _UNSAID: Final = Reason()
 
 
 class _Layer(dict[Any, T], Generic[T]):
-    """An array seen through a few replaced entries."""
+    """An array on top of another one, with a few entries replaced."""
 
     __slots__ = ("_below",)
 
@@ -58,7 +58,7 @@ class _Layer(dict[Any, T], Generic[T]):
 
 
 class Marked:
-    """A set of nodes; `marked[node] = yes` adds a node, or removes it."""
+    """A set of nodes; `marked[node] = True` adds a node and `False` removes it."""
 
     __slots__ = ("_most", "own")
 
@@ -73,7 +73,7 @@ class Marked:
             if len(own) > self._most:
                 self._most = len(own)
         elif own.pop(node, False) and len(own) < self._most // 8:
-            self.own = dict(own)  # a dict keeps the room that it once took, and is walked through in full
+            self.own = dict(own)  # a dict never shrinks, and iteration visits its empty places too
             self._most = len(own)
 
     def __bool__(self) -> bool:
@@ -90,7 +90,7 @@ class Marked:
 
 
 class _Supposed(Marked):
-    """A set on top of another one: its own entries come first, then those below."""
+    """A set on top of another one: its own entries replace those below."""
 
     __slots__ = ("_below",)
 
@@ -112,7 +112,7 @@ _NOBODY: Final = Marked()
 
 
 class Users(dict[int, Marked]):
-    """Who uses each node: of a function its required actions, of a component its selected designs."""
+    """The users of each node: for a function the required actions, for a component the selected designs."""
 
     __slots__ = ("_below",)
 
@@ -129,30 +129,30 @@ class Users(dict[int, Marked]):
 
 
 class History:
-    """The measurements of one attribute, by time, 16 bytes each; the newest, and at most twice as many as wanted.
+    """The newest measurements of one attribute, in order of time, 16 bytes each; at most twice as many as asked for.
 
-    Times and values are in one array, so that a measurement is there as a whole or not.
+    Times and values are in one array, so that a measurement is added as a whole or not at all.
     """
 
     __slots__ = ("_memory", "begins", "many", "pairs")
 
     def __init__(self, memory: Memory, packed: bytes = b"", begins: float | None = None) -> None:
         self._memory, self.pairs = memory, array("d", packed)
-        self.begins = -math.inf if begins is None else begins  # from when on every measurement is held [s]
-        self.many = 4 * memory.measurements if memory.span == math.inf else 2  # so long that some may be too old
+        self.begins = -math.inf if begins is None else begins  # all measurements from this time on are held [s]
+        self.many = 4 * memory.measurements if memory.span == math.inf else 2  # `forget` is called from this length on
 
     def __len__(self) -> int:
         return len(self.pairs) // 2
 
     def add(self, time: float, value: float, count: int) -> None:
-        """Add a measurement if `pairs` still holds `count` numbers; if it holds more, that is done already."""
+        """Add a measurement if `pairs` still holds `count` numbers; if it holds more, it was added already."""
         pairs, new = self.pairs, array("d", (time, value))
         place = 2 * self._place(time) if count and time < pairs[-2] else count
-        if not pairs[count:]:  # no signal is handled between this and what follows
+        if not pairs[count:]:  # no signal is handled between this line and the next
             pairs[place:place] = new
 
     def forget(self) -> None:
-        """Forget measurements that are too many or too old, if there are many of them."""
+        """Forget what exceeds the memory in number or age, but only if that is much."""
         pairs, memory = self.pairs, self._memory
         most = 2 * memory.measurements
         if pairs and (len(pairs) >= 2 * most or pairs[0] < pairs[-2] - 2 * memory.span):
@@ -168,7 +168,7 @@ class History:
         return self.pairs[2 * place - 1] if place else None
 
     def samples(self, most: int | None = None) -> tuple[tuple[float, float], ...]:
-        """Return all of it, or the newest only, as (time [s], value)."""
+        """Return all measurements, or the newest `most` of them, as (time [s], value)."""
         pairs = self.pairs if most is None else self.pairs[-2 * most :]
         return tuple(zip(pairs[::2], pairs[1::2], strict=True))
 
@@ -176,7 +176,7 @@ class History:
         return self.pairs[-2 * most :].tobytes()
 
     def begins_within(self, most: int) -> float | None:
-        """Return what `begins` is if only the newest are taken, None for never."""
+        """Return what `begins` would be for the newest `most` measurements; None if nothing is forgotten."""
         begins = self.begins if len(self) <= most else self.pairs[-2 * most]
         return None if begins == -math.inf else begins
 
@@ -187,13 +187,13 @@ class History:
 _VALUES: Final = ("value", "time", "verdict", "asserted")
 _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
 FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(_FLAGS, False)}
-"""The arrays of base facts, and what is in them where nothing is known."""
+"""The arrays of base facts, each with the value that means "nothing is known"."""
 
 _INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
 
 
 def unset(node: Node) -> Status:
-    """Return the status of an element where nothing is known."""
+    """Return the status of an element while no fact about it is known."""
     return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
 
 
@@ -203,25 +203,25 @@ class _Said(dict[tuple[str, int], Reason]):
 
 
 class State:
-    """Base facts, and what is inferred from them; every array is indexed by `Node.index`.
+    """Base facts and what is inferred from them; every array is indexed by `Node.index`.
 
     Attributes:
-        kept: the old values while an event changes a state, in the order of changes, as (array, key, value).
+        kept: the old values, as (array, key, value) in the order of changes; None while no event changes the state.
     """
 
     kept: list[tuple[Any, Any, Any]] | None = None
 
     value: Array[float | None]  # the latest measurement of an attribute
     time: Array[float | None]  # when that was measured [s]
-    stale: Array[bool]  # it is older than it may be
-    verdict: Array[Status | None]  # what a constraint that does not flap is after all that was measured
-    failed: Array[bool]  # a component is reported failed
+    stale: Array[bool]  # an attribute's latest measurement is too old
+    verdict: Array[Status | None]  # the status of a constraint with debouncing, from all measurements
+    failed: Array[bool]  # a component was reported as failed
     active: Array[bool]  # a component is running
     selected: Array[bool]  # a design or configuration is chosen
-    requested: Array[bool]  # an action has an open required-action
-    asserted: Array[Status | None]  # a status that stands in place of the inferred one
-    asserted_required: Array[bool]  # required by assertion, whatever is inferred
-    required: Array[bool]  # inferred: an open required action, a function of one, a component of a selected design
+    requested: Array[bool]  # an action has an open request
+    asserted: Array[Status | None]  # a status that replaces the inferred one
+    asserted_required: Array[bool]  # stated to be required, whatever is inferred
+    required: Array[bool]  # inferred: a requested action, a function of one, a component of a selected design
     served: Array[int]  # inferred: how many designs, selected or not, of required functions a component is in
     status: Array[Status]  # inferred: exactly one for each element
 
@@ -230,20 +230,20 @@ class State:
         self.columns: dict[str, Any] = {name: [] for name in (*FACTS, *_INFERRED)}
         for name, column in self.columns.items():
             setattr(self, name, column)
-        self.reasons: dict[tuple[str, int], Reason] = _Said()  # of a fact: by name of its array, and index
-        self.parameters: dict[str, Parameters] = {}  # which a component was last given, by its name
+        self.reasons: dict[tuple[str, int], Reason] = _Said()  # of a fact, by name of its array and index of the node
+        self.parameters: dict[str, Parameters] = {}  # those last set on each component, by its name
         self.histories: dict[int, History] = {}
         self.users = Users()
-        self.adaptable = Marked()  # the functions and components to choose for, or to choose better for
-        self.obsolete = Marked()  # active components, selected designs and configurations of no required function
+        self.adaptable = Marked()  # functions and components that need a choice, or may get a better one
+        self.obsolete = Marked()  # active or selected, but for no required function
         self.lacking = Marked()  # the required components that are not active
-        self.visited = 0  # how many nodes were consulted so far to infer all this
-        self.version = 0  # number of the event that last changed anything here but a measurement and its time
+        self.visited = 0  # how many nodes inference has visited so far
+        self.version = 0  # number of the last event that changed more here than a value and its time
         self.grow()
 
     @property
     def marks(self) -> "tuple[Users | Marked, ...]":
-        """The sets of nodes that are inferred."""
+        """All sets of nodes that are inferred."""
         return self.users, self.adaptable, self.obsolete, self.lacking
 
     def grow(self) -> None:
@@ -275,28 +275,28 @@ class State:
             self.put(self.reasons, key, reason)
 
     def put(self, changed: Any, key: Any, value: object) -> None:  # noqa: ANN401  # each of ours
-        """Change an entry; while old values are kept, `undo` puts this one back."""
+        """Change an entry; while old values are kept, `undo` restores the old one."""
         kept = self.kept
         if kept is not None:
             kept.append((changed, key, changed[key]))
         changed[key] = value
 
     def mark(self, marked: Marked, node: Node, yes: bool) -> None:
-        """Put a node into a set, or take it out."""
+        """Add a node to a set, or remove it; `undo` reverses that."""
         if (node in marked.own) != yes:
             if self.kept is not None:
                 self.kept.append((marked, node, not yes))
             marked[node] = yes
 
     def undo(self) -> None:
-        """Put back all old values that are kept; it can be repeated."""
+        """Restore all old values that are kept; it can be called again after an interrupt."""
         for changed, key, value in reversed(self.kept or ()):
             changed[key] = value
         self.kept = None
 
 
 class Overlay(State):
-    """A state on top of another: changes made here leave the one below as it is."""
+    """A state on top of another: changes made here do not change the state below."""
 
     def __init__(self, below: State) -> None:
         self.network = below.network
@@ -314,6 +314,6 @@ class Overlay(State):
         marked.own[node] = yes
 
     def changed(self) -> Iterable[int]:
-        """Return the indices of the nodes whose statuses were inferred anew here, and are not what they were."""
+        """Return the indices of the nodes whose status was changed in this layer."""
         assert isinstance(self.status, _Layer)
         return self.status
