@@ -1,4 +1,4 @@
-"""The builder: how the elements of a robot's model are declared and related.
+"""The model of a robot: declares its elements, relates them, and changes them later.
 
     model = Model("rover")
     light = model.environmental_attribute("light")
@@ -9,7 +9,7 @@
     model.action("explore", requires=[see], constraints=[light >= 0.05])
 
 A name is unique within its kind, not across kinds. Elements refer to one another by name. A model can be changed while
-knowledge bases are at work on it: the next question that they are asked sees it.
+knowledge bases use it: the next question to them sees the change.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -74,7 +74,7 @@ _SELECTABLE: Final = (FunctionDesign, Configuration)
 
 
 class Measured(TypedDict, total=False):
-    """What can be said of an attribute; what is meant by it, `kb.elements.Attribute` says."""
+    """The options of an attribute; `kb.elements.Attribute` explains each of them."""
 
     max_age: float
     when_stale: StalePolicy | str
@@ -87,30 +87,30 @@ class Measured(TypedDict, total=False):
 
 
 class Observer(Protocol):
-    """What is informed of every change of a model."""
+    """An object that is informed of every change of a model."""
 
     def prepare(self) -> None:
-        """The model is about to change; if this raises anything, it does not change."""
+        """Called before the model changes; if this raises an exception, the model does not change."""
 
     def amended(self, change: Amended) -> None:
-        """The model has changed; called again with the same change if it was interrupted."""
+        """Called after the model has changed; called again with the same change if the call was interrupted."""
 
     def heard(self) -> None:
-        """All observers have been informed."""
+        """Called after all observers have been informed."""
 
 
 class Model:
-    """The knowledge about one robot.
+    """The model of one robot: its actions, functions, designs, components, configurations and attributes.
 
     Args:
-        name: what the model is called in messages and files.
+        name: name of the model in messages and files.
 
-    Each mapping below is by name, in order of declaration, and read-only.
+    The mappings of elements (`actions`, `functions`, ...) are by name, in order of declaration, and read-only.
 
     Attributes:
-        tables: all of it, by class: each of those above, constraints and estimations, after those that it refers to.
-        notes: what a file said that has no meaning in a model, and what was made of it; `check` reports it.
-        places: where the elements that come from files stand there, as file:line:column.
+        tables: all elements, constraints and estimations by class; a class stands after those that it refers to.
+        notes: statements of a file that have no meaning in a model, and how they were read; `check` reports them.
+        places: positions in files of the elements that were read from files, as file:line:column.
         pending: the change that is being made or was interrupted, or None; see `settle`.
     """
 
@@ -146,7 +146,7 @@ class Model:
 
     @property
     def facts(self) -> tuple[Fact, ...]:
-        """What is stated to be so from the start, in order."""
+        """The facts that hold from the start, in the order in which they were added."""
         return tuple(self._facts)
 
     def quality_attribute(self, name: str, **given: Unpack[Measured]) -> Attribute:
@@ -154,7 +154,7 @@ class Model:
 
         Args:
             name: unique among attributes.
-            given: max_age, when_stale, agreement, unit, low, high, forecasting, rates: see `kb.elements.Attribute`.
+            given: the options of `Measured`, which `kb.elements.Attribute` explains.
         """
         return self.declare(Attribute, name, kind=AttributeKind.QUALITY, **given)
 
@@ -173,26 +173,26 @@ class Model:
         executable: str = "",
         constraints: Iterable[Expression] = (),
     ) -> Component:
-        """Declare a part of the robot; a part that the manager shall switch is a "process" or a "lifecycle" one."""
+        """Declare a part of the robot; one that the manager shall switch is of kind "process" or "lifecycle"."""
         given = {"kind": kind, "always_improve": always_improve, "stops_to_configure": stops_to_configure}
         return self.declare(Component, name, constraints, **given, package=package, executable=executable)
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
-        """Declare something the robot can do as a means; `always_improve` chooses again even while it is solved."""
+        """Declare what the robot can do as a means; `always_improve`: look for a better design even while solved."""
         return self.declare(Function, name, always_improve=always_improve)
 
     def action(
         self, name: str, *, requires: Iterable[Function | str] = (), constraints: Iterable[Expression] = ()
     ) -> Action:
-        """Declare something a mission does, and the functions (or their names) that it requires."""
+        """Declare what a mission can do, and the functions (or their names) that this requires."""
         return self.declare(Action, name, constraints, functions=requires)
 
     def declare(
         self, cls: type[ElementT], name: str, constraints: Iterable[Expression] = (), /, **given: object
     ) -> ElementT:
-        """Declare an element of a class with its constraints, or nothing if one of its fields or these is refused.
+        """Declare an element of a class with its constraints, or nothing if a field or a constraint is refused.
 
-        What each class is made of is said by its fields; other elements are given by themselves or by their names.
+        `given` holds the fields of the class; other elements in it are given by themselves or by their names.
         """
         kind, table = KINDS[cls], self._tables[cls]
         name = identifier(kind, name)
@@ -214,14 +214,14 @@ class Model:
         return element
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
-        """Add one constraint that all of the elements share."""
+        """Add one constraint that applies to all of the elements."""
         (constraint,) = self.constrain_all(elements, [expression])
         return constraint
 
     def constrain_all(
         self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
     ) -> tuple[Constraint, ...]:
-        """Add constraints that all of the elements share, or none if one of them is refused."""
+        """Add constraints that apply to all of the elements, or none if one of them is refused."""
         targets = listed("constrained elements", elements)
         for element in targets:
             self._owned("constrained", element, Constrainable)
@@ -235,7 +235,7 @@ class Model:
     def add_estimation(
         self, causer: Estimable, attribute: Attribute | str, value: float, kind: EstimationKind | str = "positive"
     ) -> Estimation:
-        """State what choosing the causer does to an attribute; see `Component.estimate`."""
+        """State how the choice of the causer affects an attribute; see `Component.estimate`."""
         self._owned("the causer of an estimation", causer, Estimable)
         affected = self._reference(Attribute, attribute)
         estimation = Estimation(affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer)
@@ -243,25 +243,25 @@ class Model:
         return estimation
 
     def add_fact(self, fact: Fact) -> None:
-        """State what is so from the start; see `kb.facts`. A knowledge base that is already at work does not get it."""
+        """Add a fact that holds from the start; see `kb.facts`. Knowledge bases that exist already do not get it."""
         if isinstance(fact, StatusFact | RequiredFact | SelectedFact):
             self._owned("what a fact is about", fact.element, Changeable)
         self._facts.append(_checked_fact(self, fact))
 
     def watch(self, observer: Observer) -> None:
-        """Inform an observer of every change from now on, for as long as anybody else holds it."""
+        """Inform an observer of every change from now on; the model holds only a weak reference to it."""
         self._observers.append(ref(observer, self._observers.remove))
 
     @classmethod
     def load(cls, paths: str | Path | Iterable[str | Path], name: str | None = None) -> Self:
-        """Read a model from one file or several, each of which may add to those before it.
+        """Read a model from one or several files, each of which may add to those before it.
 
         Args:
-            paths: files of ROSA's TypeQL (`.tql`), or of OWL (`.owl`).
-            name: what the model is called; by default what the files say, else the first file's name.
+            paths: files in ROSA's TypeQL (`.tql`) or in OWL (`.owl`); all in the same format.
+            name: name of the model; by default the one in the files, else the name of the first file.
 
         Raises:
-            ModelError: the message names the file, line and column, what stands there and what was expected.
+            ModelError: the message gives the file, line and column, what was found there and what was expected.
         """
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
@@ -279,7 +279,7 @@ class Model:
         return load_typeql(cls, files, name)
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a file (`.tql`, `.owl`) that `load` reads back as it is; nothing half-written stays."""
+        """Write the model to a file (`.tql`, `.owl`), whole or not at all; `load` reads back the same model."""
         file = Path(path)
         if _suffix(file) == ".owl":
             from kb.owl.files import owl_text as written
@@ -288,22 +288,22 @@ class Model:
         write_text(file, written(self))
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
-        """Find what can never work, contradicts itself or is likely a slip, and what to do about it.
+        """Find what can never work, what contradicts itself and what is likely a mistake, with advice for each.
 
         Args:
-            names: the action names that a mission's tree or PDDL domain uses; those that do not match are found too.
+            names: the names of actions in a mission's tree or PDDL domain; names that do not match are found too.
         """
         return check_model(self, names)
 
     def change(self, element: Changeable | str, **fields: object) -> None:
-        """Change what may change of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
+        """Change fields of an element, e.g. `model.change(design, priority=2)`, or nothing if one is refused.
 
         Args:
-            element: of this model, or a name that only one has; a constraint is what `constrain` returned.
-            fields: new values; of a constraint `value`, `hysteresis` and `dwell`, of a design its `priority`, of a
-                configuration also its `parameters`, of a function or component `always_improve`, of an attribute
-                `max_age`, `when_stale`, `agreement`, `forecasting` and `rates`, of a component also
-                `stops_to_configure`, of an estimation `value` and `kind`.
+            element: an element, constraint or estimation of this model, or a name that only one element has.
+            fields: the new values. Constraint: `value`, `hysteresis`, `dwell`; design: `priority`; configuration:
+                `priority`, `parameters`; function: `always_improve`; component: `always_improve`,
+                `stops_to_configure`; attribute: `max_age`, `when_stale`, `agreement`, `forecasting`, `rates`;
+                estimation: `value`, `kind`.
         """
         element = self._meant("what is changed", element)
         checks = {field: one.check for field, one in CHECKS[type(element)].items() if one.can_change}
@@ -314,12 +314,12 @@ class Model:
         self._amend("changed", [element], partial(_set, element, values))
 
     def remove(self, element: Changeable | str) -> None:
-        """Take an element, or the only one that has a name, out of the model, with what constrains or estimates it.
+        """Remove an element, or the only one with a name, and with it its constraints and the estimations it causes.
 
-        A constraint on other elements too is only loosened from this one.
+        A constraint that also applies to other elements stays on those.
 
         Raises:
-            ModelError: something else in the model is made of it; the message names what.
+            ModelError: other elements of the model need this one; the message names them.
         """
         element = self._meant("what is removed", element)
         users = _users_of(self, element) if isinstance(element, Element) else []
@@ -345,10 +345,10 @@ class Model:
         self._amend("removed", removed, put)
 
     def settle(self) -> None:
-        """Complete a change that was interrupted, unless another thread is at it."""
+        """Complete a change that was interrupted, unless another thread is just making it."""
         mine: list[bool] = []
         try:
-            mine.extend(map(self._changing.acquire, (False,)))  # taken and noted in one step, whatever interrupts
+            mine.extend(map(self._changing.acquire, (False,)))  # taken and noted in one step despite interrupts
             change = self.pending
             if mine[0] and change is not None:
                 change.put()
@@ -360,7 +360,7 @@ class Model:
                 self._changing.release()
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether two models have the same name and say the same, in the same order within each kind."""
+        """Tell whether two models have the same name and content, in the same order within each kind."""
         return isinstance(other, Model) and (self is other or _described(self) == _described(other))
 
     def __hash__(self) -> int:
@@ -383,7 +383,7 @@ class Model:
         return tuple(dict.fromkeys(self._reference(REFERENCES[field], one) for one in given))
 
     def _reference(self, cls: type[Element], given: object) -> str:
-        """Return the name of an element that is referred to by itself or by its name."""
+        """Return the name of an element that is given by itself or by its name."""
         kind, table = KINDS[cls], self._tables[cls]
         if not isinstance(given, Element):
             found: Element = table[given]
@@ -408,7 +408,7 @@ class Model:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Make everything declared within the `with` statement one change, or nothing if something is refused."""
+        """Make all declarations within the `with` statement one change, or none of them if one is refused."""
         batch = self._batch = []
         try:
             yield
@@ -432,10 +432,10 @@ class Model:
         elif self._observers or len(added) > 1:
             self._amend("declared", added, put)
         else:
-            put()  # one step, which nobody hears of
+            put()  # a single step, and there is no observer
 
     def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
-        """Make a change; once it is `pending`, it is in, for all observers too."""
+        """Make a change; once it is `pending`, it will be completed, for all observers too."""
         self.settle()
         observers = self._watching()
         for observer in observers:
@@ -505,7 +505,7 @@ def _users_of(model: Contents, element: Element) -> list[str]:
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:
-    """Return a fact after checking that its elements are in the model and that its values are allowed for them."""
+    """Return a fact, after checking that its elements are in the model and its values are allowed."""
     if not isinstance(fact, Fact):
         raise ModelError(f"a fact is one of those in kb.facts, not {fact!r}")
     if isinstance(fact, StatusFact):
@@ -536,7 +536,7 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
 
 
 def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
-    """Yield the class and name of each element that a fact gives by name."""
+    """Yield the class and name of each element that a fact refers to by name."""
     for field in fields(fact):
         value = getattr(fact, field.name)
         if field.name == "preference" and value is not None:
@@ -556,12 +556,12 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
 
 
 def _described(model: Contents) -> list[Any]:
-    """Return all that a model says, as plain values that can be compared."""
+    """Return the content of a model as plain values that can be compared."""
     return plain_json(individuals(model))
 
 
 def _facts(element: Element) -> str:
-    """Say what is declared of an element, without the defaults."""
+    """Return the declared fields of an element in words, without those that have their defaults."""
     said = []
     for one in fields(element):
         value = getattr(element, one.name)

@@ -1,4 +1,4 @@
-"""What is put on record: actions that were requested, plans, processes, attempts, and answers about plans."""
+"""The records: requested actions, reconfiguration plans, processes, attempts, and vetoes of plans."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -18,15 +18,15 @@ RESULTS: Final = ("completed", "failed", "abandoned")
 
 @dataclass(frozen=True, slots=True)
 class Memory:
-    """How much of the past a knowledge base holds in memory; what holds now is never forgotten.
+    """How much of the past a knowledge base holds in memory; facts that hold now are never forgotten.
 
-    At least this much is held, and at most twice as much.
+    The newest are held: at least as many as given here, and at most twice as many.
 
     Attributes:
-        events: how many measurements, and how many other events, of the log; the newest.
-        measurements: how many of each attribute; the newest.
-        records: how many plans, requests, processes, attempts and answers that have ended, of each; the newest.
-        span: anything older than this is forgotten too [s].
+        events: number of measurements, and also of other events, in the log.
+        measurements: number of measurements in the history of each attribute.
+        records: number of plans, of requests, of processes, of attempts and of answers that have ended.
+        span: whatever is older than this is forgotten too [s].
     """
 
     events: int = 100_000
@@ -42,11 +42,11 @@ class Memory:
 
 
 class Reply(NamedTuple):
-    """The answer to a request; true if it was accepted.
+    """The answer to a request of an action; true if the request was accepted.
 
     Attributes:
         accepted: whether the action is required now.
-        reason: why it was refused; what was accepted otherwise.
+        reason: why the request was refused; if it was accepted, a sentence that says so.
     """
 
     accepted: bool
@@ -58,18 +58,18 @@ class Reply(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RequiredAction:
-    """An action that a mission asked for, from when, and how it ended; only the knowledge base can end it.
+    """An action that a mission requested, from when, and how it ended; only the knowledge base can end it.
 
     Attributes:
-        action: its name.
-        preference: name of the attribute preferred when a configuration is chosen for it, or the weight of each of
-            several by name, or None.
+        action: name of the action.
+        preference: name of the attribute to favour when a configuration is chosen for it, or a mapping from names of
+            attributes to weights, or None.
         start: when it was requested [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
-        reason: why it ended so, in words, where that was told.
-        cause: number of the event that led to the request, as far as that is known.
-        number: of the event that it began with.
+        reason: why it ended in this way, in words; empty if no reason was told.
+        cause: number of the event that led to the request, None if that is not known.
+        number: number of the event of the request.
     """
 
     action: str
@@ -87,18 +87,18 @@ class RequiredAction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReconfigurationPlan:
-    """What to switch, and what became of it; only the knowledge base that made it can end it.
+    """Which components to switch and configure, and the result; only the knowledge base that made a plan can end it.
 
     Attributes:
         activate: names of components to activate.
         deactivate: names of components to deactivate.
         parameters: names of configurations whose parameters are to be set.
-        reason: why, in words.
+        reason: why it was made, in words.
         start: when it was made [s].
         end: when it ended [s], None while it is open.
         result: "completed", "failed" or "abandoned", None while it is open.
-        plain: those to activate or deactivate that nobody commands: it is only noted that they are active or not.
-        cause: number of the event that made it needed, as far as that is known.
+        plain: the components among these that are not commanded: they are only noted as active or inactive.
+        cause: number of the event that made it necessary, None if that is not known.
         number: 1 for the first plan of a knowledge base.
     """
 
@@ -134,14 +134,14 @@ class ReconfigurationPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Process:
-    """A process of the operating system as which a component ran, or runs; only the knowledge base can end it.
+    """A process of the operating system in which a component ran or runs; only the knowledge base can end the record.
 
     Attributes:
         component: name of the component.
         pid: number of the process.
         start: when it was started [s].
         end: when it ended [s], None while it runs.
-        number: of the event that it began with.
+        number: number of the event of its start.
     """
 
     component: str
@@ -153,20 +153,20 @@ class Process:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Attempt:
-    """One command that was given once; only the knowledge base can end it.
+    """One command, given once, and its result; only the knowledge base can end it.
 
     Attributes:
-        plan: what it was part of.
-        component: name of what was commanded.
+        plan: the plan that it was part of.
+        component: name of the component that was commanded.
         operation: "activate", "deactivate" or "configure".
-        configuration: name of what the component was to be configured with, None for a switch.
-        parameters: what was to be set; empty for a switch.
+        configuration: name of the configuration to set, None if the component was only switched.
+        parameters: the parameters to set; empty if the component was only switched.
         number: 1 for the first time that the plan gave this command.
         start: when it was given [s].
         end: when it was found to have ended [s], None while it is under way.
         result: "completed", "failed" or "abandoned", None while it is under way.
-        reason: why it failed, in words, or what was odd about it.
-        serial: 1 for the first attempt of all.
+        reason: why it failed, or what was unusual about it, in words.
+        serial: 1 for the first attempt of a knowledge base.
     """
 
     plan: ReconfigurationPlan
@@ -188,13 +188,13 @@ class Attempt:
 
 @dataclass(frozen=True, slots=True)
 class VetoAnswer:
-    """What was answered about a plan before it was executed.
+    """The answer to whether a plan may be executed.
 
     Attributes:
-        plan: what was asked about.
-        time: when [s].
-        is_vetoed: it was not to be executed.
-        reason: why not, in words.
+        plan: the plan that was asked about.
+        time: when the answer was given [s].
+        is_vetoed: whether the execution was forbidden.
+        reason: why it was forbidden, in words.
     """
 
     plan: ReconfigurationPlan
@@ -204,26 +204,26 @@ class VetoAnswer:
 
 
 class Records:
-    """All that is on record, by number, in order. A record can be put here again."""
+    """All records, by number, in order. To put the same record here twice is the same as once."""
 
     def __init__(self, memory: Memory) -> None:
         self._memory = memory
-        self.requests: dict[int, RequiredAction] = {}  # by number of the event that they began with
+        self.requests: dict[int, RequiredAction] = {}  # by number of the event of the request
         self.required: dict[str, RequiredAction] = {}  # those that are open, by action
         self.plans: dict[int, ReconfigurationPlan] = {}
         self.open_plans: dict[int, ReconfigurationPlan] = {}
-        self.processes: dict[int, Process] = {}  # by number of the event that they began with
+        self.processes: dict[int, Process] = {}  # by number of the event of the start
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}  # by number of the event
-        self.ended: tuple[str, ...] = ()  # why requests have ended since the last plan, in words; the newest
+        self.ended: tuple[str, ...] = ()  # why the latest requests ended since the last plan, in words
         self.last_end: tuple[float, int] | None = None  # when a request ended last [s], and the number of that event
-        self.begins = -math.inf  # the time from which on nothing that has ended is forgotten [s]
+        self.begins = -math.inf  # no record that ended after this time is forgotten [s]
         self.rejected = 0  # how many readings of diagnostics could not be used
-        self.progress: dict[tuple[str, str], str] = {}  # where actions are; empty once they begin anew
+        self.progress: dict[tuple[str, str], str] = {}  # saved progress of actions; empty when they start anew
         self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
 
     def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
-        """Put something on record; when there is much, the oldest records that have ended are forgotten."""
+        """Add a record; if there are too many, the oldest records that have ended are forgotten."""
         table: dict[int, Any] = getattr(self, name)
         table[number] = record
         if isinstance(record, RequiredAction) and record.end is None:
@@ -258,7 +258,7 @@ class Records:
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
 
     def begin(self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float) -> None:
-        """Put on record what a model states; a start that is not stated is the end, or else now [s]."""
+        """Add a record that a model states; a missing start is the end, or now [s] if that is missing too."""
         start = fact.start if fact.start is not None else fact.end if fact.end is not None else now
         if isinstance(fact, ProcessFact):
             self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
@@ -276,7 +276,7 @@ class Records:
         self.put("requests", number, RequiredAction(fact.action, preference, start, end, fact.result, number=number))
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
-        """Return a plan that is on record, given by itself or its number."""
+        """Return a plan of these records, given by itself or by its number."""
         number = plan.number if isinstance(plan, ReconfigurationPlan) else plan
         found = self.plans.get(number) if type(number) is int else None
         if found is not None and plan in (found, number):
@@ -297,7 +297,7 @@ class Records:
         }
 
     def from_json(self, written: Mapping[str, Any]) -> None:
-        """Put on record what `to_json` returned."""
+        """Restore the records that `to_json` returned."""
         for name, cls in (("requests", RequiredAction), ("processes", Process)):
             for values in written[name]:
                 self.put(name, values["number"], cls(**values))
@@ -316,7 +316,7 @@ class Records:
 
 
 class _Kept(Generic[T]):
-    """What is in a table of the records, in order."""
+    """A property that gives the records of one table, in order."""
 
     def __init__(self, table: str) -> None:
         self._table = table
@@ -327,13 +327,13 @@ class _Kept(Generic[T]):
 
 
 class HistoryView:
-    """The records that are asked less often; those that have ended are forgotten some time later, see `Memory`.
+    """The records that are needed less often; old ones that have ended may be forgotten, see `Memory`.
 
     Attributes:
-        actions: those that were required, in the order of the requests.
+        actions: the actions that are or were required, in the order of the requests.
         open_plans: the plans that have not ended, in the order in which they were made.
-        attempts: the commands that were given, in order, with what came of each.
-        answers: what was answered about plans before they were executed, in order.
+        attempts: the commands that were given, in order, each with its result.
+        answers: the answers to whether a plan may be executed, in order.
     """
 
     __slots__ = ("reading", "records")
@@ -348,17 +348,17 @@ class HistoryView:
 
     @property
     def begins(self) -> float:
-        """The time from which on nothing is missing here [s]; `-math.inf` while nothing is forgotten."""
+        """All records that ended after this time are here [s]; `-math.inf` while none is forgotten."""
         return self.records.begins
 
     @property
     def rejected(self) -> int:
-        """How many readings of diagnostics could not be used so far."""
+        """How many values of diagnostics could not be used so far."""
         return self.records.rejected
 
     @property
     def progress(self) -> Mapping[tuple[str, str], str]:
-        """Where interrupted actions are, by action and behaviour, as the task layer has written it."""
+        """The progress of interrupted actions, by action and behaviour, as the task layer has saved it."""
         with self.reading():
             return {key: saved for key, saved in self.records.progress.items() if saved}
 
@@ -378,7 +378,7 @@ def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | 
 
 
 def plain(value: object) -> object:
-    """Return a value as JSON can hold it; of a plan its number."""
+    """Return a value in a form that JSON can hold; a plan becomes its number."""
     if value is None or isinstance(value, str | int | float):
         return value
     if isinstance(value, tuple | list):
