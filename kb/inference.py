@@ -1,8 +1,8 @@
 """Incremental inference: after a fact changes, only the elements that depend on it are inferred again.
 
 Inference has two directions. "Required" goes down: from an action to its functions, from a selected design to its
-components. Status goes up, level by level: constraint, configuration, component, design, function, action. While a part
-stays possible, or stays impossible, its new status matters only to its users (required actions, selected designs).
+components. Status goes up, level by level: constraint, configuration, component, design, function, action. While a
+function or component stays possible, or impossible, only its users (required actions, selected designs) are inferred.
 """
 
 from collections.abc import Iterable

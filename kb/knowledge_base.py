@@ -80,7 +80,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
             self._publisher.deliver(told if told > before else 0)
         return result
 
-    return held  # type: ignore[return-value]  # ParamSpec loses the name of self, which nobody uses
+    return held  # type: ignore[return-value]  # nobody passes self by name
 
 
 def _own(value: object) -> object:
@@ -573,8 +573,8 @@ class KnowledgeBase:
     def tell(self, event: Event) -> None:
         """Repeat an event, e.g. of another base; the clock of this base should show the time of the event.
 
-        Events that time, the model or the store cause are made by this base itself, not repeated. Only "stale" is
-        repeated: an attribute may be stale before its time because its source is gone.
+        Events that time, the model or the store cause are made by this base itself, not repeated. Of these,
+        only "stale" is repeated: an attribute may be stale before its time because its source is gone.
 
         Raises:
             InvalidValue: the event cannot be told; nothing has changed.

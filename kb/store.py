@@ -32,7 +32,7 @@ _EXCESS: Final = """
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
         WHERE place > ? AND number <= ?)"""
 
-_SNAPSHOT_AFTER: Final = 10_000  # the least number of events between two snapshots; large states wait for more
+_SNAPSHOT_AFTER: Final = 10_000  # the usual number of events between two snapshots; more if the state is large
 _PAUSE: Final = 0.001  # the writer waits this long, so that one commit holds several events [s]
 _AHEAD: Final = 1 << 20  # how long SQLite's write-ahead log gets before it is copied into the file [bytes]
 _AGAIN: Final = 1.0  # how often a failed write is tried again, and the mark is forced to disk [s]
