@@ -1,4 +1,4 @@
-"""What to do next: a replanning executor of PDDL plans on unified-planning, itself a py_trees behaviour."""
+"""Decides what to do next: plans in PDDL with unified-planning, and executes and replans in a py_trees behaviour."""
 
 from rosa_pddl.belief import LastingFeasibility
 from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep

@@ -1,4 +1,4 @@
-"""Executes plans with py_trees behaviours, and plans anew when the world or the goals are not what the plan needs."""
+"""Executes plans with py_trees behaviours, and replans when the world or the goals no longer fit the plan."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -29,15 +29,15 @@ from rosa_pddl.validate import StepEvent, because, goal_holds, missing_at_end, m
 
 Factory = Callable[[Step], Behaviour]
 
-# So many answers of a planner that answers at once are taken in one tick.
+# One tick takes at most this many answers of a planner that answers at once.
 _MOST_ROUNDS = 8
 
 
 class RunningStep:
-    """A step that runs, by its number in the plan that is executed.
+    """A running step, with its number in the plan that is executed.
 
-    It is listed where it is owned before its behaviour is made, so that an interrupt at any instant leaves it to be
-    released; that may be done again when it was interrupted itself.
+    The executor lists it before `begin` makes its behaviour, so that the executor can release it after an interrupt at
+    any instant. If an interrupt stops `release` itself, `release` may be called again.
     """
 
     BOOKKEEPING = "began_s"
@@ -49,7 +49,7 @@ class RunningStep:
         self._set_up: list[Behaviour] = []
 
     def begin(self, factory: Factory, parent: Behaviour, arguments: Mapping[str, object]) -> None:
-        """Make the behaviour; what the factory or a `setup` raises comes out as it is, with a note of the step."""
+        """Make the behaviour and set it up; an error of the factory or of `setup` gets a note that names the step."""
         try:
             made = factory(self.step)
             if not isinstance(made, Behaviour):
@@ -65,9 +65,9 @@ class RunningStep:
         made.parent = parent
 
     def tick(self) -> tuple[Status, str, list[Behaviour]]:
-        """Return the status of the behaviour, what it says, and the nodes that were ticked.
+        """Tick the behaviour; return its status, its feedback message and the nodes that were ticked.
 
-        Whatever a step's behaviour raises is that step's failure, not the tree's.
+        An exception in the behaviour of a step fails the step, never the tree.
         """
         assert self.behaviour is not None
         ticked: list[Behaviour] = []
@@ -89,17 +89,17 @@ class RunningStep:
             node = self._set_up[-1]
             try:
                 node.shutdown()
-            except Exception as error:  # it must not keep others from being released
+            except Exception as error:  # the other nodes must be released all the same
                 node.logger.error(f"{type(error).__name__} in shutdown of {self.step}: {error}")
             self._set_up.pop()
 
     def _stop(self, behaviour: Behaviour) -> None:
-        # nodes below may have begun work without being RUNNING yet, if an interrupt came between
+        # if an interrupt cut a tick short, nodes below may have begun work although they are not RUNNING yet
         was_midway, self._is_midway = self._is_midway, True
         for node in behaviour.iterate() if was_midway else (behaviour,):
             try:
                 node.stop(Status.INVALID)
-            except Exception as error:  # it must not keep the executor from going on
+            except Exception as error:  # the executor must go on all the same
                 node.logger.error(f"{type(error).__name__} in terminate of {self.step}: {error}")
                 node.status = Status.INVALID
         self._is_midway = False
@@ -121,34 +121,34 @@ def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
 
 
 class PlanExecutor(Behaviour):
-    """Plans towards the goals and executes the plan: one step at a time, or as a temporal plan's causal order allows.
+    """Plans for the goals and executes the plan: one step at a time, or in the causal order of a temporal plan.
 
-    It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when there is no plan;
-    ticked again after that it plans anew only if something has changed.
+    It is RUNNING while it plans and while steps run, SUCCESS when the goals hold, and FAILURE when there is no plan.
+    After a FAILURE, the next tick plans again only if something has changed.
 
-    When it plans anew, and what it believes, docs/pddl.md says.
+    docs/pddl.md says when it replans and what it believes.
 
     Args:
-        name: of the behaviour.
+        name: name of the behaviour.
         kb: says which ROSA actions are feasible.
         domain: what `load_domain` returned.
-        behaviours: for each PDDL action, what makes the behaviour of a step.
+        behaviours: for each PDDL action, a factory that makes the behaviour of a step.
         sense: returns what is sensed now: whether facts such as `(lit room)` hold, and the values of numeric facts that
-            costs are made of, such as `{"(length a b)": 3.5}`; others stay as they were. Called several times a tick.
+            costs depend on, such as `{"(length a b)": 3.5}`; others keep their values. Called several times a tick.
         clock: returns the time [s].
         planner: plans in the background; by default Fast Downward.
-        delay_s: the answer of the planner is taken this long after the request, whatever it took, so that a simulation
-            is the same each time [s]; None to take it as soon as it is there, in the tick of the request if the planner
-            answers at once.
-        policy: when to plan anew, and what becomes of running steps meanwhile.
+        delay_s: the executor takes the planner's answer this long after the request [s], however long planning took, so
+            that every run of a simulation is the same; None to take it as soon as it is there, in the tick of the
+            request if the planner answers at once.
+        policy: when to replan, and what happens to running steps meanwhile.
 
     Attributes:
-        goals: what is to be reached; may be changed between ticks.
+        goals: the goals to reach; may be changed between ticks.
 
     Raises:
         PddlError: the knowledge base does not know a ROSA action of the domain.
-        MissingBehaviourError: a PDDL action has no behaviour, or something that makes none.
-        UnknownNameError: a behaviour is given for a PDDL action that there is not.
+        MissingBehaviourError: a PDDL action has no behaviour factory, or one that cannot be called.
+        UnknownNameError: a behaviour is given for a PDDL action that the domain does not have.
     """
 
     BOOKKEEPING = "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy"
@@ -199,13 +199,13 @@ class PlanExecutor(Behaviour):
 
     @property
     def state(self) -> State:
-        """What is true now, as it is believed: facts, numbers such as `(= (fuel rover) 80)`, what is feasible."""
+        """The state as it is believed now: facts, numbers such as `(= (fuel rover) 80)`, and feasible actions."""
         return self._belief.observe()
 
     def holds(self, text: str) -> bool:
         """Whether a condition such as `(and (lit hall) (>= (fuel rover) 20))` holds now, as it is believed.
 
-        PddlError says that it is no PDDL, UnknownNameError that it mentions what there is not.
+        Raises PddlError if the text is not PDDL, and UnknownNameError if the domain does not have a name in it.
         """
         with lock_of(self._domain):
             asked = [one.expression for one in conditions(self._domain, text)]
@@ -216,11 +216,11 @@ class PlanExecutor(Behaviour):
         return self._domain.objects_of(self._domain.spelling("type", type_name, type_name))
 
     def add_object(self, name: str, type_name: str) -> None:
-        """Take in an object that has appeared, between ticks; UnknownNameError says why that cannot be."""
+        """Add an object that has appeared; call it between ticks. Raises UnknownNameError if it cannot be added."""
         self._use(with_object(self._domain, name, type_name))
 
     def remove_object(self, name: str) -> None:
-        """Forget an object that is gone, between ticks, and stop what is done with it, or UnknownNameError says why."""
+        """Remove an object and stop the steps that use it, between ticks; UnknownNameError if it cannot be removed."""
         domain = without_object(self._domain, name)
         self._release([one for one in self._running if name in one.step.arguments])
         self._use(domain)
@@ -238,12 +238,12 @@ class PlanExecutor(Behaviour):
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """What may be an oversight in the domain, see `Domain.check`, and what is sensed that the domain lacks."""
+        """Likely mistakes in the domain, see `Domain.check`, and names that are sensed but not in the domain."""
         return (*self._findings, *self._belief.passed_over)
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
-        """Every planning that was answered: when, why, with what result. One that was interrupted has no result."""
+        """The record of each planning that was answered: when, why and with what result; not of interrupted ones."""
         return tuple(self._replanning.records)
 
     @property
@@ -257,14 +257,14 @@ class PlanExecutor(Behaviour):
         return () if self._plan is None else tuple(self._plan.steps[number] for number in self._plan.remaining)
 
     def catch_up(self) -> None:
-        """Wait for an answer of the planner that is due by now: in lock-step simulation, before the tick.
+        """Wait for the planner's answer if it is due by now; for lock-step simulation, called before the tick.
 
-        PlanningBudgetError says that it needed more wall-clock time than the planner allows.
+        Raises PlanningBudgetError if the answer needs more wall-clock time than the planner allows.
         """
         self._client.catch_up()
 
     def wait_no_more(self) -> None:
-        """Take all pauses as over, and what failed as mended: the next tick may plan, and begin any step."""
+        """End all pauses and forget all failures, so that the next tick may plan and may begin any step."""
         self._replanning.wait_no_more()
 
     def setup(self, **kwargs: object) -> None:
@@ -275,7 +275,7 @@ class PlanExecutor(Behaviour):
             self._planner.prepare(problem, self._belief.sensed.facts)
 
     def initialise(self) -> None:
-        """Forget the plan of the last round, keep what is believed; called on the first tick of a round."""
+        """Forget the plan of the last round but keep the believed state; called on the first tick of a round."""
         self._drop_plan()
 
     def tick(self) -> Iterator[Behaviour]:
@@ -287,7 +287,7 @@ class PlanExecutor(Behaviour):
     def update(self) -> Status:
         """Take the next decision; called on each tick, never waits."""
         self._ticked = []
-        if self._is_midway:  # an interrupt cut short the tick before, or the end of it
+        if self._is_midway:  # an interrupt cut the previous tick, or `_drop_plan`, short
             unlock(self._domain)
             self._drop_plan()
         self._is_midway = True
@@ -305,7 +305,7 @@ class PlanExecutor(Behaviour):
         self._drop_plan()
 
     def shutdown(self) -> None:
-        """Stop as if interrupted; called when the tree is shut down."""
+        """Stop as after an interrupt; called when the tree is shut down."""
         if self.status == Status.RUNNING:
             self.stop(Status.INVALID)
         self._drop_plan()
@@ -313,7 +313,7 @@ class PlanExecutor(Behaviour):
             self._planner.close()
 
     def tip(self) -> Behaviour | None:
-        """Return the node that ran last: that of the first step, if one runs."""
+        """Return the node that ran last: the one of the first running step, if a step runs."""
         return self.children[0].tip() if self.children else super().tip()
 
     def _advance(self) -> Status:
@@ -338,7 +338,7 @@ class PlanExecutor(Behaviour):
         return self._conclude(state)
 
     def _watch(self, state: State) -> None:
-        """Stop what cannot go on, and find out whether the plan still does."""
+        """Stop the steps that cannot go on, and check whether the plan still works."""
         if self._effects.update():
             self._found_valid = None
         goals_changed, self._seen_goals = self.goals.version != self._seen_goals, self.goals.version
@@ -360,7 +360,7 @@ class PlanExecutor(Behaviour):
             self._want(decision if decision is None or goals_changed else replace(decision, cause=self._cause))
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
-        """Why the rest of the plan will not do any more, in words; looked for again only when something is new."""
+        """Return in words why the rest of the plan no longer works; checked again only when something has changed."""
         now = (state, self._belief.numbers)
         if self._found_valid is None or self._found_valid[0] is not plan or self._found_valid[1] != now:
             if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
@@ -372,7 +372,7 @@ class PlanExecutor(Behaviour):
         return self._monitor.too_late(plan, state, self._shares_left())
 
     def _want(self, decision: Decision | None) -> None:
-        """Note that a plan is to be made; one that is needed makes an end of the present one."""
+        """Note that a plan is wanted; if it is needed, drop the current plan."""
         if decision is None:
             return
         self._replanning.want(decision)
@@ -382,7 +382,7 @@ class PlanExecutor(Behaviour):
                 self._release(self._running)
 
     def _conclude(self, state: State) -> Status:
-        """Say how the tick ends, and ask for a plan if one is wanted."""
+        """Return the status of the tick, and ask the planner for a plan if one is wanted."""
         if not self._running and self._monitor.is_over(state, self.goals, self._plan):
             self._drop_plan()
             self.feedback_message = "the goal holds"
@@ -409,7 +409,7 @@ class PlanExecutor(Behaviour):
         return Status.RUNNING
 
     def _unstarted(self, state: State) -> State:
-        """Return the state to plan from: as if no step ran, so that the plan may start with what runs."""
+        """Return the state to plan from: without the running steps, so that the plan may start with these."""
         return self._belief.unstarted(self._running, state)
 
     def _take_plan(self) -> None:
@@ -442,7 +442,7 @@ class PlanExecutor(Behaviour):
         self._plan = plan
 
     def _with_what_ended(self, plan: PlanExecution) -> PlanExecution:
-        """Return a plan less the steps that it starts with and that ended well while it was made."""
+        """Return the plan with those of its first steps marked as done that succeeded while it was made."""
         for step in self._ended_meanwhile:
             number = plan.starts_with(step)
             if number is not None:
@@ -476,7 +476,7 @@ class PlanExecutor(Behaviour):
         return running
 
     def _tick_steps(self, steps: tuple[RunningStep, ...]) -> bool:
-        """Tick steps; return whether one has ended well, so that others may start."""
+        """Tick steps; return whether one has succeeded, so that others may start."""
         any_ended = False
         for running in steps:
             if running not in self._running:
@@ -495,7 +495,7 @@ class PlanExecutor(Behaviour):
         return any_ended
 
     def _ended(self, running: RunningStep) -> str | None:
-        """Believe the effects of a step that succeeded; or say why it cannot have."""
+        """Believe the effects of a step that succeeded, or return why it cannot have succeeded."""
         step, state = running.step, self._belief.observe()
         missing = missing_at_end(self._domain, step, state)
         if missing is not None:
@@ -514,14 +514,14 @@ class PlanExecutor(Behaviour):
         return None
 
     def _rely_no_more(self, plan: PlanExecution, unmet: Iterable[UnmetEffect]) -> None:
-        """Plan anew if the rest of the plan needs what a step did not make feasible."""
+        """Replan if the rest of the plan needs an action that a step did not make feasible as expected."""
         domain, state = self._effects.domain, self._belief.observe()
         expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
         if plan.prediction(domain, state).flaw is not None and plan.prediction(domain, expected).flaw is None:
             self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
-        """Stop steps if they still run, take back what was believed because they had started, and release them."""
+        """Stop steps that still run, take back the effects believed since their start, and release them."""
         for running in tuple(steps):
             running.release()
             self._belief.give_up(running, running.step)
@@ -532,7 +532,7 @@ class PlanExecutor(Behaviour):
         self.children = [running.behaviour for running in self._running if running.behaviour is not None]
 
     def _shares_left(self) -> Mapping[Step, float]:
-        """Return what share of each running step is left: by how long such a step took, or else as it is declared."""
+        """Return which share of each running step is left, by how long such a step last took or is declared."""
         now_s, shares = self._clock(), dict[Step, float]()
         for running in self._running:
             whole_s = self._took_s.get(running.step.schema, self._domain.duration_s(running.step.schema))
