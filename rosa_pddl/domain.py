@@ -1,4 +1,4 @@
-"""A domain with its problem: ROSA's view of what was read, in the names that the files use."""
+"""A PDDL domain with its problem, as ROSA uses them, in the names of the files."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -18,40 +18,40 @@ UpThing: TypeAlias = Any
 State = frozenset[str]
 """The true atoms, as text: `frozenset({"(lit room)", "(action_feasible scan)"})`.
 
-A number that actions compute with, see `Domain.computed`, is one too: `(= (fuel rover) 80.5)`.
+A number in `Domain.computed` has its value as an atom too: `(= (fuel rover) 80.5)`.
 """
 
 Exact: TypeAlias = int | Fraction
-"""A number that is added up and compared without rounding."""
+"""A number that is added and compared without rounding."""
 
-# Below this a float that is whole is the whole number that is written.
+# Below this, a float without a fraction is exactly the whole number that was written.
 _ALL_WHOLE = 2**53
 
 
 class Feasibility(Protocol):
-    """What this package asks a knowledge base."""
+    """What this package needs from a knowledge base."""
 
     @property
     def actions(self) -> Mapping[str, object]:
         """The ROSA actions by name."""
 
     def is_feasible(self, action: str) -> bool:
-        """Tell whether an action can be done now."""
+        """Return whether an action can be done now."""
 
 
 @dataclass(frozen=True)
 class Schema:
-    """A PDDL action. An instantaneous one keeps its conditions at the start and its effects at the end.
+    """A PDDL action. An instantaneous one has its conditions in `start` and its effects in `end_effects`.
 
     Args:
         name: as the file spells it.
         parameters: name and type of each parameter, in order.
-        start, over_all, end: conditions that hold then, as unified-planning expressions.
-        start_effects, end_effects: what becomes so then, as unified-planning effects.
+        start, over_all, end: conditions at the start, throughout and at the end, as unified-planning expressions.
+        start_effects, end_effects: effects at the start and at the end, as unified-planning effects.
         action: the parameter (`?a` without the mark) or constant that is the ROSA action; None if there is none.
-        uses: by how much it increases what is only used up, as unified-planning expressions by the number's name.
-        cost: what it adds to the metric, as unified-planning's expression; None for nothing.
-        duration: unified-planning's interval of how long it may take [s]; None for an instant.
+        uses: how much it uses of each resource, as a unified-planning expression, by the resource's name.
+        cost: what it adds to the metric, as a unified-planning expression; None for nothing.
+        duration: its shortest and longest duration [s], as a unified-planning interval; None if it is instantaneous.
     """
 
     name: str
@@ -74,7 +74,7 @@ class Step:
     Args:
         schema: name of the PDDL action.
         arguments: names of the objects, in the order of the parameters.
-        action: name of the ROSA action that is done, None if the step needs none.
+        action: name of the ROSA action that the step does; None if it does none.
     """
 
     schema: str
@@ -106,7 +106,7 @@ class TimedStep:
 
 
 class Derived(NamedTuple):
-    """What a derived predicate stands for: a condition on its variables; low layers are derived first."""
+    """The definition of a derived predicate: a condition on its variables; lower layers are derived first."""
 
     variables: tuple[UpThing, ...]
     condition: UpThing
@@ -123,17 +123,17 @@ class Domain:
         problem_file: the problem file.
         up_problem: unified-planning's `Problem` without actions and metric, in the names of `inside`.
         schema_of: the PDDL actions by name, in the order of the file.
-        outside: the files' spelling by the unique name that unified-planning was given.
+        outside: the name in the files for each unique name in unified-planning.
         inside: the reverse, by kind (predicate, object, action) and lower-case name.
-        types: for each object its type and the ancestors of that, in lower case.
-        places: file and line of what is declared, by kind (object, action) and name.
+        types: for each object its type and the ancestors of this type, in lower case.
+        places: file and line of each declaration, by kind (object, action) and name.
         rosa_actions: names of the objects of type `action`, in the order of the files.
-        goals: the conditions of the problem file that shall hold in the end, as text.
-        oversights: what may be one in the files, in sentences.
-        axioms: what derived predicates stand for, by their names in lower case.
+        goals: the goal conditions of the problem file, as text.
+        oversights: likely mistakes in the files, in sentences.
+        axioms: the definitions of the derived predicates, by their names in lower case.
         computed: the names of the numbers that conditions compare and effects change; their values are part of a state.
         metric: `cost`, `makespan`, or empty for the number of steps.
-        limits: what may be used up in all, such as `(<= (energy_used) 5)`; no goals of `up_problem`.
+        limits: limits on resources, such as `(<= (energy_used) 5)`; they are not among the goals of `up_problem`.
     """
 
     name: str
@@ -156,14 +156,14 @@ class Domain:
     worked_out: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def check(self, kb: Feasibility) -> tuple[str, ...]:
-        """Assure that the knowledge base knows every ROSA action of the files.
+        """Check that the knowledge base knows every ROSA action of the files.
 
         Returns:
-            What may be an oversight, in sentences, such as actions of the knowledge base that the files lack, and
-            those of the files that no PDDL action does.
+            Likely mistakes, in sentences, such as actions of the knowledge base that the files lack, and ROSA actions
+            of the files that no PDDL action does.
 
         Raises:
-            PddlError: it does not know one; the message points at the object and names the nearest actions.
+            PddlError: an action is unknown; the message points at its object and names the nearest actions.
         """
         if self.rosa_actions and not self.tracks_feasibility:
             text = f"there are objects of type action but no predicate ({FEASIBLE} ?a - action) to ask for"
@@ -184,7 +184,7 @@ class Domain:
         )
 
     def may_do(self, schema: Schema, action: str) -> bool:
-        """Whether a PDDL action may be doing a ROSA action, as far as the facts of the problem file tell."""
+        """Whether a PDDL action may do a ROSA action, according to the facts of the problem file."""
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = f"{schema.name.lower()}_action"
@@ -197,7 +197,7 @@ class Domain:
         """Return the canonical text of an atom, e.g. `(lit room)` for `lit ROOM`.
 
         Raises:
-            UnknownNameError: no such predicate, object, or number of arguments.
+            UnknownNameError: the predicate is unknown or derived, or an argument does not fit it.
         """
         if text not in self._atoms:
             self._atoms[text] = self._canonical(text)
@@ -229,7 +229,7 @@ class Domain:
         return frozenset(self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type())
 
     def duration_s(self, schema: str) -> float:
-        """Return how long an action is declared to take at least [s]: an instant 0; infinite if it is no number."""
+        """Return the shortest declared duration of an action [s]: 0 if instantaneous, infinite if not constant."""
         duration = self.schema_of[schema].duration
         is_known = duration is None or duration.lower.is_constant()
         return inf if not is_known else float(duration.lower.constant_value()) if duration else 0.0
@@ -239,7 +239,7 @@ class Domain:
         return atom[1:-1].lower().split()[0] == FEASIBLE
 
     def axiom(self, atom: UpThing) -> Derived | None:
-        """Return what an atom, as unified-planning's expression, is derived by in each state; None if it is stated."""
+        """Return the definition of an atom, given as a unified-planning expression; None if it is not derived."""
         return self.axioms.get(self.outside[atom.fluent().name].lower()) if self.axioms else None
 
     def makes_feasible(self, effect: UpThing) -> bool:
@@ -251,7 +251,7 @@ class Domain:
         return tuple(name for name, types in self.types.items() if type_name.lower() in types)
 
     def bindings(self, variables: Iterable[UpThing], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
-        """Yield what names stand for outside, with every choice of objects for the variables of a quantifier."""
+        """Yield the outer binding, extended by each choice of objects for the variables of a quantifier."""
         choices = {one.name: self.objects_of(self.outside[one.type.name]) for one in variables}
         for chosen in product(*choices.values()):
             yield {**outer, **dict(zip(choices, chosen, strict=True))}
@@ -265,14 +265,14 @@ class Domain:
         return Step(schema, given, action)
 
     def stated(self, fact: str) -> tuple[UpThing, UpThing]:
-        """Return a fact of a state as unified-planning's expression and its value: true, or a number."""
+        """Return a fact of a state as a unified-planning expression and its value: true, or a number."""
         manager = self.up_problem.environment.expression_manager
         for text, value in numbers_in([fact]).items():
             return self.expression(text), manager.auto_promote(value)[0]
         return self.expression(fact), manager.TRUE()
 
     def expression(self, atom: str) -> UpThing:
-        """Return an atom as unified-planning's expression."""
+        """Return an atom as a unified-planning expression."""
         name, *arguments = atom[1:-1].split()
         fluent = self.up_problem.fluent(self.inside["predicate", name.lower()])
         return fluent(*(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments))
@@ -296,7 +296,7 @@ class Domain:
         return "(" + " ".join([predicate, *arguments]) + ")"
 
     def spelling(self, kind: str, word: str, text: str) -> str:
-        """Return a name (of a predicate, object, type or action) as the files spell it; `text` is where it was met."""
+        """Return the name of a predicate, object, type or action as the files spell it; errors quote `text`."""
         if (kind, word.lower()) not in self.inside:
             known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
             error = UnknownObjectError if kind == "object" else UnknownNameError
@@ -305,12 +305,12 @@ class Domain:
 
 
 def lineage_of(kind: UpThing, outside: Mapping[str, str]) -> tuple[str, ...]:
-    """Return a type and those above it, in the spelling of the files, but in lower case."""
+    """Return the names of a type and its ancestors as in the files, but in lower case."""
     return tuple(outside[one.name].lower() for one in kind.ancestors)
 
 
 def exact(value: float | Fraction) -> Exact:
-    """Return a number as it is written in decimals, so that sums are exact: 0.1 is a tenth."""
+    """Return the exact value of a number as it is written in decimals, so that sums are exact: 0.1 is one tenth."""
     if isinstance(value, int):
         return value
     if isinstance(value, float) and value.is_integer() and abs(value) < _ALL_WHOLE:
@@ -333,7 +333,7 @@ def numbers_in(facts: Iterable[str]) -> dict[str, Exact]:
 
 
 def head_of(atom: str) -> str:
-    """Return the name that an atom begins with, or whose value a fact states: lit of `(lit room)`."""
+    """Return the predicate of an atom, or the name in a numeric fact: `lit` for `(lit room)`."""
     inside = atom[4:] if atom.startswith("(= (") else atom[1:-1]
     return inside.split(" ", 1)[0].rstrip(")")
 
@@ -344,7 +344,7 @@ def fluents_in(formulas: Iterable[UpThing]) -> set[UpThing]:
 
 
 def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
-    """Yield the parts of unified-planning expressions that are neither conjunctions nor just true."""
+    """Yield the parts of unified-planning expressions, with conjunctions split, without those that are just true."""
     for formula in formulas:
         if formula.is_and():
             yield from conjuncts(formula.args)

@@ -1,4 +1,4 @@
-"""What can go wrong in the PDDL layer; everything derives from `RosaPddlError`."""
+"""The errors of the PDDL layer; all derive from `RosaPddlError`."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -10,7 +10,7 @@ class RosaPddlError(Exception):
 
 
 class PddlError(RosaPddlError):
-    """A PDDL file cannot be used; says where, what was found and what was expected.
+    """A PDDL file cannot be used; the message says where, what was found and what was expected.
 
     Line and column are counted from 1; None when unknown.
     """
@@ -45,22 +45,22 @@ class GoalError(RosaPddlError):
 
 
 class SensingError(RosaPddlError):
-    """What is sensed cannot be understood."""
+    """A value that is sensed or forecast cannot be used."""
 
 
 class PlannerSettingError(RosaPddlError):
-    """A planner was set up in a way that makes no sense."""
+    """A setting of a planner makes no sense."""
 
 
 class PlanningBudgetError(RosaPddlError):
-    """In lock-step simulation a planning took more wall-clock time than it was given.
+    """In lock-step simulation, planning took more wall-clock time than its budget.
 
-    Going on would make the run depend on how quick the machine is, so it ends instead.
+    Going on would make the run depend on the speed of the machine, so the run ends instead.
     """
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Half a sentence that answers "what did I mean?": the names nearest to a misspelt one, or all of a few."""
+    """Return half a sentence for an error message: the known names nearest to a misspelt one, or else the first ten."""
     names = sorted(set(known))
     if not names:
         return "there are none"

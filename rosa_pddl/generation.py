@@ -1,7 +1,7 @@
-"""From declarations in Python to PDDL: what an action needs and does is said once, beside the behaviour that does it.
+"""Generates PDDL from declarations in Python, so that an action is declared once, beside the behaviour that does it.
 
-What is made follows ROSA's convention: a type `action` with one object for each ROSA action, a predicate
-`(NAME_action ?a)` that tells which object is which, and `(action_feasible ?a)`, which the knowledge base answers.
+The PDDL follows ROSA's convention: a type `action` with one object for each ROSA action, a predicate `(NAME_action ?a)`
+that is true for this object only, and `(action_feasible ?a)`, whose value comes from the knowledge base.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -23,26 +23,26 @@ _Scope = Mapping[str, str]
 
 @dataclass(frozen=True)
 class ActionSchema:
-    """A PDDL action as it is declared: `schema = ActionSchema(...)` in the class of the behaviour that does it.
+    """Declares a PDDL action: `schema = ActionSchema(...)` in the class of the behaviour that does it.
 
-    Formulas are texts of PDDL such as `"(found ?x)"` or `"(not (lit ?room))"`. That the ROSA action is feasible is a
-    condition by itself; in formulas it is `?a`.
+    Formulas are PDDL texts such as `"(found ?x)"` or `"(not (lit ?room))"`. The condition that the ROSA action is
+    feasible is added automatically; formulas refer to the ROSA action as `?a`.
 
     Args:
-        name: of the PDDL action.
+        name: name of the PDDL action.
         parameters: each as `"?x - type"`.
         start: conditions that hold when it starts.
-        over_all: conditions that hold throughout; only of an action with a duration, as the next two.
+        over_all: conditions that hold throughout; like `end` and `start_effects`, only for an action with a duration.
         end: conditions that hold when it ends.
-        start_effects: what becomes so when it starts.
-        end_effects: what becomes so when it ends.
+        start_effects: effects when it starts.
+        end_effects: effects when it ends.
         duration_s: how long it takes [s]; None for an instantaneous action.
         cost: what it costs: a number, or the text of a numeric fact such as `"(travel_cost ?x ?y)"`; None for nothing.
             If no action has a cost, plans with the fewest steps are the best.
-        uses: what it uses up of resources, by their names, as numbers or the texts of numeric facts: such as
-            `{"energy_used": "(takes ?way ?mode)"}`. Where the problem limits one, plan with `Planner("label-setting")`.
-        action: name of the ROSA action that is done; empty if it is called `name` too, None if there is none.
-        makes_feasible: names of ROSA actions that are expected to be feasible afterwards; this serves planning only.
+        uses: how much it uses of each resource, by name, as a number or the text of a numeric fact, such as
+            `{"energy_used": "(takes ?way ?mode)"}`. If the problem limits one, plan with `Planner("label-setting")`.
+        action: name of the ROSA action that it does; empty if this is `name` too, None if there is none.
+        makes_feasible: names of ROSA actions that are expected to be feasible afterwards; used for planning only.
     """
 
     name: str
@@ -60,23 +60,23 @@ class ActionSchema:
 
     @property
     def rosa_action(self) -> str | None:
-        """Name of the ROSA action that is done; None if there is none."""
+        """Name of the ROSA action that it does; None if there is none."""
         return self.name if self.action == "" else self.action
 
 
 @dataclass(frozen=True)
 class DeclaredProblem:
-    """What there is, what is so in the beginning, and what shall be so in the end.
+    """Declares a problem: its objects, initial facts and numbers, goals and limits.
 
     Args:
-        goal: formulas that shall all hold, such as `"(found treasure)"`.
-        objects: the type of each object by its name; ROSA actions are objects by themselves.
-        facts: the atoms that are true in the beginning; that of which ROSA action is which is added.
-        numbers: values of numeric facts that costs, uses and limits are made of, such as `{"(travel_cost a b)": 3.5}`;
-            and of resources what was used up before, such as `{"(energy_used)": 120.0}`, if that is not 0.
-        types: for each subtype the type above it.
-        limits: how much of resources may be used up, by their names, with what was used up before: a number, or the
-            text of a numeric fact that may be sensed, such as `{"energy_used": "(energy_full)"}`.
+        goal: formulas that must all hold in the end, such as `"(found treasure)"`.
+        objects: the type of each object by its name; the objects of ROSA actions are added automatically.
+        facts: the atoms that are true initially; the facts `(NAME_action ...)` are added automatically.
+        numbers: values of numeric facts that costs, uses and limits depend on, such as `{"(travel_cost a b)": 3.5}`,
+            and how much of a resource was used up before, such as `{"(energy_used)": 120.0}`, if that is not 0.
+        types: for each subtype its parent type.
+        limits: how much of each resource may be used up in all, with what was used up before, by name: a number, or
+            the text of a numeric fact, which may be sensed, such as `{"energy_used": "(energy_full)"}`.
     """
 
     goal: tuple[str, ...]
@@ -88,15 +88,15 @@ class DeclaredProblem:
 
 
 class Declarations:
-    """A domain with its problem, made of declarations.
+    """A PDDL domain with its problem, made from declarations.
 
     Args:
-        name: of both.
+        name: name of the domain and of the problem.
         schemas: the PDDL actions.
-        problem: the rest.
+        problem: the declared problem.
 
     Raises:
-        PddlError: something is declared in a way that has no meaning; the message names the declaration.
+        PddlError: a declaration makes no sense; the message names it.
     """
 
     def __init__(self, name: str, schemas: Iterable[ActionSchema], problem: DeclaredProblem) -> None:
@@ -117,7 +117,7 @@ class Declarations:
 
     @property
     def rosa_actions(self) -> tuple[str, ...]:
-        """The ROSA actions that are done, or made feasible."""
+        """The ROSA actions that a PDDL action does or makes feasible."""
         done = [one.rosa_action for one in self.schemas if one.rosa_action is not None]
         return tuple(dict.fromkeys([*done, *(name for one in self.schemas for name in one.makes_feasible)]))
 
@@ -132,10 +132,10 @@ class Declarations:
         return self._written(self._problem_lists())
 
     def load(self) -> Domain:
-        """Make the domain, as `load_domain` makes that of files.
+        """Build the domain from the declarations, as `load_domain` does from files.
 
         Raises:
-            PddlError: it has no meaning in PDDL, or none that can be planned here.
+            PddlError: the declarations are not correct PDDL, or cannot be planned here.
         """
         file = "{}.pddl generated from the " + self._place
         domain = Source(file.format("domain"), self._domain_lists())
@@ -154,7 +154,7 @@ class Declarations:
         return *dict.fromkeys(self.rosa_actions, ACTION_TYPE).items(), *self.problem.objects.items()
 
     def _listed_objects(self, *, constant: bool) -> Iterator[str]:
-        """Yield the objects with their types: those that actions name are constants of the domain."""
+        """Yield objects with their types: either the constants, which actions name, or all others."""
         words = {word.lower for one in self.schemas for formula in _formulas(one) for word in nodes_of(formula)}
         for name, kind in self._objects:
             yield from (name, "-", kind) if (name.lower() in words) is constant else ()
@@ -193,7 +193,7 @@ class Declarations:
         )
 
     def _signatures(self) -> list[list[Node]]:
-        """Return the predicates and the numbers, of the types that they are used with, or of any where those differ."""
+        """Return the predicates and the numbers with the types of their arguments, `object` where their uses differ."""
         objects = {name.lower(): kind for name, kind in self._objects}
         own = (FEASIBLE, *(f"{action}_action" for action in self.rosa_actions))
         predicates: dict[str, list[list[str]]] = {name.lower(): [[ACTION_TYPE]] for name in own}
@@ -215,13 +215,13 @@ class Declarations:
         yield from (word for kind, parent in above.items() for word in (kind, "-", parent))
 
     def _written(self, lists: Node) -> str:
-        self.load()  # what is not correct PDDL is not written
+        self.load()  # raises PddlError if it is not correct PDDL
         sections = [str(node).replace(" :", "\n    :") for node in lists.children[2:] if node.children[1:]]
         return "\n ".join([f"; Generated from the {self._place}.\n(define {lists.children[1]}", *sections]) + ")\n"
 
 
 def _declared(name: str, uses: Sequence[Sequence[str]]) -> Node:
-    """Declare a predicate or number that is used with arguments of some types."""
+    """Declare a predicate or number, given the types of the arguments in each of its uses."""
     kinds = (kinds[0] if len({*kinds}) == 1 else "object" for kinds in zip(*uses, strict=False))
     return listed(name, *chain.from_iterable((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1)))
 
@@ -243,7 +243,7 @@ def _atoms(node: Node, scope: _Scope, is_number: bool = False) -> Iterator[tuple
         yield node, [scope.get(one.lower, "object") for one in rest], is_number
         return
     for child in (one for one in rest if one.is_list):
-        # an effect on a number, and what it is changed by, are numbers, as is what is compared
+        # the parts of a comparison, of a computation and of an effect on a number are numbers
         yield from _atoms(child, scope, is_number=head in _COMPUTING)
 
 

@@ -1,8 +1,8 @@
-"""What a plan executor is to reach, which may change while it runs, and what a planner is asked for that.
+"""The goals of a plan executor, which may change while it runs, and how soft goals are put to a planner.
 
-Soft goals become costs (Keyder and Geffner, "Soft goals can be compiled away", JAIR 36, 2009): when all else is done, a
-plan either collects each one that holds, for nothing, or forgoes it at the cost of its worth. The cheapest plan then is
-the one with the best net benefit, so that any planner that heeds costs will do.
+Soft goals become costs (Keyder and Geffner, "Soft goals can be compiled away", JAIR 36, 2009): at its end, a plan
+collects each soft goal that holds, at no cost, or forgoes it at the cost of its worth. The cheapest plan then has the
+best net benefit, so any planner that minimises costs can be used.
 """
 
 from collections.abc import Iterator
@@ -17,9 +17,9 @@ from rosa_pddl.syntax import Goal, conditions
 
 
 class Goals:
-    """The goals, in the order in which they were added; at first those of the problem file.
+    """The goals, in the order in which they were added; the first ones are those of the problem file.
 
-    A condition that is a conjunction is several goals. Change them between ticks, in the thread that ticks.
+    Each part of a conjunction is a goal of its own. Change goals between ticks, in the thread that ticks.
 
     Args:
         domain: what `load_domain` returned.
@@ -37,26 +37,26 @@ class Goals:
 
     @property
     def hard(self) -> tuple[Goal, ...]:
-        """Those that must be reached."""
+        """The goals that must be reached."""
         return tuple(goal for goal in self if not goal.is_soft)
 
     @property
     def soft(self) -> tuple[Goal, ...]:
-        """Those that may be given up."""
+        """The goals that a plan may give up."""
         return tuple(goal for goal in self if goal.is_soft)
 
     def add(self, text: str, worth: float | None = None) -> None:
-        """Add a goal; one that is there already gets the new worth.
+        """Add a goal; if it exists already, it gets the new worth.
 
         Args:
             text: a condition such as `(inspected north)`.
-            worth: how much a plan may cost more for it, in the unit of the plan's cost (steps, if the problem has no
-                metric); None if it must be reached. Of a conjunction, each part is worth it.
+            worth: how much more a plan may cost to reach the goal, in the unit of the plan's cost (steps, if the
+                problem has no metric); None if it must be reached. Each part of a conjunction gets this worth.
 
         Raises:
-            GoalError: it is no text, or the worth is not positive.
-            PddlError: the text is no PDDL.
-            UnknownNameError: it mentions what the domain does not have.
+            GoalError: `text` is not a string, or the worth is not positive.
+            PddlError: the text is not PDDL.
+            UnknownNameError: the text has a name that the domain does not have.
         """
         if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < float("inf")):
             raise GoalError(f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached")
@@ -65,10 +65,10 @@ class Goals:
         self.version += before != self._goals
 
     def drop(self, text: str) -> None:
-        """Give up a goal.
+        """Remove a goal; each part of a conjunction is removed.
 
         Raises:
-            GoalError: there is no such goal; or as `add` does.
+            GoalError: there is no such goal; other errors as in `add`.
         """
         read = [part.text for part in self._read(text)]
         for one in read:
@@ -79,17 +79,17 @@ class Goals:
         self.version += 1
 
     def replace(self, *texts: str) -> None:
-        """Put other goals, which must be reached, in place of all there are; none at all leaves nothing to do.
+        """Replace all goals by these, which must be reached; without any text, no goal is left.
 
         Raises:
-            As `add` does.
+            The same errors as `add`.
         """
         read = [part for text in texts for part in self._read(text)]
         before, self._goals = self._goals, {part.text: part for part in read}
         self.version += before != self._goals
 
     def use(self, domain: Domain) -> None:
-        """Go on with a domain of other objects, for which the goals may ask other things."""
+        """Switch to a domain with other objects, about which the goals may ask something else."""
         self._domain = domain
         self.version += 1
 
@@ -111,15 +111,15 @@ class Goals:
     def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
         if not isinstance(text, str):
             raise GoalError(f"{text!r} is no goal, expected a condition as text such as '(inspected north)'")
-        # a planner may be reading the same environment of unified-planning, in a thread of its own
+        # the thread of a planner may be using the same environment of unified-planning
         with lock_of(self._domain):
             return conditions(self._domain, text, worth)
 
 
 class Relevance:
-    """Which atoms a plan or a goal may depend on: what goals ask for, and what actions need that may bring it about.
+    """Which atoms a plan or a goal may depend on: those in goals, and those that actions need to reach goals.
 
-    Predicates are told apart, and of `action_feasible` the ROSA actions that such actions may do.
+    It tells predicates apart, not objects; only for `action_feasible` does it tell the ROSA actions apart.
     """
 
     def __init__(self, domain: Domain, goals: Goals) -> None:
@@ -166,9 +166,9 @@ class Relevance:
 
 
 class SoftGoals:
-    """Goals that may be given up, compiled into a domain with actions that collect or forgo each.
+    """Soft goals, compiled into a domain that has an action to collect and an action to forgo each of them.
 
-    When `goal` holds, an expression of unified-planning, all are settled.
+    The unified-planning expression `goal` holds when each soft goal has been collected or forgone.
     """
 
     def __init__(self, base: Domain, goals: tuple[Goal, ...]) -> None:
@@ -177,7 +177,7 @@ class SoftGoals:
         manager = self._problem.environment.expression_manager
         self._inside, self._outside = dict(base.inside), dict(base.outside)
         settling, each = self._fluent("settling"), None if base.metric == "cost" else manager.Int(1)
-        never = manager.Not(settling)  # no action but those that settle may follow one that settles
+        never = manager.Not(settling)  # after a collect or forgo, no other kind of action may follow
         self._schemas = {
             name: replace(one, start=(*one.start, never), over_all=(*one.over_all, never), cost=one.cost or each)
             for name, one in base.schema_of.items()
@@ -200,7 +200,7 @@ class SoftGoals:
         )
 
     def kept(self, result: PlanningResult) -> tuple[PlanningResult, tuple[Goal, ...]]:
-        """Return a plan without the steps that settle goals, and the soft goals that it reaches."""
+        """Return a plan without its collect and forgo steps, and the soft goals that it reaches."""
         real = self._base.schema_of
         schedule = tuple(timed for timed in result.schedule if timed.step.schema in real)
         steps = tuple(step for step in result.steps if step.schema in real)

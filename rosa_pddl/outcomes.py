@@ -1,4 +1,4 @@
-"""How a planning can end, and what is reported of it."""
+"""How planning can end, and what the planner reports."""
 
 from dataclasses import dataclass
 from enum import Enum
@@ -7,7 +7,7 @@ from rosa_pddl.domain import Step, TimedStep
 
 
 class Outcome(Enum):
-    """How a planning ended; of what was tried in vain, the first of these that was met is the outcome of all."""
+    """How planning ended; if all attempts fail, the first outcome in this list that one of them had is reported."""
 
     SOLVED = "solved"
     SOLVED_OPTIMALLY = "solved optimally"
@@ -26,17 +26,17 @@ class Outcome(Enum):
 
     @property
     def is_unsolvable(self) -> bool:
-        """Whether the problem is why there is no plan."""
+        """Whether there is no plan because the problem has none."""
         return self in (Outcome.UNSOLVABLE_PROVEN, Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN)
 
     @property
     def is_trouble(self) -> bool:
-        """Whether the engine, not the problem, is why there is no plan."""
+        """Whether there is no plan because of the engine, not because of the problem."""
         return not self.is_solved and not self.is_unsolvable
 
     @property
     def is_passing(self) -> bool:
-        """Whether it may go well when the same is asked again: it is trouble, and none that stays."""
+        """Whether the trouble may be temporary, so that the same request may succeed later."""
         return self in (Outcome.OUT_OF_TIME, Outcome.OUT_OF_MEMORY, Outcome.ENGINE_CRASHED)
 
     def __str__(self) -> str:
@@ -44,7 +44,7 @@ class Outcome(Enum):
 
 
 class Trouble(Exception):
-    """Why there is no answer: an outcome on its way to the planner, which reports it."""
+    """Raised if there is no answer; it carries the outcome to the planner, which reports it."""
 
     def __init__(self, outcome: Outcome, message: str) -> None:
         super().__init__(message)
@@ -76,13 +76,13 @@ class PlanningResult:
     Args:
         outcome: how it ended.
         steps: the plan, in the order of their starts; empty unless solved.
-        engine: the engine that answered, or the one that was to answer.
-        message: what was tried and what to do about it; of a plan, by how much at most another may cost less, if costs
-            that are too far apart had to be rounded, else empty.
-        cost: of the plan: the sum of its action costs if the problem has a metric, else the number of its steps.
+        engine: the engine that answered, or that should have answered.
+        message: without a plan, what was tried and what to do about it; with a plan, how much less another may cost at
+            most, if costs had to be rounded because they are too far apart, else empty.
+        cost: cost of the plan: the sum of its action costs if the problem has a metric, else the number of its steps.
         schedule: when each step starts and how long it takes, if steps may overlap; empty if they follow one another.
         attempts: what was tried, in order.
-        safe_step: what to do while there is no plan; None if there is a plan, or no such step was named or can start.
+        safe_step: the step to do while there is no plan; None if there is a plan, or no safe step is set or can start.
     """
 
     outcome: Outcome
@@ -96,6 +96,6 @@ class PlanningResult:
 
     @property
     def hangs_on_the_clock(self) -> bool:
-        """Whether something ran out of wall-clock time, so that a quicker machine might have answered otherwise."""
+        """Whether an attempt ran out of wall-clock time, so that a faster machine might give another answer."""
         outcomes = {self.outcome, *(attempt.outcome for attempt in self.attempts)}
         return Outcome.OUT_OF_TIME in outcomes

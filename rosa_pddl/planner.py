@@ -1,4 +1,4 @@
-"""The planner: several ways tried in order, each with its own budget; whatever happens, the outcome has a name."""
+"""The planner: tries several ways in order, each with its own time budget; every result has a named outcome."""
 
 import json
 import sys
@@ -37,33 +37,33 @@ from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
 
-# What the search in this process looks at within a tick, in a task of no more operators; some milliseconds.
+# Within a tick, the search looks at most at this many moves, in tasks with no more operators; some milliseconds.
 _MOVES_IN_A_TICK = 1000
 _MOVES_FOR_AN_OPERATOR = 5
-# A state of a large domain has tens of thousands of atoms: their number counts too.
+# The cache holds at most this many atoms in all, as a state of a large domain has tens of thousands.
 _MOST_ATOMS = 1_000_000
 _EXACT = ("fast-downward-opt", LABEL_SETTING)
-# So long a task may be grounded before it is asked for [s].
+# Time limit for grounding a task in the background, before it is asked for [s].
 _PREPARED_S = 60.0
 _MOST_ENTRIES = 1 << 14
 CERTIFIED = "certificate"
-"""The way by which an answer was made before the mission."""
+"""The way of an answer that a certificate gives, made before the mission."""
 _OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """An answer of the planner for each combination of unfeasible actions, those with few of them first.
+    """The planner's answer for each combination of unfeasible actions, small combinations first.
 
     Args:
-        entries: the answers by the unfeasible ROSA actions, in the order of the domain; all others are feasible.
+        entries: the answers by the names of the unfeasible ROSA actions, in the domain's order; others are feasible.
     """
 
     entries: dict[tuple[str, ...], PlanningResult]
 
     @classmethod
     def load(cls, path: str | Path, domain: Domain) -> "Certificate":
-        """Read what `rosa plan --certificate --json` wrote; PlannerSettingError if it is none of this domain."""
+        """Read a file of `rosa plan --certificate --json`; PlannerSettingError if it does not fit the domain."""
         try:
             entries = dict[tuple[str, ...], PlanningResult]()
             for one in json.loads(Path(path).read_text())["entries"]:
@@ -76,9 +76,9 @@ class Certificate:
             raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
-        """Return the plan for what is unfeasible in a problem, or as little of its end as works there; None if none.
+        """Return the plan for the unfeasible actions of a problem, or its shortest end that works; None if none does.
 
-        What is forecast to become unfeasible may have to be taken as that already.
+        If none works, actions that are forecast to become unfeasible count as unfeasible already.
         """
         domain, state, until = problem.domain, problem.state, problem.until
         atoms = {domain.feasible_atom(one): one for one in domain.rosa_actions}
@@ -94,7 +94,7 @@ class Certificate:
 
     @property
     def fatal(self) -> tuple[str, ...]:
-        """The actions whose failure alone ends a mission that could be done."""
+        """The actions each of which, unfeasible alone, makes a mission impossible that is possible otherwise."""
         if not self.entries[()].outcome.is_solved:
             return ()
         alone = {out[0]: result.outcome for out, result in self.entries.items() if len(out) == 1}
@@ -102,28 +102,28 @@ class Certificate:
 
 
 class Planner:
-    """Plans with the exact search in this process, and beyond its cap with Fast Downward and other engines.
+    """Plans with the exact search in this process and, beyond the cap of that, with Fast Downward and other engines.
 
-    What is tried in which order docs/planning.md says. With `fast-downward-opt` and `label-setting` a plan costs least,
-    or has the fewest steps if there is no metric; `fast-downward` is quicker on large tasks, and gives some plan. All
-    plans are replayed.
+    docs/planning.md says what is tried in which order. `fast-downward-opt` and `label-setting` give a plan of least
+    cost, or with the fewest steps if there is no metric; `fast-downward` gives any plan, and is faster on large tasks.
+    Every plan is replayed before it is returned.
 
     Args:
         engine: `fast-downward-opt`, `fast-downward`, `label-setting`, or a name of unified-planning's factory, such as
             `aries`.
-        timeout_s: wall-clock time for everything that is tried [s]; then what runs is killed. Each way may take half
-            of what is left, the last all of it, unless `budgets_s` says otherwise.
-        fallback: engines of unified-planning to try afterwards; those that are not installed are passed over.
-        budgets_s: wall-clock time for single ways [s], by their names.
-        overlapping: whether steps may overlap: the engine gets durations, and the plan is a schedule. It must be a
-            temporal engine of unified-planning, such as `aries`.
-        safe_step: what to do while there is no plan, such as `(surface)`.
-        warm: whether a task is tried that was translated before.
-        moves: how many moves the search in this process may look at; 0 to leave it to other programs.
+        timeout_s: wall-clock time for all ways together [s]; an engine that still runs then is killed. Each way may
+            take half of the time that is left, the last way all of it, unless `budgets_s` says otherwise.
+        fallback: engines of unified-planning to try afterwards; those that are not installed are skipped.
+        budgets_s: wall-clock time limits of single ways [s], by their names.
+        overlapping: whether steps may overlap: the engine gets durations, and the plan is a schedule. The engine must
+            be a temporal engine of unified-planning, such as `aries`.
+        safe_step: the step to do while there is no plan, such as `(surface)`.
+        warm: whether to try first with the task as it was translated before.
+        moves: how many moves the search in this process may look at; 0 to plan with other programs only.
         memory_mb: how much data each program may hold [MB].
-        cached: how many answers are remembered, fewer of large states; then all are forgotten; 0 for none.
-        certificate: plans that `start` answers with at once where they, or their ends, work: an executor takes them in
-            the tick of the question.
+        cached: how many answers are remembered, fewer if states are large; a full cache is emptied. 0 for none.
+        certificate: plans made before the mission. `start` answers at once with such a plan, or an end of one, if it
+            works; an executor takes it in the tick of the request.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -167,18 +167,18 @@ class Planner:
             raise PlannerSettingError(f"timeout_s is {self.timeout_s:g}, expected more than 0, and finite")
 
     def missing(self, domain: Domain) -> str | None:
-        """Return what to install if the engine is not there, None if it is; asked before a mission begins."""
+        """Return what to install if the engine is missing, else None; asked before a mission begins."""
         return missing(self.engine, domain)
 
     def prepare(self, problem: Problem, changing: Iterable[str] = ()) -> None:
-        """Begin to translate in the background; without this it begins with the first planning.
+        """Start to translate the task in the background; otherwise the first planning does it.
 
         Args:
-            problem: the state that the mission begins with.
-            changing: atoms that may change though no action changes them, such as those that are sensed.
+            problem: the problem in the state in which the mission begins.
+            changing: atoms that may change although no action changes them, such as those that are sensed.
 
         Raises:
-            UnknownNameError: an atom is not one of the domain.
+            UnknownNameError: the domain does not have an atom.
         """
         if "warm" not in self.ways or self.missing(problem.domain) is not None:
             return
@@ -186,14 +186,14 @@ class Planner:
         self.processes.add(process)
 
         def work() -> None:
-            with suppress(Cancelled, Trouble, UnsupportedPddlError):  # who plans is told
+            with suppress(Cancelled, Trouble, UnsupportedPddlError):  # planning reports it
                 self.groundings.ask(problem, process, _PREPARED_S, named)
             self.processes.discard(process)
 
         threading.Thread(target=work, name=f"grounding of {problem.domain.name}", daemon=True).start()
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
-        """Return the plan that the certificate has for it, or the rest of that, if it works. Never waits."""
+        """Return the certificate's plan for a problem, or an end of it, if that works, else None. Never waits."""
         found = None if self.certificate is None else self.certificate.prepared(problem)
         return None if found is None else _Portfolio(self, problem).confirmed(found)
 
@@ -202,7 +202,7 @@ class Planner:
         return _Portfolio(self, problem).result()
 
     def start(self, problem: Problem) -> "Future[PlanningResult]":
-        """Plan in a thread of its own, unless a tick is enough. Cancelling the future kills the engine's processes."""
+        """Plan in a new thread, or at once if that fits into a tick. Cancelling the future kills the engine."""
         future: Future[PlanningResult] = Future()
         portfolio = _Portfolio(self, problem)
         at_once = self.prepared(problem) or portfolio.at_once()
@@ -213,7 +213,7 @@ class Planner:
 
         def work() -> None:
             result = portfolio.result()
-            # the future counts as running only now, as a running one could not be cancelled
+            # not set to running before now, because a running future cannot be cancelled
             if future.set_running_or_notify_cancel():
                 future.set_result(result)
 
@@ -221,22 +221,22 @@ class Planner:
         return future
 
     def close(self) -> None:
-        """End every program that still runs for this planner, and forget what was prepared."""
+        """End all programs that still run for this planner, and forget the translated tasks."""
         for process in tuple(self.processes):
             process.cancel()
         self.groundings.close()
 
 
 def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult:
-    """Wait for an answer that is due, in lock-step simulation; for the time between ticks, as a tick never waits.
+    """Wait for an answer that is due, in lock-step simulation; call it between ticks, as a tick never waits.
 
     Args:
         future: what `Planner.start` returned.
-        budget_s: wall-clock time to wait at most [s]; then the planning is cancelled.
+        budget_s: longest wall-clock time to wait [s]; then the planning is cancelled.
 
     Raises:
-        PlanningBudgetError: the answer was not there in time, or part of what was tried for it ran out of wall-clock
-            time, so that a quicker machine might have decided otherwise.
+        PlanningBudgetError: the answer was not there in time, or an attempt ran out of wall-clock time, so that a
+            faster machine might have given another answer.
     """
     finished, _ = wait([future], timeout=budget_s)
     if not finished:
@@ -257,16 +257,16 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
 def certificate(
     domain: Domain, supposing: Callable[[Iterable[str]], Problem], planner: Planner, failures: int | None = None
 ) -> Certificate:
-    """Find out what can be reached with every combination of feasible actions, each by a planning of its own.
+    """Plan for every combination of unfeasible actions, to find out with which of them the goal can be reached.
 
     Args:
         domain: what `load_domain` returned.
-        supposing: returns what to plan while just these ROSA actions are unfeasible.
-        planner: plans; one that is warm answers most questions within a millisecond.
-        failures: look at combinations of at most so many unfeasible actions; None for all.
+        supposing: returns the problem in which exactly these ROSA actions are unfeasible.
+        planner: makes the plans; a warm one answers most requests within a millisecond.
+        failures: the largest number of unfeasible actions in a combination; None for all.
 
     Raises:
-        PlannerSettingError: that many combinations there are not, or too many.
+        PlannerSettingError: `failures` is out of range, or there are too many combinations.
     """
     actions = domain.rosa_actions
     most = len(actions) if failures is None else failures
@@ -281,7 +281,7 @@ def certificate(
 
 
 class _Portfolio:
-    """One planning: the ways in order, each within its budget, and what is reported of all of them."""
+    """One planning: tries the ways in order, each within its budget, and reports on all of them."""
 
     def __init__(self, planner: Planner, problem: Problem) -> None:
         self._planner, self._problem = planner, problem
@@ -289,7 +289,7 @@ class _Portfolio:
         self.process = ProcessHandle(planner.memory_bytes)
 
     def at_once(self) -> PlanningResult | None:
-        """Return the answer if it is there without waiting, in the work of a tick."""
+        """Return the answer if it is known or can be found within a tick, else None."""
         known = self._remembered()
         if known is not None:
             return known
@@ -300,12 +300,12 @@ class _Portfolio:
             if task is None or task.size * task.work > _MOVES_IN_A_TICK:
                 return None
             answer = self._checked("warm", self._exact(task, _MOVES_IN_A_TICK))
-        except Exception:  # whatever keeps from an answer here is reported by the ways
+        except Exception:  # `result` meets the same error and reports it
             return None
         return self._kept(self._report(answer, "warm", [Attempt("warm", answer.outcome)]))
 
     def confirmed(self, prepared: PlanningResult) -> PlanningResult | None:
-        """Return a plan that was made before, if it keeps all limits."""
+        """Return a plan that was made before, if it works and keeps all limits, else None."""
         try:
             answer = self._checked(CERTIFIED, prepared)
         except (Trouble, UnsupportedPddlError):
@@ -313,7 +313,7 @@ class _Portfolio:
         return self._report(answer, CERTIFIED, [Attempt(CERTIFIED, answer.outcome)])
 
     def result(self) -> PlanningResult:
-        """Try one way after the other until there is a plan, or none is possible."""
+        """Try one way after the other until there is a plan, or a proof that there is none."""
         known = self._remembered()
         if known is not None:
             return known
@@ -361,7 +361,7 @@ class _Portfolio:
         settings = self._planner
         deadline = time.monotonic() + settings.timeout_s
         ways = list(settings.ways)
-        if self._problem.domain.computed and settings.engine in TRANSLATED:  # what is capped is so however often
+        if self._problem.domain.computed and settings.engine in TRANSLATED:  # 'cold' would reach the same cap
             ways = [ways[0], NUMERIC, *(way for way in ways[1:] if way not in ("cold", NUMERIC))]
         for number, way in enumerate(ways, start=1):
             left_s = _left_s(deadline)
@@ -381,7 +381,7 @@ class _Portfolio:
             return PlanningResult(trouble.outcome, message=str(trouble))
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
-        except Exception as error:  # whatever goes wrong here must not stop the tree; it is reported by name
+        except Exception as error:  # no error here may stop the tree; it is reported by name
             return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
 
     def _engine_of(self, way: str) -> str:
@@ -425,7 +425,7 @@ class _Portfolio:
             raise Trouble(Outcome.UNSUPPORTED, str(error)) from error
 
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
-        # putting numbers into operators is work, too, which may take longer than it takes to start another program
+        # putting numbers into many operators may take longer than starting another program
         is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
         return (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
 
@@ -437,7 +437,7 @@ class _Portfolio:
         return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
-        """Search in a process of its own, which delays no tick and may be killed; without what is forecast."""
+        """Search in a separate process, which delays no tick and can be killed; forecasts are left out."""
         _, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
         if task.start.numbers or task.goal.tests:
             raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
@@ -459,14 +459,14 @@ class _Portfolio:
             return PlanningResult(Outcome.SOLVED_OPTIMALLY)
         text, estimate, lost = written
         is_optimal = engine == "fast-downward-opt"
-        # each line that is written wakes this process up
+        # silent, as each line of output would wake this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
         strategy = f"{how}, verbosity=silent)"
         found = fast_downward.search(text, strategy, self.process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
         steps = tuple([grounded.step(number) for number in found])
-        if is_optimal and lost:  # what this plan seems to cost there, no other costs less than
+        if is_optimal and lost:  # the plan is optimal for the rounded costs only
             message = f"within {float(len(steps) * lost):.3g} of the least cost, as costs too far apart were rounded"
             return PlanningResult(Outcome.SOLVED, steps, message=message)
         return PlanningResult(Outcome.SOLVED_OPTIMALLY if is_optimal else Outcome.SOLVED, steps)
@@ -525,7 +525,7 @@ class _Portfolio:
 
 
 def _may_have_to_overlap(domain: Domain) -> bool:
-    """Whether a step provides something only while it lasts, and others need that."""
+    """Whether an action makes something true only while it runs, and another action needs that."""
     return any(
         start.fluent.fluent() in fluents_in((*other.start, *other.over_all, *other.end))
         for schema in domain.schema_of.values()

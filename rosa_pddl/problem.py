@@ -1,4 +1,4 @@
-"""From what the knowledge base says and the mission senses to the problem that a planner gets."""
+"""Builds the problem for a planner from what the knowledge base says and the mission senses."""
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -31,23 +31,23 @@ _LOCKS: "WeakKeyDictionary[UpThing, UpThing]" = WeakKeyDictionary()
 
 @dataclass(frozen=True)
 class Problem:
-    """What to plan: a goal from a state.
+    """A planning problem: the state to start from and the goals to reach.
 
     Args:
         domain: what `load_domain` returned.
         state: the atoms that are true now, feasibility included.
-        goals: what shall hold, as unified-planning expressions; by default the goal of the problem file.
-        costs: values of numeric facts that costs, uses and limits of resources are made of, such as
-            `{"(travel_cost a b)": 3.5}`, and of resources what was used up before, such as `{"(energy_used)": 120.0}`;
-            the others are those of the problem file.
-        weights: how many times its cost a step counts, such as one that has failed; 0 leaves it out.
-        until: how much longer facts `(action_feasible ?a)` hold, as far as is forecast [s]; no step that needs one may
-            end later than that. What a step of the plan makes so holds from then on.
-        shares: what share of its duration is left of a step that runs, if a plan begins with it.
+        goals: the goals, as unified-planning expressions; by default the goal of the problem file.
+        costs: values of numeric facts that costs, uses and limits of resources depend on, such as
+            `{"(travel_cost a b)": 3.5}`, and how much of a resource was used up before, such as
+            `{"(energy_used)": 120.0}`; other values are those of the problem file.
+        weights: factors on the costs of steps, such as steps that have failed; 0 leaves a step out.
+        until: how much longer facts `(action_feasible ?a)` will hold by the forecasts [s]; no step that needs such a
+            fact may end later. A fact that a step of the plan makes true holds from then on.
+        shares: which share of its duration is left of each running step, if a plan begins with it.
 
     Raises:
-        UnknownNameError: the costs name what the domain does not know, or no numeric fact; or so do the times.
-        SensingError: a time is no finite number.
+        UnknownNameError: a key of `costs` is no numeric fact of the domain, or one of `until` no feasibility fact.
+        SensingError: a time in `until` is not a finite number.
     """
 
     domain: Domain
@@ -81,7 +81,7 @@ class Problem:
         return tuple(self.domain.up_problem.goals) if self.goals is None else self.goals
 
     def build(self, *, overlapping: bool = False) -> UpThing:
-        """Make the same for unified-planning: if steps may not overlap, every action is an instant."""
+        """Build the problem for unified-planning; every action is instantaneous unless steps may overlap."""
         from unified_planning.model import GlobalStartTiming
         from unified_planning.model import Problem as UpProblem
         from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
@@ -91,7 +91,7 @@ class Problem:
         defaults = {environment.type_manager.BoolType(): manager.FALSE()}
         problem = UpProblem(read.name, environment, initial_defaults=defaults)
         problem.add_objects([one for one in read.all_objects if domain.outside[one.name] in domain.types])
-        # numbers that nothing needs would only keep engines from taking the problem
+        # numbers that nothing needs are left out, as some engines refuse problems with numbers
         has_numbers = overlapping or domain.metric == "cost" or bool(domain.limits or domain.computed)
         problem.add_fluents([one for one in read.fluents if one.type.is_bool_type() or has_numbers])
         for expression, value in read.explicit_initial_values.items():
@@ -105,7 +105,7 @@ class Problem:
             if problem.has_fluent(expression.fluent().name):
                 problem.set_initial_value(expression, exact(number))
         for atom, left_s in self.until.items() if overlapping else ():
-            # Aries counts in tenths of a second, and lets a step end one after what it needs has ceased to hold
+            # Aries counts in tenths of a second, and lets a step end a tenth after its condition has become false
             tenths = floor(10 * exact(left_s)) - 1
             if tenths > 0:
                 when = GlobalStartTiming(Fraction(tenths, 10))
@@ -128,24 +128,24 @@ class Problem:
 
 
 def lock_of(domain: Domain) -> UpThing:
-    """Return the lock of a domain's environment: unified-planning's are not made for several threads at once."""
+    """Return the lock of a domain's unified-planning environment, which is not safe for several threads at once."""
     return _LOCKS.setdefault(domain.up_problem.environment, RLock())
 
 
 def unlock(domain: Domain) -> None:
-    """Unlock what an interrupt may have left locked by this thread."""
+    """Release the lock of a domain if an interrupt has left it locked by this thread."""
     lock = lock_of(domain)
-    with suppress(RuntimeError):  # so it is not locked by this one
+    with suppress(RuntimeError):  # this thread does not hold the lock
         while True:
             lock.release()
 
 
 def with_object(domain: Domain, name: str, type_name: str) -> Domain:
-    """Return a domain with one more object, of which no fact is stated.
+    """Return a domain with one more object, about which it has no facts.
 
     Raises:
-        UnknownNameError: there is no such type, the name is taken or none, or it is a ROSA action: what those are and
-            need is for the knowledge base to say.
+        UnknownNameError: there is no such type, the name is taken or not a PDDL name, or the object would be a ROSA
+            action: only the knowledge base defines those.
     """
     kind = domain.inside.get(("type", type_name.lower()), type_name.lower())
     up_types = {one.name: one for one in domain.up_problem.user_types}
@@ -174,7 +174,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
 
 
 def without_object(domain: Domain, name: str) -> Domain:
-    """Return a domain without an object; raises UnknownObjectError if it has none such."""
+    """Return a domain without an object; UnknownObjectError if there is none, UnknownNameError for a ROSA action."""
     known = domain.spelling("object", name, name)
     if ACTION_TYPE in domain.types[known]:
         raise UnknownNameError(
@@ -185,7 +185,7 @@ def without_object(domain: Domain, name: str) -> Domain:
 
 
 def initial_state(domain: Domain) -> State:
-    """Return the facts that the problem file begins with, as it states feasibility itself."""
+    """Return the initial facts of the problem file, with what the file itself states about feasibility."""
     facts = set[str]()
     for expression, value in domain.up_problem.explicit_initial_values.items():
         text = text_of(domain, expression, {})
@@ -197,14 +197,14 @@ def initial_state(domain: Domain) -> State:
 
 
 def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
-    """Return the facts `(action_feasible ?a)` as the knowledge base has them now."""
+    """Return the facts `(action_feasible ?a)` that are true now by the knowledge base."""
     if not domain.tracks_feasibility:
         return frozenset()
     return frozenset(domain.feasible_atom(action) for action in domain.rosa_actions if kb.is_feasible(action))
 
 
 def without_feasibility(domain: Domain, state: State) -> State:
-    """Return a state less its facts `(action_feasible ?a)`: those are the knowledge base's to say, never a plan's."""
+    """Return a state without its facts `(action_feasible ?a)`, which the knowledge base decides, never a plan."""
     return frozenset(atom for atom in state if not domain.is_feasibility(atom))
 
 
@@ -215,7 +215,7 @@ def _without_quantifiers(formula: UpThing, problem: UpThing) -> UpThing:
 
 
 def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
-    """Return the parameters of an action as unified-planning's expressions."""
+    """Return the parameters of an action as unified-planning expressions."""
     from unified_planning.model import Parameter
 
     types, environment = {one.name: one for one in domain.up_problem.user_types}, domain.up_problem.environment
@@ -235,9 +235,9 @@ def _add_effects(action: UpThing, effects: Iterable[UpThing], *when: UpThing) ->
 
 
 def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
-    """Make an action with its duration.
+    """Build a durative action of unified-planning.
 
-    Temporal engines seldom know effects on conditions, so what makes an action feasible only at times is left out.
+    Few temporal engines know conditional effects, so conditional effects that make ROSA actions feasible are left out.
     """
     from unified_planning.model import DurativeAction, EndTiming, OpenTimeInterval, StartTiming
 
@@ -261,7 +261,7 @@ def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     from unified_planning.model import InstantaneousAction
 
     made = _made(InstantaneousAction, schema, domain)
-    # what its own effects at start make true is no condition; what those at end overwrite is no effect
+    # conditions that the start effects make true are dropped, and start effects that the end effects overwrite
     brought = {(one.fluent, one.value.is_true()) for one in schema.start_effects if _is_certain(one)}
     overwritten = {one.fluent for one in schema.end_effects if _is_certain(one) and one.is_assignment()}
     after = {one.fluent: _after(one) for one in schema.start_effects if not one.fluent.fluent().type.is_bool_type()}
