@@ -1,8 +1,8 @@
-"""What is taken to be true while a plan is executed: what is sensed, what is feasible, effects of its own steps.
+"""The state that is believed while a plan is executed: percepts, feasibility, and the effects of its own steps.
 
-That a step makes an action feasible is expected while it is planned for, and never believed. A step that ended well but
-left the action unfeasible has an unmet effect: it is not relied upon for that again as long as something that kept the
-action from being feasible then has done so ever since.
+Planning expects that a step makes an action feasible, but this effect is never believed. If a step succeeds and the
+action is still unfeasible, the effect is unmet: plans do not rely on this step for it again as long as one of the
+causes that kept the action unfeasible then has lasted without a break.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -22,7 +22,7 @@ from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
 _MOST_DOMAINS = 8
-# So many things that are sensed and not known are named.
+# At most this many sensed things with unknown names are reported.
 _MOST_PASSED_OVER = 100
 
 Sense = Callable[[], Mapping[str, bool | float]]
@@ -32,9 +32,9 @@ Sense = Callable[[], Mapping[str, bool | float]]
 
 @dataclass(frozen=True)
 class _Believed:
-    """The facts, the numbers that are no more what the file says, and what the starts of running steps took and gave.
+    """The facts, the numbers that differ from the file, and what the starts of running steps made false and true.
 
-    One value, so that whatever interrupts a change leaves all of it done, or nothing.
+    All of it is one value, so that an interrupt leaves a change either complete or undone.
     """
 
     facts: State
@@ -44,19 +44,19 @@ class _Believed:
 
 @dataclass(frozen=True)
 class _Sensed:
-    """What was sensed: atoms, feasibility left out, with whether they hold, and numbers."""
+    """The last percepts: whether atoms hold, without feasibility, and the values of numbers."""
 
     facts: Mapping[str, bool] = field(default_factory=dict)
     numbers: Mapping[str, float] = field(default_factory=dict)
 
 
 class Belief:
-    """The state as it is believed, kept from one planning to the next.
+    """The believed state, which is kept from one planning to the next.
 
-    What is sensed of objects that the files do not have is passed over, and said in `passed_over`, in sentences.
+    Percepts about objects that the files do not have are ignored; `passed_over` reports them in sentences.
 
     Args:
-        domain: what `load_domain` returned; the facts of its problem file are believed at first.
+        domain: what `load_domain` returned; the belief begins with the facts of its problem file.
         kb: says which ROSA actions are feasible.
         sense: returns what is sensed now.
     """
@@ -74,11 +74,11 @@ class Belief:
 
     @property
     def numbers(self) -> Mapping[str, float]:
-        """The numbers that are no more what the problem file says, by their text."""
+        """The numbers whose values no longer come from the problem file, by their text."""
         return self._now.numbers
 
     def use(self, domain: Domain) -> None:
-        """Go on with a domain of other objects; what was known of objects that it lacks is forgotten."""
+        """Switch to a domain with other objects, and forget what was known about objects that it does not have."""
         gone = {*self.domain.types} - {*domain.types}
         self.domain = domain
         kept = frozenset(fact for fact in self._now.facts if gone.isdisjoint(_names_in(fact)))
@@ -88,7 +88,7 @@ class Belief:
         self.passed_over.clear()
 
     def appeared(self) -> Iterator[tuple[str, str, bool]]:
-        """Yield the objects that are sensed to be there, or gone, other than is known: name, type, whether there."""
+        """Yield the objects that are sensed to have appeared or gone: name, type, and whether the object is there."""
         self._read()
         for text, is_there in self._answer.items():
             name, mark, kind = str(text).partition(" - ")
@@ -98,9 +98,9 @@ class Belief:
                 yield name, kind, is_there
 
     def observe(self) -> State:
-        """Take in what is sensed; return what is true then, with what is feasible."""
+        """Update the belief with the percepts; return the believed state, with the facts about feasibility."""
         sensed, facts = self._read(), self._now.facts
-        # large worlds are looked at several times a tick, and mostly nothing has changed
+        # called several times a tick, mostly with nothing changed, which must be quick in large worlds
         if self._taken_in is None or self._taken_in[0] is not facts or self._taken_in[1] is not sensed:
             computed = {text: one for text, one in sensed.numbers.items() if head_of(text) in self.domain.computed}
             known = numbers_in(facts if computed else ()).items()
@@ -113,18 +113,18 @@ class Belief:
         return facts | feasible_atoms(self.domain, self._kb)
 
     def start(self, key: object, step: Step, state: State) -> None:
-        """Assume what the start of a step brings about, until it ends or is given up by the same key."""
+        """Believe the start effects of a step; `end` or `give_up` with the same key finishes it."""
         before, facts = self._now.facts, without_feasibility(self.domain, started(self.domain, step, state))
         undos = {**self._now.undos, key: (before - facts, facts - before)}
         self._now = replace(self._now, facts=facts, undos=undos)
 
     def end(self, key: object, step: Step, state: State) -> None:
-        """Assume what a step that ended well brought about, and that it used up what it may."""
+        """Believe the end effects of a step that succeeded, and that it used up its resources."""
         facts = without_feasibility(self.domain, ended(self.domain, step, state))
         self._now = _Believed(facts, self._used_up(step), self._undos_but(key))
 
     def give_up(self, key: object, step: Step) -> None:
-        """Take back what the start of a step brought about, but for what it used up; once only."""
+        """Take back the start effects of a step, but count its resources as used up; a second call does nothing."""
         if key in self._now.undos:
             facts = self.unstarted([key], self._now.facts)
             self._now = _Believed(facts, self._used_up(step), self._undos_but(key))
@@ -139,7 +139,7 @@ class Belief:
         return {other: undo for other, undo in self._now.undos.items() if other is not key}
 
     def _used_up(self, step: Step) -> Mapping[str, float]:
-        """Return the numbers once a step, however it ended, has used up what it may."""
+        """Return the numbers after a step, successful or not, has used up its limited resources."""
         known = self._now.numbers
         try:
             usage, numbers = usage_of(self.domain), usage_of(self.domain).numbers(known)
@@ -148,7 +148,7 @@ class Belief:
                 if used and f"({name})" not in self.sensed.numbers:
                     known = {**known, f"({name})": float(usage.value(("n", f"({name})"), numbers) + used)}
         except UnsupportedPddlError:
-            return self._now.numbers  # nothing can be planned within limits of which nothing is known
+            return self._now.numbers  # with an unknown limit or amount nothing can be planned anyway
         return known
 
     def _read(self) -> _Sensed:
@@ -172,15 +172,15 @@ class Belief:
             if not isinstance(text, str):
                 raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
             if " - " in text:
-                continue  # an object: the executor has taken it in before
+                continue  # an object, which the executor has added already
             try:
                 atom = self.domain.atom(text)
-            except UnknownObjectError as error:  # the world may hold more than the files say; a slip is another matter
+            except UnknownObjectError as error:  # the world may have more objects; other errors are raised
                 if len(self.passed_over) < _MOST_PASSED_OVER:
                     self.passed_over[f"what is sensed is passed over: {error}"] = None
                 continue
             is_number = head_of(atom) in self._numeric
-            known = value.item() if hasattr(value, "item") else value  # what numpy makes is as good
+            known = value.item() if hasattr(value, "item") else value  # numpy's values are accepted, too
             if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
                 expected = "a number" if is_number else "True or False"
                 raise SensingError(f"sense returned {value!r} for {atom}, expected {expected}")
@@ -198,16 +198,16 @@ def _names_in(fact: str) -> list[str]:
 
 
 class LastingFeasibility:
-    """A knowledge base with whose forecasts is planned: no step may end later than its action stays feasible.
+    """A knowledge base whose forecasts count in planning: a step must end while its action is still feasible.
 
-    That is as far as is known, see `KnowledgeBase.feasible_until`. To plan, the worse ends of what is forecast count,
-    and a tenth more time is needed; a plan is kept while what is expected allows it. So a forecast that wavers changes
-    no plan. All else is asked of the knowledge base itself.
+    Forecasts come from `KnowledgeBase.feasible_until`. A new plan must keep to the earliest forecast times, with a
+    tenth of its time to spare; a plan under way is kept as long as the expected times allow it. So a forecast that
+    varies a little changes no plan. All other attributes are those of the knowledge base.
 
     Args:
         kb: the knowledge base.
         domain: what `load_domain` returned.
-        horizon_s: so far is looked ahead [s].
+        horizon_s: how far ahead forecasts look [s].
     """
 
     def __init__(self, kb: KnowledgeBase, domain: Domain, horizon_s: float = 300.0) -> None:
@@ -219,7 +219,7 @@ class LastingFeasibility:
         return getattr(self._kb, name)
 
     def forecasts(self) -> Mapping[str, FeasibleUntil]:
-        """Return until when each action stays feasible that is so now, by the fact that says so."""
+        """Return the forecast for each action that is feasible now, by its fact `(action_feasible ...)`."""
         now = self._kb.now, self._kb.log.last
         if self._known[0] != now:
             feasible = [(atom, one) for one, atom in self._atoms.items() if self._kb.is_feasible(one)]
@@ -228,7 +228,7 @@ class LastingFeasibility:
 
 
 class FeasibilityEvents:
-    """Which event of the knowledge base changed what is feasible, if it keeps a log."""
+    """Finds the event of the knowledge base that changed feasibility, if the knowledge base keeps a log."""
 
     def __init__(self, domain: Domain, kb: Feasibility) -> None:
         self._actions = frozenset(domain.rosa_actions)
@@ -237,7 +237,7 @@ class FeasibilityEvents:
         self._seen = 0 if self._log is None else self._log.last
 
     def latest(self) -> int | None:
-        """Return the number of the last event since the call before that changed the status of an action."""
+        """Return the number of the latest event since the previous call that changed an action's status, or None."""
         found = None
         if self._log is not None and self._log.last != self._seen:
             for event in self._log.since(self._seen):
@@ -249,7 +249,7 @@ class FeasibilityEvents:
 
 @runtime_checkable
 class _Explaining(Protocol):
-    """What a knowledge base may offer beside feasibility; `kb.KnowledgeBase` does."""
+    """The explanations that a knowledge base may offer; `kb.KnowledgeBase` does."""
 
     def explain(self, element: str) -> Explanation: ...
 
@@ -258,7 +258,7 @@ class _Explaining(Protocol):
 
 @dataclass(frozen=True)
 class UnmetEffect:
-    """A step that ended well without making feasible what it was to."""
+    """A step that succeeded without making an action feasible as expected."""
 
     step: Step
     action: str
@@ -270,7 +270,7 @@ class UnmetEffect:
 
 
 class ExpectedEffects:
-    """Which steps are relied upon to make actions feasible, as a domain without those that did not."""
+    """Provides a domain for planning, without the effects on feasibility that were unmet."""
 
     def __init__(self, domain: Domain, kb: Feasibility) -> None:
         self._domain, self._kb = domain, kb
@@ -290,7 +290,7 @@ class ExpectedEffects:
         return self._without(frozenset(self._unmet)) if self._unmet else self._domain
 
     def ended(self, step: Step, state: State) -> tuple[UnmetEffect, ...]:
-        """Take in that a step ended well; return what it did not make feasible."""
+        """Note that a step succeeded; return its unmet effects."""
         why = self._kb.why if isinstance(self._kb, _Explaining) else "{} is unfeasible".format
         found = tuple(
             UnmetEffect(step, action, _causes(self._kb, action), why(action))
@@ -301,7 +301,7 @@ class ExpectedEffects:
         return found
 
     def update(self) -> bool:
-        """Take in what is known now; return whether something is relied upon again."""
+        """Forget unmet effects whose causes have gone; return whether there were any."""
         before = len(self._unmet)
         for key, unmet in tuple(self._unmet.items()):
             feasible = self._kb.is_feasible(unmet.action)
@@ -325,7 +325,7 @@ class ExpectedEffects:
 
 
 def _causes(kb: Feasibility, action: str) -> frozenset[str]:
-    """Return what an action is unfeasible for in the end, by kind and name; of a kb that cannot tell, the action."""
+    """Return the root causes why an action is unfeasible, as kind and name; the action if the kb cannot explain."""
     if not isinstance(kb, _Explaining):
         return frozenset({action})
     found, left, seen = set[str](), [kb.explain(action)], set[str]()
@@ -340,7 +340,7 @@ def _causes(kb: Feasibility, action: str) -> frozenset[str]:
 
 
 def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domain:
-    """Return a domain in which some steps are not expected to make some actions feasible."""
+    """Return a domain in which the given steps no longer make the given actions feasible."""
     schemas = dict(domain.schema_of)
     for step, action in unmet:
         schema, limited = schemas[step.schema], partial(_limited, domain, step, action)
@@ -353,7 +353,7 @@ def _without_effects(domain: Domain, unmet: Iterable[tuple[Step, str]]) -> Domai
 
 
 def _limited(domain: Domain, step: Step, action: str, effect: UpThing) -> UpThing:
-    """Return an effect that does not come about for the objects of a step, if it makes a ROSA action feasible there."""
+    """Return an effect that no longer makes a ROSA action feasible when the objects are those of the step."""
     affected = affected_atoms(domain, [effect], binding_of(domain, step))
     if not domain.makes_feasible(effect) or domain.feasible_atom(action) not in affected:
         return effect

@@ -1,4 +1,4 @@
-"""How far a plan has come, in which order its steps may start, and whether the rest will still do."""
+"""How far a plan is executed, in which order its steps may start, and whether the rest still works."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -28,19 +28,19 @@ from rosa_pddl.validate import (
     replay,
 )
 
-# Costs are sums of decimal numbers: less than this is no difference.
+# Costs are sums of floats; a difference below this counts as none.
 _SAME_COST = 1e-9
-# So many times as long as a plan needs it, an action has to stay feasible for the plan to be made.
+# A new plan is made only if actions stay feasible this many times as long as the plan needs them.
 _LONGER = 1.1
 
 _Touched = tuple[frozenset[str], frozenset[str]]
 _Forecasts = Callable[[], Mapping[str, FeasibleUntil]]
 Clash = Callable[[Step, Step], bool]
-"""Whether two steps may not be done at once, whatever their conditions and effects say."""
+"""Tells whether two steps must not run at the same time, whatever their conditions and effects are."""
 
 
 def shared_components(kb: Feasibility) -> Clash:
-    """Return which steps are done with the same component, in any design of what their ROSA actions require."""
+    """Return a function that tells whether two steps may need the same component, in any design of their functions."""
 
     @cache
     def components(action: str | None) -> frozenset[str]:
@@ -57,7 +57,7 @@ def shared_components(kb: Feasibility) -> Clash:
 
 
 class Prediction(NamedTuple):
-    """What the rest of a plan leads to, if nothing comes between."""
+    """The predicted result of the rest of a plan, if nothing unexpected happens."""
 
     flaw: str | None
     facts: State
@@ -65,9 +65,9 @@ class Prediction(NamedTuple):
 
 @dataclass(frozen=True)
 class PlanExecution:
-    """A plan, the order of its steps, and what of it has happened.
+    """A plan, the order of its steps, and the events of it that have happened.
 
-    Before a step may start, what is in `after` at its place has to have happened.
+    A step may start when all events in `after`, at the step's index, have happened.
     """
 
     steps: tuple[Step, ...]
@@ -80,11 +80,11 @@ class PlanExecution:
     def of(
         cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...], clash: Clash | None = None
     ) -> "PlanExecution":
-        """Order a plan: a schedule by what its steps need of one another, other plans one step after the other.
+        """Order a plan: a schedule by what its steps need from one another, other plans one step after the other.
 
-        Given which steps clash, in what they are done with, a step waits only for the end of those before it that it
-        clashes with, or of which one changes what the other needs or changes, at whatever time: all orders of what is
-        left then come to the same.
+        If `clash` is given, a step of an unscheduled plan waits only for the earlier steps with which it clashes or
+        interferes, which means that one of the two changes what the other needs or changes. All orders that this
+        allows have the same result.
         """
         if result.schedule:
             return _scheduled(domain, result.schedule, goals)
@@ -131,11 +131,11 @@ class PlanExecution:
         return tuple(self.steps[number] for number in (*self.running, *self.remaining))
 
     def starts_with(self, step: Step) -> int | None:
-        """Return the number of an equal step that may start now, None if there is none."""
+        """Return the number of an equal step that may start now, or None."""
         return next((number for number in self.startable if self.steps[number] == step), None)
 
     def ends_s(self, takes_s: Callable[[Step], float], shares: Mapping[Step, float]) -> tuple[float, ...]:
-        """Return in what time each step ends at the earliest, given what share is left of those that run [s]."""
+        """Return the time from now to the earliest end of each step [s], given the shares left of running steps."""
         at = dict[StepEvent, float]()
         for event in self.events:
             number, before = event.number, StepEvent(event.number, False)
@@ -151,7 +151,7 @@ class PlanExecution:
     def prediction(
         self, domain: Domain, state: State, until: Mapping[str, float] | None = None, ends_s: Sequence[float] = ()
     ) -> Prediction:
-        """Suppose that the rest happens as planned, from the atoms that are true now; the times are as in `replay`."""
+        """Predict the rest of the plan from the current state; `until` and `ends_s` are as in `replay`."""
         left = ([event for event in moment if event not in self.happened] for moment in self.moments)
         flaw, facts = replay(domain, self.steps, filter(None, left), state, self.running, until, ends_s)
         missed = (goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression]))
@@ -163,7 +163,7 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
     timed = sorted(schedule, key=lambda one: one.start_s)
 
     def rank(event: StepEvent) -> tuple[int, StepEvent]:
-        """Order what happens at one moment: first what ends, then what starts, then what is over at once."""
+        """Order the events of one moment: first ends, then starts, then the ends of instantaneous steps."""
         return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
 
     in_time = tuple(tuple(_in_turn(domain, timed, sorted(moment, key=rank))) for moment in moments(timed))
@@ -186,9 +186,9 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
 def _not_too_early(
     domain: Domain, timed: Sequence[TimedStep], touched: Sequence[_Touched], after: Sequence[frozenset[StepEvent]]
 ) -> tuple[frozenset[StepEvent], ...]:
-    """Let a step that provides something only while it lasts, such as light, wait for what its first user waits for.
+    """Let a step that provides something only while it runs, such as light, wait for what its first user waits for.
 
-    Otherwise it might be over before it is of use, as nothing tells how long the others take.
+    Otherwise it might end before it is used, as it is not known how long the other steps really take.
     """
     waits = list(after)
     for number, one in enumerate(timed):
@@ -219,7 +219,7 @@ def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]
 
 
 def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]) -> Iterator[StepEvent]:
-    """Yield what happens at one moment; a start comes after what provides what has to hold over all of it."""
+    """Yield the events of one moment; a step starts after the events that provide its `over all` conditions."""
     left = list(together)
 
     def provides(event: StepEvent) -> bool:
@@ -240,7 +240,7 @@ def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: Sequence[Step
 
 
 def _touched(domain: Domain, step: Step, ends: Iterable[bool] = (False, True)) -> _Touched:
-    """Return the atoms that a step, or only its start or its end, needs, and those that it changes."""
+    """Return the atoms that a step, or one of its ends only, needs, and the atoms that it may change."""
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     needed, changed = set[str](), set[str]()
     for is_end in ends:
@@ -256,27 +256,27 @@ def _interfere(one: _Touched, other: _Touched) -> bool:
 
 
 class PlanMonitor:
-    """Whether the plan that is executed will still do."""
+    """Checks whether the plan that is executed still works."""
 
     def __init__(self, effects: ExpectedEffects, belief: Belief, forecasts: _Forecasts) -> None:
         self.effects, self.belief, self._forecasts = effects, belief, forecasts
 
     def until(self) -> dict[str, float]:
-        """Return how much longer facts hold to plan with [s]: to the worse end of what is forecast, less some."""
+        """Return how much longer facts hold for a new plan [s]: the earliest time forecast, with a margin."""
         ends = {atom: (one.earliest, one.now) for atom, one in self._forecasts().items()}
         return {atom: (end - now) / _LONGER for atom, (end, now) in ends.items() if end is not None}
 
     def is_no_easier(self, then: Problem) -> bool:
-        """Whether what could not be reached cannot be reached now, by its limits and by what is forecast."""
+        """Whether a problem without a plan has none now either, as no limit and no forecast leaves more."""
         now = self.until() if then.until else {}
         lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
         return not lasts_longer and usage_of(self.effects.domain).leave_no_more(self.belief.numbers, then.costs)
 
     def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
-        """Return which step of a plan that works would end too late by what is expected, in words; None if none."""
+        """Return in words which step of a working plan would end too late by the expected times; None if none."""
         forecasts = self._forecasts()
         found = {atom: one.at - one.now for atom, one in forecasts.items() if one.at is not None}
-        if not found or not plan.goals:  # what is safe is done also where nothing can be planned
+        if not found or not plan.goals:  # a safe step, which has no goals, is never too late
             return None
         domain, usage = self.effects.domain, usage_of(self.effects.domain)
         numbers = usage.numbers(self.belief.numbers, state)
@@ -288,23 +288,23 @@ class PlanMonitor:
         return f"{flaw}, as " + " and ".join(f"{forecasts[one].action} is {forecasts[one]}" for one in alone or found)
 
     def overspent(self, plan: PlanExecution) -> str | None:
-        """Return which limit the steps break that have not started, in words; None if they keep them all.
+        """Return in words which limit the steps that have not started break; None if they keep all limits.
 
-        What runs is passed over: part of what it uses may be in what is sensed already.
+        Running steps are left out, as the sensed numbers may already include part of what they use.
         """
-        with suppress(UnsupportedPddlError):  # what is done without a plan, where a number is not known
+        with suppress(UnsupportedPddlError):  # a safe step may run though a number is unknown
             steps = (plan.steps[number] for number in plan.remaining)
             over = usage_of(self.effects.domain).overspent(self.belief.numbers, steps)
             return None if over is None else f"the rest of the plan is too much: {over}"
         return None
 
     def aimed(self, plan: PlanExecution, state: State, goals: Goals) -> PlanExecution:
-        """Return a plan that has to reach the goals as they are now; of the soft ones those that it reaches."""
+        """Return the plan with the current goals as its goals: all hard ones, and the soft ones that it reaches."""
         facts = plan.prediction(self.effects.domain, state).facts
         return replace(plan, goals=goals.hard + self._holding(goals.soft, facts))
 
     def is_over(self, state: State, goals: Goals, plan: PlanExecution | None) -> bool:
-        """Whether nothing is left to do: the goals hold, or those that do not are not worth it, as the plan found."""
+        """Whether nothing is left to do: all goals hold, or the plan is finished and gave up only soft goals."""
         wanted = goals.hard if plan is not None and plan.is_finished else tuple(goals)
         return self._holding(wanted, state) == wanted
 
@@ -317,23 +317,23 @@ class PlanMonitor:
         weights: Mapping[Step, int],
         margin: float,
     ) -> bool:
-        """Whether a plan, begun in a state, works and costs less than the rest of another, by a share of its own cost.
+        """Whether the new plan works and, even with its cost raised by the margin, costs less than the rest of the old.
 
-        Of running steps so much is left, and some steps count several times.
+        Each plan comes with the state that it begins in; shares are left of running steps, weights multiply costs.
         """
         plan, after = new
         if plan.prediction(self.effects.domain, after).flaw is not None or self.overspent(plan) is not None:
             return False
         try:
             mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
-        except UnsupportedPddlError:  # a number that costs are made of is not known now
+        except UnsupportedPddlError:  # a number that costs depend on is unknown now
             return False
         return mine * (1.0 + margin) < others - _SAME_COST
 
     def _price(
         self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
     ) -> float:
-        """Return the cost of what has not ended, and the worth of the goals that are forgone."""
+        """Return the cost of the steps that have not ended plus the worth of the soft goals that are given up."""
         domain, usage = self.effects.domain, usage_of(self.effects.domain)
         held = self._holding(goals.soft, plan.prediction(domain, state).facts)
         price = sum(goal.worth or 0.0 for goal in goals.soft if goal not in held)

@@ -1,4 +1,4 @@
-"""When to plan anew, the dialogue with the planner, and why there is no plan."""
+"""Decides when to replan, exchanges requests and answers with the planner, and explains why there is no plan."""
 
 import logging
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -20,37 +20,37 @@ from rosa_pddl.validate import missing_at_start
 
 _LOG = logging.getLogger(__name__)
 
-# Sums of tick lengths miss the due time by rounding; no clock of ours tells less than this apart [s].
+# Sums of tick lengths may miss the due time by a rounding error; shorter times count as none [s].
 _CLOCK_RESOLUTION_S = 1e-6
-# A planner keeps its own time limit; this much more is waited before it is given up [s].
+# Time beyond the planner's own time limit to wait for its answer, before it is given up [s].
 _GRACE_S = 2.0
-# After a first failure this long is waited, after each more in a row twice as long, and never longer than the last [s].
+# The pause after a first failure, which doubles with each further failure in a row, and the longest pause [s].
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 60.0
 
 PlanningState = tuple[State, Mapping[str, float]]
-"""What is believed: the true atoms, and numbers by their text."""
+"""The believed state: the true atoms, and numbers by their text."""
 
 
 @dataclass(frozen=True)
 class ReplanningPolicy:
-    """How eager a plan executor is to plan anew.
+    """When a plan executor replans, and what it does meanwhile.
 
-    A plan that does not reach the goal any more is always replaced; what a running step needs is always watched, and
-    the step stopped at once when it is missing.
+    A plan that no longer reaches the goals is always replaced. The conditions of running steps are always watched, and
+    a step is stopped as soon as one of its conditions does not hold.
 
     Args:
-        eager: whether to look for a better plan whenever the world changed by itself though the current plan still
-            works. The better plan replaces the current one if it costs less; of running steps what is left counts.
-        at_most_every_s: no planning begins sooner than this after the one before [s].
-        while_planning: what becomes of steps that run while a plan is needed: `continue` lets those go on whose own
-            conditions hold, and they run on if the new plan starts with them; `hold` stops them all.
-        retries: how often in a row a planner in trouble is asked again, and a step that failed may be planned with,
-            each time after a pause twice as long. After that a planner in trouble is a failure, and the step is left
-            out of plans, until a pause of up to a minute is over.
-        side_by_side: whether steps of a plan run at the same time that need and change nothing of one another, and that
-            share no component; else one runs after the other, unless a temporal planner says when each starts.
-        hysteresis: by what share of its own cost a better plan has to be better, once more with each plan that was
-            replaced for being dearer; so it comes to an end however much costs change.
+        eager: whether to look for a better plan when the world changes by itself, although the current plan still
+            works. A cheaper plan replaces the current one; of running steps, only the share that is left costs.
+        at_most_every_s: shortest time between the starts of two plannings [s].
+        while_planning: what happens to running steps while a new plan is needed: `continue` lets steps go on whose own
+            conditions hold, and keeps them if the new plan starts with them; `hold` stops all steps.
+        retries: how often in a row a planner in trouble is asked again, and a failed step is planned again; the pause
+            doubles each time. After that, planning fails, or plans leave out the step, until a pause of up to a minute
+            is over.
+        side_by_side: whether steps of a plan may run at the same time if neither changes what the other needs or
+            changes, and they share no component; else only a temporal planner lets steps overlap.
+        hysteresis: by which share of its own cost a new plan must be cheaper to replace a working one; this share grows
+            by the same amount with each such replacement, so that replacing ends even if costs keep changing.
 
     Raises:
         PlannerSettingError: a setting that makes no sense.
@@ -74,7 +74,7 @@ class ReplanningPolicy:
 
 @dataclass(frozen=True)
 class Decision:
-    """That a plan is to be made."""
+    """The decision to replan: why, whether a plan is needed, and the number of the event that caused it."""
 
     BOOKKEEPING = "reason cause"
 
@@ -84,7 +84,7 @@ class Decision:
 
 
 def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None) -> Decision | None:
-    """Decide whether to plan anew while there is a plan; None to go on with it."""
+    """Decide whether to replan while there is a plan; None to keep it."""
     if flaw is not None:
         return Decision(f"the goals changed: {flaw}" if goals_changed else flaw, is_needed=True)
     if goals_changed:
@@ -95,7 +95,7 @@ def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, n
 
 
 def news_of(expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]) -> str | None:
-    """Return what changed by itself since it was last looked and matters, in words; None if nothing did."""
+    """Return in words the relevant changes that no step made since the last tick; None if there are none."""
     if expected is None or expected == now:
         return None
     (before, known), (state, numbers) = expected, now
@@ -108,7 +108,7 @@ def news_of(expected: PlanningState | None, now: PlanningState, matters: Callabl
 
 
 class Setbacks:
-    """What has failed, a step or, by None, the planner: how often in a row, and until when it is left alone."""
+    """Counts failures in a row of each step, and of the planner (key None), with the time when its pause ends."""
 
     BOOKKEEPING = "_failed"
 
@@ -117,9 +117,9 @@ class Setbacks:
         self._failed: dict[Step | None, tuple[int, float]] = {}
 
     def add(self, what: Step | None) -> bool:
-        """Note that it failed once more; return whether it is given up for a while."""
+        """Count one more failure and begin a pause; return whether all retries are used up."""
         count = self._failed.get(what, (0, 0.0))[0] + 1
-        # a count beyond the longest pause says nothing more
+        # larger exponents would only overflow
         pause_s = min(_FIRST_PAUSE_S * 2.0 ** min(count - 1, 30), _LONGEST_PAUSE_S)
         self._failed[what] = count, self._clock() + pause_s
         return count > self._policy.retries
@@ -134,36 +134,36 @@ class Setbacks:
         return self._failed.get(what, (0, 0.0))[0]
 
     def wait_s(self, what: Step | None) -> float:
-        """Return how long it is still left alone [s]."""
+        """Return how much of its pause is left [s]."""
         left_s = self._failed.get(what, (0, -inf))[1] - self._clock()
         return left_s if left_s > _CLOCK_RESOLUTION_S else 0.0
 
     @property
     def left_out(self) -> tuple[Step, ...]:
-        """The steps that no plan may have now."""
+        """The steps that plans must not contain now."""
         steps = [step for step in self._failed if step is not None]
         return tuple(step for step in steps if self.count(step) > self._policy.retries and self.wait_s(step))
 
     @property
     def weights(self) -> Mapping[Step, int]:
-        """How many times its cost each step counts: as often as it has to be tried, by the rule of succession."""
+        """The factor on each step's cost: the expected number of tries, by the rule of succession; 0 leaves it out."""
         out, failed = self.left_out, self._failed.items()
         return {step: 0 if step in out else count + 1 for step, (count, _) in failed if step is not None}
 
 
 class PlansAhead(Protocol):
-    """What the executor needs of a planner."""
+    """What the executor needs from a planner."""
 
     @property
     def timeout_s(self) -> float:
-        """After this long the planner gives up by itself [s]."""
+        """The planner's own time limit for an answer [s]."""
 
     def start(self, problem: Problem) -> "Future[PlanningResult]": ...
 
 
 @dataclass(frozen=True)
 class _Question:
-    """What was asked of the planner."""
+    """A request to the planner."""
 
     problem: Problem
     decision: Decision | None
@@ -173,7 +173,7 @@ class _Question:
 
 
 class PlannerClient:
-    """Asks a planner in the background, at most one question at a time."""
+    """Sends requests to a planner in the background, at most one at a time."""
 
     def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
         if delay_s is not None and not 0.0 <= delay_s < inf:
@@ -194,14 +194,14 @@ class PlannerClient:
             future = self._planner.start(problem)
             tried = future.result().attempts if future.done() else ()
             is_prepared = CERTIFIED in [attempt.way for attempt in tried]
-        except Exception as error:  # a planner must not stop the tree; what it raises is its answer
+        except Exception as error:  # a planner must not stop the tree; its error is its answer
             future, is_prepared = Future(), False
             future.set_exception(error)
         self._question = _Question(problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future)
         self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
 
     def is_prepared(self, problem: Callable[[], Problem]) -> bool:
-        """Whether the planner answers with a plan that was made before, so that no time passes."""
+        """Whether the planner would answer at once with a plan of its certificate."""
         planner = self._planner
         if not isinstance(planner, Planner) or planner.certificate is None:
             return False
@@ -209,16 +209,16 @@ class PlannerClient:
 
     @property
     def has_answer(self) -> bool:
-        """Whether the answer is there and due, or will not come any more."""
+        """Whether the answer is there and due, or is so late that it is given up."""
         question = self._question
         if question is None or not self._is_due(question):
             return False
-        # in lock-step the clock does not say whether a planner keeps its own time limit
+        # with a delay, simulated time does not tell whether the planner keeps its time limit
         is_late = self._delay_s is None and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
         return question.future.done() or is_late
 
     def take(self) -> tuple[_Question, PlanningResult]:
-        """Return the answer that there is, with its question."""
+        """Return the request and its answer."""
         question = self._question
         assert question is not None, "nothing was asked; look at has_answer first"
         result = self._answer(question)
@@ -226,7 +226,7 @@ class PlannerClient:
         return question, result
 
     def catch_up(self) -> None:
-        """Wait for an answer that is due, as long as the planner allows."""
+        """Wait for an answer that is due, at most for the planner's time limit and a little more."""
         if self._question is None or self._delay_s is None or not self._is_due(self._question):
             return
         try:
@@ -257,13 +257,13 @@ class PlannerClient:
 
 
 Diagnosis: TypeAlias = Generator[Problem, PlanningResult, list[str]]
-"""Yields what to ask a planner next, is sent the answer, and returns sentences in the end."""
+"""Yields the next problem for the planner, receives its result, and finally returns reasons in sentences."""
 
 
 def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
-    """Ask on after there was no plan for goals, and return why, as far as the planner knows.
+    """Ask more problems after there was no plan, to return why, as far as the planner can tell.
 
-    First each goal alone, if there are several; then all of them, were every action feasible, or nothing limited.
+    It asks for each goal alone; then for all goals with every action feasible, without limits, and without forecasts.
     """
     domain, outcomes = problem.domain, [Outcome.UNSOLVABLE_PROVEN] if len(goals) < 2 else []
     for goal in goals[len(outcomes) :]:
@@ -295,14 +295,14 @@ class PlanRecord:
     """One planning that happened.
 
     Args:
-        at_s: when it was asked for [s, the executor's clock].
-        reason: why, in words.
+        at_s: when the plan was requested [s, the executor's clock].
+        reason: why it was requested, in words.
         outcome: how it ended.
         steps: the plan; empty unless solved.
         engine: the engine that was asked.
         message: what was tried and what to do about it; empty when solved.
-        cause: number of the event of `kb.log` that led to it, by what it made feasible or unfeasible; None if that was
-            not why.
+        cause: number of the event of `kb.log` that changed feasibility and so led to this planning; None if no such
+            event did.
     """
 
     at_s: float
@@ -321,7 +321,7 @@ class PlanRecord:
 
 @dataclass(frozen=True)
 class _DeadEnd:
-    """What there is no plan from, and why, until it is tried again whatever is so then [s]."""
+    """A problem without a plan, why it has none, and the time from which it is tried again in any case [s]."""
 
     domain: Domain
     problem: Problem
@@ -330,7 +330,7 @@ class _DeadEnd:
 
 
 class Replanning:
-    """Asks for plans as a policy allows, and finds out why there is none."""
+    """Requests plans as the policy allows, and finds out why there is none."""
 
     BOOKKEEPING = "records _last_asked_s _soft"
 
@@ -351,7 +351,7 @@ class Replanning:
         self.records: list[PlanRecord] = []
 
     def wait_no_more(self) -> None:
-        """Forget when it was asked last, and what has failed."""
+        """Forget the time of the last request, and all failures."""
         self._last_asked_s = -inf
         self.setbacks.clear()
         self._in_vain.clear()
@@ -361,7 +361,7 @@ class Replanning:
         return self._wanted is not None or self._client.is_under_way
 
     def why_no_plan(self, state: State) -> str | None:
-        """Return why there is no plan from a state, if that has been found; None if it has to be asked."""
+        """Return why there is no plan from a state, if that is known already; None if the planner must be asked."""
         dead_end = self._dead_end
         if dead_end is None or dead_end.domain is not self._effects.domain or self._clock() >= dead_end.until_s:
             return None
@@ -373,9 +373,9 @@ class Replanning:
         return self._dead_end is not None
 
     def want(self, decision: Decision) -> None:
-        """Note that a plan is to be made; what is being planned for something else is given up if it is needed.
+        """Note that a plan is wanted; if it is needed, the planning that is under way is given up.
 
-        A planner in trouble is left alone for longer and longer with what is not needed.
+        After trouble, the planner gets no requests for plans that are not needed during longer and longer pauses.
         """
         is_kept = self._wanted is not None and self._wanted.is_needed
         if is_kept or (not decision.is_needed and self._in_vain.wait_s(None)):
@@ -386,7 +386,7 @@ class Replanning:
             self._diagnosis = None
 
     def goals_changed(self, *, is_needed: bool) -> None:
-        """Plan for the goals as they are now, if a plan was being made; there may be one now."""
+        """Restart planning that is under way with the new goals; forget that there was no plan."""
         self._dead_end = None
         if self._client.is_under_way:
             self._client.give_up()
@@ -394,7 +394,7 @@ class Replanning:
             self.want(Decision("the goals changed", is_needed))
 
     def ask_if_allowed(self, state: State, shares: Mapping[Step, float]) -> str | None:
-        """Ask for the plan that is wanted, given what shares are left of running steps, or say why it is too soon."""
+        """Request the plan that is wanted, if any, unless it is too soon; return what to show as feedback."""
         if self._wanted is None:
             return None
         now_s = self._clock()
@@ -408,7 +408,7 @@ class Replanning:
         return f"planning: {decision.reason}"
 
     def _problem(self, state: State, shares: Mapping[Step, float]) -> Problem:
-        """Return what to ask the planner; soft goals are planned for in a domain of their own."""
+        """Return the problem for the planner; if there are soft goals, they are compiled into its domain."""
         soft, until = self._softened(), self._monitor.until()
         domain, wanted = (soft.domain, [soft.goal]) if soft else (self._effects.domain, [])
         goals = (*(goal.expression for goal in self._goals.hard), *wanted)
@@ -423,12 +423,12 @@ class Replanning:
         return self._soft if goals else None
 
     def forget(self) -> None:
-        """Give up what is wanted or being planned; that there is none stays known."""
+        """Give up wanted plans and planning under way; a known lack of a plan is kept."""
         self._client.give_up()
         self._wanted = self._diagnosis = None
 
     def take(self, state: State) -> tuple[PlanExecution, Decision] | None:
-        """Take the answer; return the plan, or what to do while there is none, and why it was asked for."""
+        """Take the answer; return the plan, or the safe step if there is none, with the decision that led to it."""
         question, result = self._client.take()
         if question.decision is None:
             self._diagnose(result, state)
@@ -452,7 +452,7 @@ class Replanning:
             wrong = plan.prediction(domain, state).flaw if is_fresh else None
             if wrong is None:
                 return plan, decision
-            # the same question would get the same answer, again and again
+            # asking again would give the same answer
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
             self._give_up(state, question.problem, why)
             return None
@@ -461,12 +461,12 @@ class Replanning:
     def _without_plan(
         self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
     ) -> tuple[PlanExecution, Decision] | None:
-        """Ask on, or again, if that is of use, and return the safe step if there is one that can start."""
+        """Start a diagnosis or a retry, or conclude; return the safe step as a plan if it can start."""
         outcome, domain, reason = result.outcome, self._effects.domain, getattr(question.decision, "reason", "")
         why = f"no plan: {result.message or reason}"
         why = why if str(outcome) in why else f"no plan, {outcome}: {result.message or reason}"
         was_stale, self._was_stale = self._was_stale, not is_fresh
-        if outcome.is_passing:  # it says nothing of whether there is a plan
+        if outcome.is_passing:  # it does not tell whether there is a plan
             count, is_over = self.setbacks.count(None) + 1, self.setbacks.add(None)
             left_s = self.setbacks.wait_s(None)
             if is_over:
@@ -485,7 +485,7 @@ class Replanning:
             self._diagnosis = unsolved, why, diagnosis(unsolved, self._goals.hard)
             self._diagnose(None, state)
         safe = result.safe_step
-        # what keeps changing must not keep from what is safe
+        # even if the state changes during every planning, the safe step is done
         is_due = (is_fresh or was_stale or outcome.is_passing) and safe not in self.setbacks.left_out
         if safe is None or not is_due or missing_at_start(domain, safe, state) is not None:
             return None
@@ -493,13 +493,13 @@ class Replanning:
         return plan, Decision("there is no plan", is_needed=True)
 
     def _is_same(self, one: State, other: State) -> bool:
-        """Whether two states differ in nothing that a plan or a goal may depend on."""
+        """Whether two states are the same in everything that a plan or a goal may depend on."""
         return not any(map(self.matters, one ^ other))
 
     def _give_up(self, state: State, problem: Problem, why: str, until_s: float = inf) -> None:
-        """Note that there is no plan with the numbers and forecasts that were asked with, which may be others by now.
+        """Note that there is no plan with the numbers and forecasts of the request, which may have changed since.
 
-        Steps that are left out for having failed are tried again when their time has come.
+        Planning is tried again when the pause of a step ends that is left out because it has failed.
         """
         out = self.setbacks.left_out
         for step in out:
@@ -509,7 +509,7 @@ class Replanning:
         self._dead_end = _DeadEnd(self._effects.domain, replace(problem, state=state), why, until_s)
 
     def _diagnose(self, answer: PlanningResult | None, state: State) -> None:
-        """Ask on, or conclude that there is no plan; when the state has changed it is better to plan anew."""
+        """Continue the diagnosis or conclude it; if the state has changed in the meantime, replan instead."""
         assert self._diagnosis is not None
         problem, why, asking = self._diagnosis
         if problem.domain is not self._effects.domain or not self._is_same(problem.state, state):
@@ -517,7 +517,7 @@ class Replanning:
             self.want(Decision("the state changed", is_needed=True))
             return
         try:
-            # nothing but None may be sent to what has not begun
+            # a generator that has not started accepts no value
             self._client.ask(next(asking) if answer is None else asking.send(answer), None)
         except StopIteration as concluded:
             self._diagnosis = None

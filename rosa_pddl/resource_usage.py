@@ -1,4 +1,4 @@
-"""What the numbers of a domain are for, and what steps cost and use up, exactly, by the values that they have."""
+"""What the numbers of a domain are used for, and the exact costs and resource usage of steps."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -17,20 +17,20 @@ Numbers: TypeAlias = Mapping[str, float | Exact]
 
 
 class NumberUses:
-    """Sorts numbers, as unified-planning's fluents, by what is done with them.
+    """Sorts the numbers of a domain, which are fluents of unified-planning, by how they are used.
 
     Args:
-        schemas: the actions, with all that they do to numbers.
-        costs: what they cost.
-        derived: the conditions of what is derived.
-        goals: what shall hold in the end.
+        schemas: the actions, with all their effects on numbers.
+        costs: the costs of the actions.
+        derived: the conditions of derived predicates.
+        goals: the goals.
 
     Attributes:
-        rises: of the numbers without arguments that actions only increase, in any case: by how much each action does.
-        limits: of the goals those that only limit what is used up.
-        resources: of the rising ones what rises by sums of what none changes, no condition or cost reads, and the goal
-            only limits: what is used up is added up.
-        computed: those that are part of a state: what conditions read, and what is changed.
+        rises: the numbers without arguments that actions only increase, unconditionally: by how much each action does.
+        limits: the goals that only limit how much of a resource is used up.
+        resources: the numbers of `rises` that no condition or cost reads, that the goal only limits, and that rise by
+            sums of numbers that no action changes: their usage can be added up.
+        computed: the numbers that are part of a state: those that conditions read, and those that actions change.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class NumberUses:
         return goal.arg(0).fluent() in self.rises and self._is_fixed_sum(goal.arg(1))
 
     def _is_fixed_sum(self, amount: UpThing) -> bool:
-        """Whether an amount is a sum of numbers that no action changes, with constants of 0 or more as factors."""
+        """Whether an amount is a sum of numbers that no action changes, with constant factors of 0 or more."""
         if amount.is_constant() or amount.is_fluent_exp():
             return amount.is_constant() or amount.fluent() not in self._changed
         if not (amount.is_plus() or amount.is_minus() or amount.is_times()):
@@ -86,22 +86,22 @@ def _is_rise(change: UpThing) -> bool:
 
 @dataclass(frozen=True)
 class Remaining:
-    """What may still be used up of a resource: so much, or less than that where it is strict."""
+    """How much of a resource may still be used up: at most this amount, or less than it if the limit is strict."""
 
     amount: Exact
     is_strict: bool = False
 
     def whole(self, scale: int) -> int:
-        """Return the most that is not too much, of amounts that are whole when multiplied by a scale."""
+        """Return the largest allowed amount, multiplied by a scale that makes all amounts whole numbers."""
         scaled = self.amount * scale
         return ceil(scaled) - 1 if self.is_strict else floor(scaled)
 
 
 class ResourceUsage:
-    """What the steps of a domain cost, and what they use up of its limited resources, in the order of `domain.limited`.
+    """The costs of the steps of a domain, and their usage of limited resources in the order of `domain.limited`.
 
-    A step costs what the metric says, or 1 if there is none. Decimals count as they are written.
-    UnsupportedPddlError is raised where a number has no value, or none that is finite.
+    A step costs what the metric says, or 1 if there is no metric. Decimal numbers are exact.
+    UnsupportedPddlError is raised if a number has no value, or an infinite one.
     """
 
     def __init__(self, domain: Domain) -> None:
@@ -137,18 +137,18 @@ class ResourceUsage:
         return bound_number(self._durations[step.schema], step.arguments)
 
     def takes_s(self, step: Step, numbers: Numbers) -> Exact:
-        """Return how long a step takes at least [s]; 0 where that is not known."""
+        """Return the shortest duration of a step [s]; 0 if it is unknown."""
         with suppress(UnsupportedPddlError):
             return self.value(self.duration_of(step), numbers)
         return 0
 
     def numbers(self, given: Numbers, state: State = frozenset()) -> Numbers:
-        """Return the values of numeric facts: what is part of a state or given, or else those of the problem file."""
+        """Return the values of numeric facts: from the state, as given, or else from the problem file."""
         in_state: dict[str, float | Exact] = {**numbers_in(state)} if self._domain.computed else {}
         return {**self._in_file, **given, **in_state}
 
     def known(self, key: str, numbers: Numbers) -> Exact:
-        """Return the value of a numeric fact, by its text."""
+        """Return the value of the numeric fact with this text."""
         try:
             return exact(numbers[key])
         except (ValueError, OverflowError) as error:
@@ -161,7 +161,7 @@ class ResourceUsage:
 
     def value(self, amount: Number, numbers: Numbers) -> Exact:
         if isinstance(amount, tuple) and amount[0] == "n":
-            return self.known(amount[1], numbers)  # as most are, which is quicker
+            return self.known(amount[1], numbers)  # a shortcut, as most amounts are like this
         value: Exact | None = value_of(amount, {key: self.known(key, numbers) for key in numeric_facts(amount)})
         if value is None:
             message = f"a cost is divided by nothing: {', '.join(numeric_facts(amount))}; state another number"
@@ -171,7 +171,7 @@ class ResourceUsage:
     def in_turn(
         self, given: Numbers, state: State, steps: Iterable[Step], begun: int = 0
     ) -> Iterator[tuple[Step, Numbers]]:
-        """Yield steps, of which so many have begun, with the numbers as they are when it is their turn."""
+        """Yield each step with the numbers when its turn comes; the first `begun` steps run already."""
         domain, numbers = self._domain, self.numbers(given, state)
         for number, step in enumerate(steps):
             yield step, numbers
@@ -188,7 +188,7 @@ class ResourceUsage:
         return tuple(found)
 
     def overspent(self, given: Numbers, steps: Iterable[Step], state: State = frozenset()) -> str | None:
-        """Return which limit steps break with some numbers, in words; None if they keep them all."""
+        """Return in words which limit the steps break with the given numbers; None if they keep all limits."""
         if not self._limits:
             return None
         numbers, used = self.numbers(given, state), list[Exact]([0] * len(self._limits))
@@ -201,13 +201,13 @@ class ResourceUsage:
         return None
 
     def leave_no_more(self, now: Numbers, then: Numbers) -> bool:
-        """Whether what is impossible with some numbers is so with others: no limit leaves more, steps use the same."""
+        """Whether what was impossible then is impossible now: no limit leaves more, and steps use the same."""
         if now is then or not self._limits:
             return True
         known, before = self.numbers(now), self.numbers(then)
         try:
             limits = zip(self.remaining(before), self.remaining(known), strict=True)
-        except UnsupportedPddlError:  # a number is not known, so nothing can be planned
+        except UnsupportedPddlError:  # with an unknown number nothing can be planned
             return now == then
         if any(new.amount > old.amount or new.is_strict < old.is_strict for old, new in limits):
             return False
@@ -226,7 +226,7 @@ def _compiled(domain: Domain, amount: UpThing, parameters: Iterable[tuple[str, s
 
 
 def whole(amounts: Iterable[Exact]) -> tuple[list[int], int]:
-    """Return amounts as whole numbers, and by what they were multiplied."""
+    """Return the amounts multiplied by a factor that makes them whole numbers, and this factor."""
     listed = list(amounts)
     scale = lcm(*{amount.denominator for amount in listed})
     return [int(amount * scale) for amount in listed], scale

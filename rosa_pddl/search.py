@@ -1,10 +1,10 @@
-"""The exact search: least cost within limits of what is used up, in this process, over states that are compared whole.
+"""The exact search: finds a plan of least cost within the limits of resources, over explicit states, in this process.
 
 Label setting for resource-constrained shortest paths, after Desrochers and Soumis, "A generalized permanent labelling
-algorithm for the shortest path problem with time windows", INFOR 26, 1988. Without limits it is A*. All numbers are
-whole, so sums are exact and so are comparisons with a limit. Work is capped by how many moves are looked at, never by
-the clock, so the same question always has the same answer. Run as a program it answers one task from its standard
-input; it imports nothing but the standard library.
+algorithm for the shortest path problem with time windows", INFOR 26, 1988. Without limits it is A*. All costs and
+amounts are whole numbers, so sums and comparisons with a limit are exact. A cap on the number of moves ends the search,
+never the clock, so the same task always has the same answer. Run as a program, this file solves one task from its
+standard input; it imports nothing but the standard library.
 """
 
 import marshal
@@ -30,20 +30,20 @@ _COMPUTED = {
     "*": operator.mul,
     "/": lambda one, other: Fraction(one) / other,
 }
-# Beyond this many moves a graph forgets what it has worked out.
+# A graph that has stored more moves than this forgets them.
 _MOST_KNOWN = 200_000
 
 
 class NegativeCostError(Exception):
-    """A step costs less than nothing in some state."""
+    """A step has a negative cost in some state."""
 
 
 class CapReached(Exception):
-    """The search looked at as many moves as it may, without an answer."""
+    """The search looked at as many moves as the cap allows and found no answer."""
 
 
 class Move(NamedTuple, Generic[S, T]):
-    """One step: to which state, at what cost, using up how much of each limited thing; none is negative."""
+    """One step: the state after it, its cost, and how much it uses of each limited resource; none is negative."""
 
     to: S
     cost: int
@@ -52,21 +52,21 @@ class Move(NamedTuple, Generic[S, T]):
 
 
 class Graph(Protocol[S, T]):
-    """What is searched."""
+    """The graph that is searched."""
 
     def moves(self, state: S) -> Iterable[Move[S, T]]: ...
 
     def is_goal(self, state: S) -> bool: ...
 
     def least(self, state: S) -> tuple[float, Sequence[float]]:
-        """Return at least what it costs from a state to a goal, and at least what it uses; infinite if out of reach.
+        """Return lower bounds of the cost and of the usage from a state to a goal; infinite if out of reach.
 
-        No move lowers it by more than the move costs or uses.
+        The bounds are consistent: no move lowers them by more than the move costs or uses.
         """
 
 
 class Found(NamedTuple, Generic[S, T]):
-    """A cheapest way, with what it costs and uses; expanded: how many labels it took to prove it."""
+    """A cheapest path with its cost and usage; `expanded` is the number of labels that it took to prove it."""
 
     moves: tuple[Move[S, T], ...]
     cost: int
@@ -75,7 +75,7 @@ class Found(NamedTuple, Generic[S, T]):
 
 
 class _Label(NamedTuple, Generic[S, T]):
-    """A way to a state: what it costs, followed by what it uses up."""
+    """A path to a state: its cost, followed by its usage."""
 
     before: "_Label[S, T] | None"
     move: Move[S, T] | None
@@ -84,17 +84,17 @@ class _Label(NamedTuple, Generic[S, T]):
 
 
 def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: float = inf) -> Found[S, T] | None:
-    """Find a way of least cost that uses up no more than the limits; None is a proof that there is none.
+    """Find a path of least cost that uses no more than the limits; None proves that there is none.
 
-    CapReached is raised where looking at as many moves as the cap gives no answer.
+    CapReached is raised if the search has looked at `cap` moves without an answer.
 
-    Labels leave the queue by cost plus what is lacking at least. So those of a state leave it in order of cost, and a
-    label is worth following only if it uses less of something than every one before it; the first at a goal is
-    optimal.
+    Labels leave the queue in order of their cost plus its lower bound to a goal. So the labels of a state leave it in
+    order of cost, and a label is expanded only if it uses less of something than each earlier one; the first label at
+    a goal is optimal.
     """
     if any(limit < 0 for limit in limits):
         return None
-    ranked = getattr(graph, "ranked", None)  # of numbers that rise and fall, which states compare by
+    ranked = getattr(graph, "ranked", None)  # splits a state: numbers by which states dominate others
     key, ranks = ranked(start) if ranked else (start, ())
     first: _Label[S, T] = _Label(None, None, start, (0,) * (1 + len(limits)))
     queue = [(graph.least(start)[0], (*first.spent[1:], *ranks), 0, first, key)]
@@ -138,13 +138,13 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
 
 
 def distances(arcs: Iterable[tuple[S, S, float]], goals: Iterable[S]) -> dict[S, float]:
-    """Return how far each state is from the nearest goal, along arcs (from, to, length); others are left out."""
+    """Return the distance of each state to its nearest goal along arcs (from, to, length), if there is a path."""
     into: dict[S, list[tuple[S, float]]] = {}
     for one, two, length in arcs:
         into.setdefault(two, []).append((one, length))
     order = {state: number for number, state in enumerate(into)}
     found: dict[S, float] = {}
-    # whole lengths have whole sums, however large: no 0.0 here
+    # 0, not 0.0, so that sums of whole lengths stay exact however large they are
     queue: list[tuple[float, int, S]] = [(0, order.get(goal, -1), goal) for goal in goals]
     heapify(queue)
     while queue:
@@ -178,9 +178,9 @@ def _moves(label: _Label[S, T]) -> tuple[Move[S, T], ...]:
 
 
 Number: TypeAlias = "int | Fraction | tuple[Any, ...] | None"
-"""An exact number, `("n", place)` for the one at that place, an operator with its parts, or unknown."""
+"""An exact number, `("n", place)` for the number at this place, an operator with its parts, or None: unknown."""
 Test: TypeAlias = tuple[str, Number, Number]
-"""A comparison: `<`, `<=`, `=` or `!=`, and what is compared; nothing is so of what is unknown."""
+"""A comparison: `<`, `<=`, `=` or `!=`, and the two numbers; it is false if a number is unknown."""
 
 
 class State(NamedTuple):
@@ -199,7 +199,7 @@ class Condition(NamedTuple):
 
 
 class Change(NamedTuple):
-    """What becomes of a number: what that depends on, its place, and its new value, or the rise."""
+    """A change of a number: its condition, the place of the number, and the increase or the new value."""
 
     condition: Condition
     place: int
@@ -208,7 +208,7 @@ class Change(NamedTuple):
 
 
 class Operation(NamedTuple):
-    """A grounded action, named by its number: what it needs, makes false and true, on conditions too, and changes."""
+    """A grounded action, identified by its number: its condition, deletes, adds, conditional effects and changes."""
 
     number: int
     condition: Condition
@@ -218,13 +218,13 @@ class Operation(NamedTuple):
     changes: tuple[Change, ...] = ()
 
     def extended(self, tests: Sequence[Test], changes: Sequence[Change]) -> "Operation":
-        """Return the operation with further comparisons in its condition, and further changes."""
+        """Return the operation with more comparisons in its condition, and more changes."""
         needs, denies, before = self.condition
         return self._replace(condition=Condition(needs, denies, (*before, *tests)), changes=(*self.changes, *changes))
 
 
 class Rule(NamedTuple):
-    """An axiom: it makes an atom true that is false otherwise; low layers come first."""
+    """An axiom: it makes an atom true that is false otherwise; lower layers are applied first."""
 
     layer: int
     condition: Condition
@@ -232,10 +232,10 @@ class Rule(NamedTuple):
 
 
 class Task(NamedTuple):
-    """A grounded task. Limits say how much of each resource may be used up.
+    """A grounded task; `limits` say how much of each resource may be used up.
 
-    Amounts are what each operation costs, and uses up of each resource; they are whole. More is what each costs besides
-    that, which depends on numbers that rise and fall; it is empty if nothing does.
+    `amounts` are the cost of each operation and its usage of each resource, in whole numbers. `more` is the cost of
+    each operation beyond that, which depends on numbers that rise and fall; it is empty if no cost does.
     """
 
     start: State
@@ -248,10 +248,10 @@ class Task(NamedTuple):
 
 
 class TaskGraph:
-    """A task as a graph. It serves any start and limits; what it works out is kept for the next one.
+    """A task as a graph, for any start and limits; the moves and bounds that it computes are kept for the next search.
 
-    What it takes at least to make a goal true guides the search: of what each operation needs one atom is looked at,
-    all else being left aside, so that this is a shortest way from atom to atom.
+    The lower bound is the shortest path to a goal atom in a relaxed graph of atoms: of the atoms that an operation
+    needs, it keeps only one.
     """
 
     def __init__(self, task: Task) -> None:
@@ -263,13 +263,13 @@ class TaskGraph:
         self._layers = [list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)]
         self._derived = frozenset(rule.atom for rule in task.rules)
         self._directions = _directions(task)
-        # what axioms derive is left out, as no operation shows what that takes
+        # derived atoms are left out, as no operation adds them
         goals = sorted(task.goal.needs - self._derived)
         arcs = [_arcs(task, column, self._derived) for column in zip(*task.amounts, strict=True)]
         self._left = [[distances(each, [goal]) for goal in goals] for each in arcs or [[]] * (1 + len(task.limits))]
 
     def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
-        """Return a plan of least cost within the limits, its moves named by operations; the rest is as `cheapest`."""
+        """Return a plan of least cost within the limits; each move has the number of its operation. See `cheapest`."""
         if self._known > _MOST_KNOWN:
             self._moves, self._least, self._known = {}, {}, 0
         return cheapest(self, self._closed(start.atoms, start.numbers), limits, cap)
@@ -278,7 +278,7 @@ class TaskGraph:
         return _holds(self._task.goal, state)
 
     def ranked(self, state: State) -> tuple[State, tuple[float, ...]]:
-        """Return a state less the numbers of which more, or less, is as good or better, and those: less is better."""
+        """Return a state without the numbers by which it may dominate others, and these numbers: smaller is better."""
         if not self._directions:
             return state, ()
         known = [(sign, state.numbers[place]) for place, sign in self._directions.items()]
@@ -287,7 +287,7 @@ class TaskGraph:
         return State(state.atoms, tuple(kept)), tuple(ranks)
 
     def moves(self, state: State) -> Sequence[Move[State, int]]:
-        """Return what can be done in a state, but for what leaves it as it is."""
+        """Return the moves that are possible in a state and change it."""
         moves = self._moves.get(state)
         if moves is None:
             moves = self._moves[state] = tuple(self._possible(state))
@@ -295,7 +295,7 @@ class TaskGraph:
         return moves
 
     def least(self, state: State) -> tuple[float, tuple[float, ...]]:
-        """Return at least what it costs, and uses, to make the goal true that is farthest."""
+        """Return lower bounds of cost and usage: those of the farthest goal atom."""
         least = self._least.get(state)
         if least is None:
             near = (None, *state.atoms)
@@ -327,7 +327,7 @@ class TaskGraph:
                 yield Move(to, cost + more, tuple(uses), operation.number)
 
     def _closed(self, atoms: frozenset[str], numbers: tuple[Any, ...]) -> State:
-        """Return a state with everything derived that the axioms derive."""
+        """Return a state with all atoms that the axioms derive."""
         state = State(atoms - self._derived, numbers)
         for rules in self._layers:
             waiting = rules
@@ -352,7 +352,7 @@ def passes(tests: Sequence[Test], numbers: Sequence[Any]) -> bool:
 
 
 def _changed(changes: Sequence[Change], state: State) -> tuple[Any, ...] | None:
-    """Return the new values of numbers; None if one that is to be changed is not known."""
+    """Return the new values of the numbers; None if a number that must change is unknown."""
     after = list(state.numbers)
     for condition, place, is_rise, amount in changes:
         if _holds(condition, state):
@@ -364,7 +364,7 @@ def _changed(changes: Sequence[Change], state: State) -> tuple[Any, ...] | None:
 
 
 def value_of(number: Number, state: Any) -> Any:  # noqa: ANN401  # whole, a fraction, or unknown
-    """Return a number as it is in a state, or by the values of the places; None if it is unknown."""
+    """Return the value of a number, given the values at the places; None if it is unknown."""
     if not isinstance(number, tuple):
         return number
     head, *parts = number
@@ -377,9 +377,9 @@ def value_of(number: Number, state: Any) -> Any:  # noqa: ANN401  # whole, a fra
 
 
 def _directions(task: Task) -> dict[int, int]:
-    """Return the numbers that need not be the same for one state to be as good as another.
+    """Return the numbers by which one state may dominate another, with the better direction.
 
-    By their place: 1 if less is as good or better, -1 if more is, 0 if nothing asks for it.
+    By place: 1 if less is as good or better, -1 if more is as good or better, 0 if nothing depends on it.
     """
     changes = [change for operation in task.operations for change in operation.changes]
     if not changes:
@@ -393,7 +393,7 @@ def _directions(task: Task) -> dict[int, int]:
                 _note_signs(number, sign if kind in ("<", "<=") else 0, signs)
     given = [condition for operation in task.operations for condition, *_ in operation.effects]
     for change in changes:
-        # what one number does to another, or whether anything changes, is not looked into
+        # a number that changes another one, or decides whether there is a change, is not analysed further
         _note_signs(change.amount, 0, signs)
         given.append(change.condition)
     for condition in given:
@@ -406,7 +406,7 @@ def _directions(task: Task) -> dict[int, int]:
 
 
 def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
-    """Note whether what a number is made of makes it greater (1) or smaller (-1), or may do either (0)."""
+    """Note for each part of a number whether it makes it greater (1) or smaller (-1), or may do either (0)."""
     if isinstance(number, tuple):
         head, *parts = number
         if head == "n":
@@ -419,7 +419,7 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
 
 
 def _by_need(task: Task) -> dict[str | None, list[int]]:
-    """Return the ranks of the operations by the atom that they need and fewest others do."""
+    """Return the ranks of the operations by that atom of their condition that the fewest others need."""
     found: dict[str | None, list[int]] = {}
     needed = Counter(chain.from_iterable(operation.condition.needs for operation in task.operations))
     for rank, operation in enumerate(task.operations):
@@ -429,7 +429,7 @@ def _by_need(task: Task) -> dict[str | None, list[int]]:
 
 
 def _arcs(task: Task, amounts: Sequence[float], derived: frozenset[str]) -> list[tuple[str | None, str, float]]:
-    """Return from which atom, or None from anywhere, to which each operation leads, and what it takes."""
+    """Return the arcs of the relaxed graph: from an atom, or None for anywhere, to an atom, and the amount."""
     found = []
     for one, takes in zip(task.operations, amounts, strict=True):
         needs = one.condition.needs - derived
@@ -446,7 +446,7 @@ def _arcs(task: Task, amounts: Sequence[float], derived: frozenset[str]) -> list
 
 
 def written(task: Task) -> bytes:
-    """Return a task as this program reads it."""
+    """Return a task in the form that this program reads."""
     return marshal.dumps(_plain(task))
 
 

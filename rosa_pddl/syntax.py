@@ -1,4 +1,4 @@
-"""The lists, sections and formulas of PDDL, with the place of each word, so that an error can point at it."""
+"""Parses the lists, sections and formulas of PDDL, and keeps the place of each word for error messages."""
 
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -13,7 +13,7 @@ from rosa_pddl.exceptions import PddlError, UnknownNameError, UnsupportedPddlErr
 from rosa_pddl.validate import text_of
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
-# a type may follow its mark without a space
+# a type may follow the hyphen without a space
 _TOKEN = re.compile(r";[^\n]*|\s+|[()]|-(?=[A-Za-z])|[^\s();]+")
 
 COMPARISONS: Final = ("<", ">", "<=", ">=")
@@ -23,12 +23,12 @@ BODY: Final[Mapping[str, tuple[str, ...]]] = {
     ":action": (":parameters", ":precondition", ":effect"),
     ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
 }
-"""What describes an action, by the section."""
+"""The parts of an action's description, by the section."""
 
-# In the order that unified-planning's reader insists on.
+# In the order that unified-planning's reader requires.
 _DOMAIN = ("domain", ":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", *BODY)
 _PROBLEM = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
-# What unified-planning or the executor cannot take, and which engine would do.
+# What unified-planning or the executor does not support, with advice.
 _UNSUPPORTED = {
     ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
     ":event": "it happens by itself; ENHSP (up-enhsp) would do",
@@ -42,7 +42,7 @@ _UNSUPPORTED = {
 
 @dataclass(frozen=True)
 class Node:
-    """A word, or a list in parentheses, which has no word; line and column are 0 if it stands in no file."""
+    """A word, or a list in parentheses, which has no word; line and column are 0 if it is not from a file."""
 
     word: str | None
     children: tuple["Node", ...]
@@ -55,7 +55,7 @@ class Node:
 
     @property
     def lower(self) -> str:
-        """The word as PDDL compares it; empty for a list."""
+        """The word in lower case, as PDDL compares words; empty for a list."""
         return (self.word or "").lower()
 
     @property
@@ -75,7 +75,7 @@ ANY: Final = Node("object", (), 0, 0)
 
 @dataclass(frozen=True)
 class Source:
-    """A PDDL file: what to call it in messages, and its one outermost list."""
+    """A PDDL file: its name for messages, and its single outermost list."""
 
     file: str
     root: Node
@@ -88,7 +88,7 @@ class Source:
 
 
 def listed(*parts: Node | str) -> Node:
-    """Make a list that stands where the first part that is a node does, or at the beginning."""
+    """Make a list with the place of its first part that is a node, or with no place."""
     place = next((part for part in parts if isinstance(part, Node)), ANY)
     children = tuple(replace(place, word=part, children=()) if isinstance(part, str) else part for part in parts)
     return replace(place, word=None, children=children)
@@ -100,7 +100,7 @@ def start_of(node: Node) -> str:
 
 
 def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False) -> list[tuple[Node, Node | None]]:
-    """Read a typed list such as `a b - t c`; return each name with its type, None if it has none."""
+    """Read a typed list such as `a b - t c`; return each name with its type, or with None."""
     found: list[tuple[Node, Node | None]] = []
     waiting: list[Node] = []
     before = ""
@@ -123,7 +123,7 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
 
 
 def glued_types(source: Source) -> Iterator[str]:
-    """Yield in sentences where a type follows its mark without a space, as in `?r -robot`."""
+    """Yield a sentence for each place where a type follows the hyphen without a space, as in `?r -robot`."""
     for node in nodes_of(source.root):
         for mark, kind in pairwise(node.children):
             is_glued = (mark.line, mark.column + 1) == (kind.line, kind.column)
@@ -153,7 +153,7 @@ def read_source(path: str | Path) -> Source:
 
 
 def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
-    """Parse PDDL text into its one outermost list; messages call it by `file`, and say what was `expected`."""
+    """Parse PDDL text into its single outermost list; error messages name `file` and what was `expected`."""
     stack: list[_Open] = []
     root: Node | None = None
     for token, line, column in _tokens(text):
@@ -181,7 +181,7 @@ def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
 
 
 def formula(text: str, file: str) -> Node:
-    """Parse a text that stands at no line of a file."""
+    """Parse a text that is not a line of a file."""
     return _unplaced(parse(text, file).root)
 
 
@@ -201,7 +201,7 @@ def _tokens(text: str) -> Iterator[tuple[str, int, int]]:
 
 
 def _refuse_buried_section(token: str, stack: list[_Open], file: str) -> None:
-    """Sections stand directly in (define ...): one that stands deeper shows which parenthesis was left open."""
+    """Refuse a section that is not directly in (define ...): it shows which parenthesis was left open."""
     if token.startswith(":") and not stack[-1].children and len(stack) > 2:
         raise _unclosed(stack[-2], file, f"({token} on line {stack[-1].line}")
 
@@ -275,17 +275,17 @@ def _check_problem(source: Source, domain: str, file: str) -> None:
 
 
 Scope = Mapping[str, UpThing]
-"""Variables, such as `?x`, and what they are as unified-planning's expressions."""
+"""Variables, such as `?x`, with their unified-planning expressions."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A condition that is no conjunction, such as one thing that shall hold in the end.
+    """A condition that is not a conjunction, such as one goal of a mission.
 
     Args:
-        text: the condition as PDDL, as the files spell it.
-        expression: the same as unified-planning's expression.
-        worth: how much a plan may cost more for it; None if it must be reached.
+        text: the condition as PDDL text, in the names of the files.
+        expression: the condition as a unified-planning expression.
+        worth: how much more a plan may cost to reach it; None if it must be reached.
     """
 
     text: str
@@ -294,7 +294,7 @@ class Goal:
 
     @property
     def is_soft(self) -> bool:
-        """Whether it may be given up when it costs more than it is worth."""
+        """Whether a plan may give it up if it costs more than it is worth."""
         return self.worth is not None
 
     def __str__(self) -> str:
@@ -302,7 +302,7 @@ class Goal:
 
 
 def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[Goal, ...]:
-    """Read a condition; a conjunction gives its parts."""
+    """Read a condition; a conjunction is split into its parts."""
     where = f"condition {text.strip()!r}"
     source = parse(text, where, "(predicate object)")
     if not source.root.children:
@@ -313,7 +313,7 @@ def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[G
 
 
 class Formulas:
-    """Makes unified-planning's expressions of formulas."""
+    """Converts formulas into unified-planning expressions."""
 
     def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
         self._domain, self.source, self._unknown = domain, source, unknown or source.error
@@ -351,12 +351,12 @@ class Formulas:
         return self.atom(node, scope, is_condition=True)
 
     def derived(self, rules: Sequence[Node], layer: int) -> Derived:
-        """Return what a derived predicate stands for, by all of its rules."""
+        """Return the definition of a derived predicate, made from all of its rules."""
         variables, conditions = tuple[UpThing, ...](), list[UpThing]()
         for _, target, body in [rule.children for rule in rules]:
             scope = self._variables(target.children[1:])
             kinds = [one.variable().type for one in scope.values()]
-            # numbers, as a variable of one rule may be called as one in the condition of another
+            # named by numbers, as rules may use the same names for different variables
             variables = variables or tuple(self._variable(str(number), kind) for number, kind in enumerate(kinds))
             if [one.type for one in variables] != kinds:
                 raise self.source.error(target, f"found {start_of(target)!r}, expected the types of the rule before")
@@ -367,7 +367,7 @@ class Formulas:
         return Derived(variables, self.manager.Or(conditions), layer)
 
     def quantified(self, node: Node) -> tuple[Scope, UpThing, Node]:
-        """Return the variables, the condition that keeps them within their types, and what is said of them."""
+        """Return the variables of a quantifier, the condition that checks their types, and the formula in it."""
         if len(node.children) != 3 or not node.children[1].is_list:
             raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
         names = node.children[1].children
@@ -375,7 +375,7 @@ class Formulas:
         return scope, self.within(names, scope), node.children[2]
 
     def within(self, names: Sequence[Node], scope: Scope) -> UpThing:
-        """Return the condition that keeps variables of type `(either ...)` to that; just true for all others."""
+        """Return the condition that checks variables of a type `(either ...)`; true if there are none."""
         manager, parts = self.manager, list[UpThing]()
         for name, kind in typed(self.source, names, are_variables=True):
             if kind is not None and kind.head == "either":
@@ -394,7 +394,7 @@ class Formulas:
         return self.manager.VariableExp(Variable(name, kind, self._problem.environment))
 
     def type_of(self, node: Node) -> UpThing:
-        """Return a type; of several, as in `(either a b)`, the least one above them."""
+        """Return a type; for several, as in `(either a b)`, their nearest common ancestor."""
         if node.is_list:
             first, *others = [self.type_of(part) for part in node.children[1:]]
             above = (kind for kind in first.ancestors if all(kind in other.ancestors for other in others))

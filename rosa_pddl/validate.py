@@ -1,4 +1,4 @@
-"""What a formula, an effect and a plan mean in a state: the judge of every plan, independent of the planner."""
+"""Evaluates formulas, effects and plans in a state: it validates every plan, independently of the planner."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -16,18 +16,18 @@ Facts = AbstractSet[str]
 
 _MOST_STATES = 64
 SAME_TIME_S = 1e-6
-"""Times that differ by less are the same: those of an engine are decimal numbers, and are added up here [s]."""
+"""Times that differ by less count as the same, because sums of an engine's times have rounding errors [s]."""
 
 
 def goal_holds(domain: Domain, state: Facts, goals: Iterable[UpThing] | None = None) -> bool:
-    """Whether a goal holds in a state: a list of unified-planning expressions, or else that of the problem file."""
+    """Whether goals, as unified-planning expressions, hold in a state; by default the goal of the problem file."""
     return all(holds(domain, goal, {}, state) for goal in (domain.up_problem.goals if goals is None else goals))
 
 
 def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
-    """Return the first condition that keeps a step from starting, as text; None if it can start.
+    """Return the first condition, as text, that prevents a step from starting; None if it can start.
 
-    As nothing else happens while a step runs, what must hold later must hold once its effects at start are so.
+    It supposes that nothing else happens while the step runs: later conditions must hold after its start effects.
     """
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     after = _after(domain, schema.start_effects, binding, state) if schema.start_effects else state
@@ -36,9 +36,9 @@ def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
 
 
 def missing_meanwhile(domain: Domain, step: Step, state: State) -> str | None:
-    """Return the first `over all` condition that does not hold in the state of a running step, as text.
+    """Return the first `over all` condition of a running step, as text, that does not hold in a state; None if all do.
 
-    That the ROSA action of the step is feasible is watched however the condition is timed: doing it takes time.
+    The step's ROSA action must stay feasible at whatever time the file requires it, as the execution takes time.
     """
     schema = domain.schema_of[step.schema]
     timely = [formula for formula in schema.start + schema.end if _is_feasibility(domain, formula)]
@@ -73,16 +73,16 @@ def replay(
     until: Mapping[str, float] | None = None,
     ends_s: Sequence[float] = (),
 ) -> tuple[str | None, State]:
-    """Do a plan event by event, as PDDL 2.1 means it: the judge of every plan.
+    """Replay a plan event by event with the semantics of PDDL 2.1; every plan is validated by this.
 
-    Conditions at the start or at the end hold just before; what holds over all does so from just after the start until
-    just before the end; of two things that happen at once, none may change what the other needs or changes.
-    Of steps that are running already, the conditions at the end are passed over: the world may bring them about.
-    Given until when some facts that say what is feasible hold [s], no step that needs one may end later, unless another
-    has made it so before; given is then also when each step ends [s].
+    Conditions at the start or the end must hold just before it; `over all` conditions from just after the start until
+    just before the end. Of two events at the same time, neither may change what the other needs or changes.
+    End conditions of steps that run already are not checked, as the world may make them true.
+    `until` gives how long feasibility facts hold [s]: a step that needs one must not end later, by its time in `ends_s`
+    [s], unless an earlier step has made the fact true again.
 
     Returns:
-        Why it cannot be done, in words, None if it can; and the true atoms in the end, or where it broke off.
+        Why the plan cannot be executed, in words, or None; and the true atoms at its end, or where it failed.
     """
     facts, under_way, begun, left = set(state), list(running), frozenset(running), dict(until or {})
     for moment in moments:
@@ -123,7 +123,7 @@ def _happen(
     begun: AbstractSet[int],
     left: dict[str, float],
 ) -> str | None:
-    """Change the facts by what happens at once, and forget until when they hold, or return why it cannot."""
+    """Apply the events of one moment to the facts and to their times left; return why that is impossible, or None."""
     gone, come = set[str](), set[str]()
     touched: list[tuple[int, AbstractSet[str], AbstractSet[str]]] = []
     for number, is_end in moment:
@@ -163,15 +163,15 @@ def flaw(
     until: Mapping[str, float] | None = None,
     ends_s: Sequence[float] = (),
 ) -> str | None:
-    """Why a plan does not lead from a state to the goal, in words; None if it does.
+    """Return in words why a plan does not lead from a state to the goal; None if it does.
 
     Args:
         domain: what `load_domain` returned.
-        steps: the plan, whose steps follow one another.
-        state: the true atoms.
-        goals: what shall hold in the end, as unified-planning expressions; by default the goal of the problem file.
-        until: how much longer facts that say what is feasible hold, see `Problem` [s].
-        ends_s: when each step ends [s]; by default as declared, see `Domain.duration_s`.
+        steps: the plan; its steps follow one another.
+        state: the true atoms at the start.
+        goals: the goals, as unified-planning expressions; by default the goal of the problem file.
+        until: how much longer feasibility facts hold, see `Problem` [s].
+        ends_s: when each step ends [s]; by default from the declared durations, see `Domain.duration_s`.
     """
     listed = tuple(steps)
     ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
@@ -186,7 +186,7 @@ def schedule_flaw(
     goals: Iterable[UpThing] | None = None,
     until: Mapping[str, float] | None = None,
 ) -> str | None:
-    """Why a schedule, whose steps may overlap, does not lead from a state to the goal; as `flaw`."""
+    """Return why a schedule, whose steps may overlap, does not lead from a state to the goal; like `flaw`."""
     for timed in schedule:
         if not _lasts_as_declared(domain, timed):
             return f"{timed.step} takes {timed.duration_s:g} s, which is not its duration"
@@ -197,7 +197,7 @@ def schedule_flaw(
 
 
 def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
-    """Whether a step lasts as its action says; durations that are computed from numeric facts are not looked at."""
+    """Whether a step lasts as long as declared; durations that depend on numeric facts are not checked."""
     duration = domain.schema_of[timed.step.schema].duration
     if duration is None:
         return timed.duration_s == 0.0
@@ -208,7 +208,7 @@ def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
 
 
 def moments(schedule: Sequence[TimedStep]) -> Iterator[list[StepEvent]]:
-    """Yield what happens at once, by the numbers of the steps, one moment after the other."""
+    """Yield the events of each moment, one moment after the other."""
     dated = [(timed.start_s, StepEvent(number, False)) for number, timed in enumerate(schedule)]
     dated += [(timed.end_s, StepEvent(number, True)) for number, timed in enumerate(schedule)]
     together: list[StepEvent] = []
@@ -274,12 +274,12 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
 
 
 class _Derived(set[str]):
-    """A state, and what is derived of it so far."""
+    """A state with the atoms that have been derived from it so far."""
 
 
 @lru_cache(_MOST_STATES)
 def _derived(domain: Domain, state: State) -> AbstractSet[str]:
-    """Return a state with all that is derived from it: layer by layer, until nothing more follows."""
+    """Return a state with all derived atoms, computed layer by layer until nothing more follows."""
     found = _Derived(state)
     for _, layer in groupby(sorted(domain.axioms.items(), key=lambda one: one[1].layer), lambda one: one[1].layer):
         left = [
@@ -294,7 +294,7 @@ def _derived(domain: Domain, state: State) -> AbstractSet[str]:
 
 
 def value_of(domain: Domain, number: UpThing, binding: Binding, state: Facts) -> Exact | None:
-    """Return the value of a number in a state, exactly; None if it, or what it is made of, has none."""
+    """Return the exact value of a number in a state; None if it, or a part of it, has no value."""
     if number.is_constant():
         return exact(Fraction(number.constant_value()))
     if number.is_fluent_exp():
@@ -316,7 +316,7 @@ def _after(domain: Domain, effects: Iterable[UpThing], binding: Binding, state: 
 def changes(
     domain: Domain, effects: Iterable[UpThing], binding: Binding, state: Facts
 ) -> tuple[AbstractSet[str], AbstractSet[str]]:
-    """Return what effects of one moment make false, and what they make true, which wins, as PDDL says."""
+    """Return the atoms that the effects of one moment make false and true; if both, true wins, as in PDDL."""
     added, deleted = set[str](), set[str]()
     numbers = dict[str, tuple[Exact | None, Exact | None]]()
     for effect in effects:
@@ -345,7 +345,7 @@ def _changed(effect: UpThing, now: Exact | None, amount: Exact | None) -> Exact 
 def mentioned_atoms(
     domain: Domain, conditions: Iterable[UpThing], effects: Iterable[UpThing], binding: Binding
 ) -> Iterator[str]:
-    """Yield the atoms that conditions and the conditions of effects look at."""
+    """Yield the atoms that conditions and the conditions of effects mention."""
     for formula in conditions:
         yield from _atoms(domain, formula, binding)
     for effect in effects:
@@ -355,7 +355,7 @@ def mentioned_atoms(
 
 
 def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding) -> Iterator[str]:
-    """Yield the atoms that effects may change, whatever their conditions say then."""
+    """Yield the atoms that effects may change, whether or not their conditions hold."""
     for effect in effects:
         for inner in domain.bindings(effect.forall, binding):
             yield text_of(domain, effect.fluent, inner)
@@ -380,7 +380,7 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | 
 
 
 def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
-    """Return a formula as PDDL text in the names of the files, its parameters replaced by what they are bound to."""
+    """Return a formula as PDDL text in the names of the files, with its parameters replaced by their bindings."""
     if formula.is_parameter_exp():
         return binding.get(formula.parameter().name, f"?{formula.parameter().name}")
     if formula.is_variable_exp():
