@@ -1,4 +1,4 @@
-"""A domain instantiated once, such that any state, goal and numbers can be put in."""
+"""Grounds a domain once, into a task that can be used with any state, goal and numbers."""
 
 import math
 import time
@@ -37,16 +37,16 @@ from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Condition, Number, Operation, Rule, Task, TaskGraph
 from rosa_pddl.search import State as SearchState
 
-# Fast Downward adds up costs in 32 bits; this leaves room for plans of a thousand of the dearest steps.
+# Fast Downward adds costs in 32 bits; this allows plans of a thousand of the most expensive steps.
 _MOST_COST = 2_000_000
-# Looking at every state is quicker than estimating while so many bits tell them apart; beyond, estimates pay.
+# Blind search is faster than a heuristic if states can be encoded in this many bits or fewer.
 _FEW_BITS = 20
 _MOST_INSTANCES = 1_000_000
 _RULES_FOR_A_MOVE = 20
 _MOST_DOMAINS = 8
 _TRUTHS = ("add", "delete")
 _ALWAYS, _NO_STATE = Condition(), SearchState(frozenset())
-_FOR_EVER: Any = math.inf  # no exact number, but it is compared with them
+_FOR_EVER: Any = math.inf  # a float, but it is only compared with exact numbers
 _LOOKS_S = 0.05
 
 
@@ -55,12 +55,12 @@ class NotRepresentableError(RosaPddlError):
 
 
 class UnreachableGoalError(RosaPddlError):
-    """A fact of the goal cannot become true from any state that the task fits; the message names it."""
+    """The goal cannot become true from any state that the task covers; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Ready:
-    """An operator, or a rule of a layer: what it needs of facts that nothing changes is asked before the search."""
+    """An operator, or a rule of a layer above 0; `lasting` are the facts it needs that never change."""
 
     step: Step
     needed: frozenset[str]
@@ -72,7 +72,7 @@ class _Ready:
 
 
 class _Rules:
-    """Makes conditions for the search: what is no conjunction is derived by rules, numbers are compared."""
+    """Makes conditions for the search: rules derive an atom for each disjunction, and numbers are compared."""
 
     def __init__(self, layers: Mapping[str, int], name: str, number: Callable[[object], Number]) -> None:
         self._layers, self._name, self._number = layers, name, number
@@ -80,7 +80,7 @@ class _Rules:
         self.rules: list[Rule] = []
 
     def taken(self, node: Node) -> Condition:
-        """Return a condition, which is not plainly false."""
+        """Convert a condition that is not the constant False."""
         parts = conjuncts_of(node)
         needs = [part[2] for part in parts if part[0] == "atom" and part[1]]
         needs += [self._derived(part) for part in parts if part[0] == "or"]
@@ -93,7 +93,7 @@ class _Rules:
         if node not in self._known:
             ways = [self.taken(part) for part in node[1:]]
             layers = {**self._layers, **{rule.atom: rule.layer for rule in self.rules}}
-            # what holds because something is not derived comes after that
+            # a rule that needs a derived atom to be false belongs to a later layer than this atom
             after = [layers.get(atom, 0) for way in ways for atom in way.needs]
             after += [layers[atom] + 1 for way in ways for atom in way.denies if atom in layers]
             atom = self._known[node] = f"({self._name} {len(self._known)})"
@@ -102,15 +102,15 @@ class _Rules:
 
 
 class Grounded:
-    """A grounded task. Facts that no operator changes are frozen: they are looked at before the search.
+    """A grounded task. Facts that no operator changes are frozen: they are checked before the search.
 
-    It fits all states whose atoms are within reach of the base; `covers` says so. UnreachableGoalError is raised where
-    a fact of the goal cannot become true, UnsupportedPddlError where an amount has no value, or is not counted with.
+    It covers all states whose atoms are reachable from the base, see `covers`. UnreachableGoalError is raised if the
+    goal cannot become true, UnsupportedPddlError if an amount has no value or an unsupported one.
 
     Args:
-        base: atoms that may hold at first, those of all states that it has to fit.
-        state: one of them, whose numbers that nothing changes count.
-        go_on: called every now and then; what it raises ends the making.
+        base: the atoms that may be true initially, in any of the states to cover.
+        state: one of these states; numbers that no action changes have the values that they have there.
+        go_on: called now and then during grounding; an error that it raises stops the grounding.
     """
 
     def __init__(self, domain: Domain, base: State, state: State, go_on: Callable[[int], None]) -> None:
@@ -156,7 +156,7 @@ class Grounded:
 
     @property
     def work(self) -> int:
-        """How many times the work of other tasks a move takes, as atoms are derived in each state."""
+        """The work of a move relative to a task without axioms, as atoms are derived in each state."""
         return 1 + len(self._axioms) // _RULES_FOR_A_MOVE
 
     def step(self, number: int) -> Step:
@@ -170,7 +170,7 @@ class Grounded:
         return all(known.get(text) == value for text, value in self._constants.items())
 
     def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
-        """Put the state and the goal of a problem in, and the values that its costs and limits are made of."""
+        """Return the graph and the task for a problem's state, goal and limits, with the given numbers."""
         start, goal, rules, frozen = self._fitted(problem)
         mentioned = tuple([self._usage.known(text, numbers) if text in numbers else None for text in self._mentioned])
         weights = frozenset(problem.weights.items())
@@ -184,9 +184,9 @@ class Grounded:
         return graph, task
 
     def _timed(self, task: Task, problem: Problem, numbers: Numbers) -> Task:
-        """Return a task with how much longer facts hold, as numbers that fall with each step that takes time.
+        """Add to a task how much longer facts hold, as numbers that each step decreases by its duration.
 
-        Another is 1 until the first step: what is done of a step that runs counts for a plan that begins with it.
+        One more number is 1 until the first step: if a running step is the first one, only its remaining time counts.
         """
         steps, first = [self.step(one.number) for one in task.operations], len(task.start.numbers)
         if any(not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one))) for one in steps):
@@ -214,9 +214,9 @@ class Grounded:
         return Task(start, task.goal, tuple(operations), task.amounts, task.limits, task.rules, task.more)
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
-        """Write the task for Fast Downward, and how to search it optimally; None if the goal holds already.
+        """Return the task as text for Fast Downward, and the heuristic for optimal search; None if the goal holds.
 
-        Last comes by how much each step costs less there at most: costs may have to be rounded down.
+        The third value is the largest rounding error of a step's cost, as costs may have to be rounded down.
         """
         start, goal, made, frozen = self._fitted(problem)
         if self._is_numeric or any(one.tests for one in (goal, *(rule.condition for rule in made))):
@@ -232,7 +232,7 @@ class Grounded:
         rules = self._rules_of(made, frozen)
         layers = {rule.atom: rule.layer for rule in rules}
         index = {atom: number for number, atom in enumerate(dict.fromkeys((*self._index, *layers)))}
-        # unit costs are written as costs of 1
+        # the metric is always used; a step of a domain without costs costs 1
         text = ["begin_version\n3\nend_version\nbegin_metric\n1\nend_metric\n", f"{len(index)}\n"]
         for atom, number in index.items():
             values = f"2\nAtom v{number}\nNegatedAtom v{number}\n"
@@ -248,10 +248,10 @@ class Grounded:
         return "".join(text), "blind" if is_blind else "lmcut", lost
 
     def _text_of(self, number: int) -> str:
-        """Return an operator as Fast Downward reads it, but for its cost."""
+        """Return an operator in Fast Downward's format, without its cost."""
         one, index = self._operators[number].operation, self._index
         sure = [(_ALWAYS, atom, atom in one.adds) for atom in sorted(one.deletes | one.adds)]
-        # what is made true comes last, so that it counts
+        # adds come last, so that they win over deletes
         effects = sorted((*sure, *one.effects), key=itemgetter(2))
         lines = [f"begin_operator\n{number}\n{_facts(one.condition, index)}\n{len(effects)}\n"]
         for given, atom, truth in effects:
@@ -259,7 +259,7 @@ class Grounded:
         return "".join(lines)
 
     def _bits(self, state: State) -> float:
-        """Return about how many bits tell all states apart: which atoms hold of a predicate of which as many remain."""
+        """Estimate how many bits encode a state: fewer for predicates that never get more true atoms than now."""
         bits = 0.0
         for name, atoms in groupby(sorted(self._changing, key=head_of), head_of):
             listed = tuple(atoms)
@@ -297,9 +297,9 @@ class Grounded:
         return _Instance(step, needs, denies, others, kept, pattern.layer)
 
     def _bound(self, node: Node, row: Sequence[str], state: State | None = None) -> Node:
-        """Return a condition of what it is bound to; what is out of reach never holds.
+        """Return a condition with its variables bound; unreachable atoms count as false.
 
-        Given a state, what no operator changes or looks at is as it is there.
+        If a state is given, atoms that no operator changes or needs have their value in this state.
         """
         if isinstance(node, bool):
             return node
@@ -337,7 +337,7 @@ class Grounded:
         return _Ready(one.step, one.needs, lasting, operation, one.layer, *amounts)
 
     def _number(self, number: object, known: Mapping[str, Exact] | None = None) -> Number:
-        """Return a number as the search reads it; one that nothing changes is what it is."""
+        """Return a number in the form of the search; a number that nothing changes is replaced by its value."""
         if not isinstance(number, tuple):
             return number  # type: ignore[return-value]  # it is exact
         head, *parts = number
@@ -350,7 +350,7 @@ class Grounded:
         return head, *(self._number(part, known) for part in parts)
 
     def _fitted(self, problem: Problem) -> tuple[SearchState, Condition, tuple[Rule, ...], State]:
-        """Return the start of the search, its goal with the rules that derive it, and the frozen facts that hold."""
+        """Return the start of the search, its goal with the rules that derive it, and the true frozen facts."""
         state, known = problem.state, numbers_in(problem.state)
         wanted = self._bound(self._wanted(problem.wanted), (), state)
         if wanted is False:
@@ -374,9 +374,9 @@ class Grounded:
         mentioned: Sequence[Exact | None],
         weights: frozenset[tuple[Step, int]],
     ) -> tuple[TaskGraph, Task, tuple[int, ...]]:
-        """Return a task without its start and limits, and what the amounts of each resource were scaled by.
+        """Return a task without its start and limits, and the scale of the amounts of each resource.
 
-        What its graph has worked out is kept.
+        Its graph is returned too, and kept with all that it has computed.
         """
         numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
         ready = self._weighed(frozen, dict(weights))
@@ -408,7 +408,7 @@ class Grounded:
         return amounts
 
     def _weighed(self, frozen: State, weights: Mapping[Step, int]) -> list[_Ready]:
-        """Return the operators that what nothing changes allows, less those that count for nothing."""
+        """Return the operators that the frozen facts allow, with weighted costs, without those of weight 0."""
         possible = [one for one in self._operators if one.lasting <= frozen]
         if not weights:
             return possible
@@ -421,7 +421,7 @@ _Effect: TypeAlias = tuple[Node, str, str, object]
 
 @dataclass(frozen=True)
 class _Instance:
-    """An action with its arguments: the atoms it needs and denies, what else it needs, and its effects."""
+    """An action with its arguments: atoms that must be true or false, its other conditions, and its effects."""
 
     step: Step
     needs: frozenset[str]
@@ -432,14 +432,14 @@ class _Instance:
 
     @property
     def growth(self) -> Counter[str]:
-        """How many more atoms of each predicate it makes true than false, at most."""
+        """For each predicate, by how much the action may increase the number of true atoms."""
         made = Counter(head_of(text) for _, kind, text, _ in self.effects if kind == "add")
         made.subtract(head_of(text) for given, kind, text, _ in self.effects if kind == "delete" and given is True)
         return made
 
 
 def _changing(instances: Iterable[_Instance]) -> list[str]:
-    """Return the atoms that operators change or deny, and those that stand in conditions that are no conjunctions."""
+    """Return the atoms that operators change or need to be false, and those in other conditions than conjunctions."""
     found = [text for one in instances for _, kind, text, _ in one.effects if kind in _TRUTHS]
     for one in instances:
         nodes = (one.others, *(condition for condition, *_ in one.effects))
@@ -448,7 +448,7 @@ def _changing(instances: Iterable[_Instance]) -> list[str]:
 
 
 def _facts(condition: Condition, index: Mapping[str, int]) -> str:
-    """Return a condition as Fast Downward reads it."""
+    """Return a condition in Fast Downward's format."""
     facts = [f"{index[atom]} 0" for atom in condition.needs] + [f"{index[atom]} 1" for atom in condition.denies]
     return "\n".join([str(len(facts)), *sorted(facts)])
 
@@ -460,7 +460,7 @@ def _names(pattern: ActionPattern) -> Iterator[str]:
 
 
 def _atoms(node: Node) -> Iterator[str]:
-    """Yield the atoms of a condition, or if it is not bound their predicates."""
+    """Yield the atoms of a condition, or their predicates if the condition is not bound."""
     if isinstance(node, tuple) and node[0] == "atom":
         yield str(node[2])
     elif isinstance(node, tuple) and node[0] in ("and", "or"):
@@ -470,13 +470,13 @@ def _atoms(node: Node) -> Iterator[str]:
 
 @lru_cache(_MOST_DOMAINS)
 def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
-    """Return the actions of steps that follow one another; UnsupportedPddlError says that they cannot."""
+    """Return the actions as instantaneous ones, and the axioms; UnsupportedPddlError if that is impossible."""
     with lock_of(domain):
         return *patterns_of(domain, Problem(domain, frozenset()).build().actions), *axioms_of(domain)
 
 
 def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Callable[[int], None]) -> Grounded:
-    """Ground a domain for a state and what fitted before; what is named, and what may be feasible, may hold too."""
+    """Ground a domain for a state, the base of the task before, the named atoms and all feasibility facts."""
     domain = problem.domain
     feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
     base = before.base if before else frozenset[str]()
@@ -485,10 +485,10 @@ def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Calla
 
 
 class Groundings:
-    """The grounded task of each domain, made when first asked for, and anew when it must grow.
+    """The grounded task of each domain, made on the first request, and made again when it must cover more states.
 
-    All that may be feasible, and what was named, may hold from the beginning; other things that nothing makes true,
-    once they did. What a task fits depends on what was asked for and named before, never on how long anything takes.
+    A task covers all feasibility facts and all named atoms from the beginning, and other atoms that no action adds as
+    soon as one request had them. So what it covers depends on the requests before, never on how long anything takes.
     """
 
     def __init__(self) -> None:
@@ -496,12 +496,12 @@ class Groundings:
         self._making = Lock()
 
     def made(self, problem: Problem) -> Grounded | None:
-        """Return the task if there is one that fits. Never waits."""
+        """Return the task if there is one that covers the problem, else None. Never waits."""
         known = self._made.get(problem.domain)
         return known if known is not None and known.covers(problem.state) else None
 
     def ask(self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()) -> Grounded:
-        """Return a task that fits, made in so much wall-clock time [s] if need be; raises Trouble, or Cancelled."""
+        """Return a task that covers the problem, made within `limit_s` [s] if need be; raises Trouble or Cancelled."""
         deadline, domain = time.monotonic() + limit_s, problem.domain
 
         def go_on(instances: int = 0) -> None:

@@ -1,7 +1,7 @@
-"""What can be done and can become true at all from some facts, numbers left aside.
+"""Finds the facts and the action instances that are reachable from some facts, without looking at numbers.
 
-Actions are instantiated by joining what they need with what is within reach, as if nothing were deleted, each new fact
-once (semi-naive evaluation of a logic program).
+Actions are instantiated by joining their conditions with the reachable facts, as if nothing were ever deleted; each new
+fact is processed once (semi-naive evaluation of a logic program).
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -15,18 +15,18 @@ from rosa_pddl.search import Number
 
 Node: TypeAlias = bool | tuple[Any, ...]
 """A condition in negation normal form: `("atom", truth, name, words)`, `("same", truth, one, other)`,
-`("and" | "or", part, ...)` or `("<" | "<=" | "=" | "!=", number, number)`; a word that is a variable is its number."""
+`("and" | "or", part, ...)` or `("<" | "<=" | "=" | "!=", number, number)`; a variable is given by its number."""
 Word: TypeAlias = str | int
 Row: TypeAlias = tuple[str, ...]
 
-# So many instantiations lie between two looks at whether to go on.
+# The number of instantiations between two calls of `go_on`.
 _BETWEEN_LOOKS = 500
 _NEGATED = {"<": "<=", "<=": "<", "=": "!=", "!=": "="}
 _ARITHMETIC = {"PLUS": "+", "MINUS": "-", "TIMES": "*", "DIV": "/"}
 
 
 class Effect(NamedTuple):
-    """What becomes so under a condition: an atom true or false, or a number changed by or to an amount."""
+    """An effect with its condition: it makes an atom true or false, or changes a number by or to an amount."""
 
     condition: Node
     kind: str
@@ -37,9 +37,9 @@ class Effect(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ActionPattern:
-    """An instantaneous action: what its parameters may be, what it needs and does.
+    """An instantaneous action: the choices for its parameters, its condition and its effects.
 
-    A rule by which an atom is derived is one, of a layer above 0.
+    A rule that derives an atom is one too; its layer is above 0.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ActionPattern:
 
 
 def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth: bool = True) -> Node:
-    """Return a formula, or its negation, with quantifiers replaced by what they range over."""
+    """Return a formula, or its negation, with quantifiers expanded over their objects."""
     if formula.is_bool_constant():
         return bool(formula.constant_value()) is truth
     if formula.is_fluent_exp():
@@ -85,7 +85,7 @@ def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth:
 
 
 def compiled_number(domain: Domain, number: UpThing, scope: Mapping[str, Word]) -> Number:
-    """Return a number as itself, `("n", name, words)`, or an operator with its parts."""
+    """Return a number as a constant, as `("n", name, words)`, or as an operator with its parts."""
     if number.is_constant():
         return exact(Fraction(number.constant_value()))
     if number.is_fluent_exp():
@@ -94,7 +94,7 @@ def compiled_number(domain: Domain, number: UpThing, scope: Mapping[str, Word]) 
 
 
 def joined(is_and: bool, parts: Iterable[Node]) -> Node:
-    """Return a conjunction, or a disjunction, without parts that decide nothing."""
+    """Return a conjunction, or a disjunction, simplified: without parts that are constant."""
     head, found = "and" if is_and else "or", list[Node]()
     for part in parts:
         if isinstance(part, bool):
@@ -108,7 +108,7 @@ def joined(is_and: bool, parts: Iterable[Node]) -> Node:
 
 
 def conjuncts_of(node: Node) -> Sequence[tuple[Any, ...]]:
-    """Return the parts of a condition that is not plainly false."""
+    """Return the parts of a conjunction, or another condition as its only part; it must not be the constant False."""
     if isinstance(node, bool):
         return ()
     return node[1:] if node[0] == "and" else (node,)
@@ -129,7 +129,7 @@ def bound(words: tuple[Word, ...], row: Sequence[str]) -> Row:
 
 
 def bound_number(number: Number, row: Sequence[str]) -> Number:
-    """Return a number with its variables replaced by what they are bound to: of numeric facts `("n", text)`."""
+    """Return a number with its variables replaced by their objects; numeric facts become `("n", text)`."""
     if not isinstance(number, tuple):
         return number
     head, *parts = number
@@ -139,7 +139,7 @@ def bound_number(number: Number, row: Sequence[str]) -> Number:
 
 
 def numeric_facts(number: Number) -> Iterator[str]:
-    """Yield the numeric facts that a number is made of: their texts, or their names if it is not bound."""
+    """Yield the numeric facts in a number: their texts, or their names if the number is not bound."""
     if isinstance(number, tuple):
         head, *parts = number
         if head == "n":
@@ -163,7 +163,7 @@ def patterns_of(domain: Domain, actions: Iterable[UpThing]) -> tuple[ActionPatte
 
 
 def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
-    """Return the rules of derived predicates, as what makes an atom so."""
+    """Return the rules of derived predicates as patterns that add the derived atom."""
     found = []
     for name, one in domain.axioms.items():
         spelled = domain.outside[domain.inside["predicate", name]]
@@ -177,7 +177,7 @@ def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
 
 
 def is_out_of_reach(domain: Domain, state: Iterable[str], goals: Iterable[UpThing]) -> bool:
-    """Whether no plan can reach a goal, also not one of steps that overlap: even if nothing ever became false."""
+    """Whether no plan, even with overlapping steps, can reach the goals, even if no fact ever became false."""
     patterns = []
     for schema in domain.schema_of.values():
         lasting = (*schema.start, *schema.over_all, *schema.end)
@@ -206,7 +206,7 @@ def _pattern(domain: Domain, schema: str, conditions: Iterable[UpThing], changes
 
 
 def _effects(domain: Domain, effect: UpThing, scope: Mapping[str, Word]) -> Iterator[Effect]:
-    """Yield an effect for each choice of the objects that it is about; what is only used up has none."""
+    """Yield the effect for each choice of objects for its variables; effects on resources are left out."""
     name = domain.outside[effect.fluent.fluent().name]
     for inner in domain.bindings(effect.forall, scope):
         condition, words = compiled(domain, effect.condition, inner), _words(domain, effect.fluent, inner)
@@ -217,12 +217,12 @@ def _effects(domain: Domain, effect: UpThing, scope: Mapping[str, Word]) -> Iter
             yield Effect(condition, effect.kind.name.lower(), name, words, amount)
 
 
-# ---------------------------------------------------------------- what is within reach
+# ---------------------------------------------------------------- reachable facts and instances
 
 
 @dataclass(eq=False)
 class _Rule:
-    """What follows once every atom of its body is within reach, for things of the right types."""
+    """A rule: its heads are reachable when all atoms of its body are, for objects of the right types."""
 
     body: list[tuple[str, tuple[Word, ...]]]
     heads: list[tuple[str, tuple[Word, ...]]]
@@ -232,7 +232,7 @@ class _Rule:
 
 
 class _Look(NamedTuple):
-    """One atom of a body, and which of its places are known when it is looked up."""
+    """A lookup of an atom of a body, with the places whose objects are known at that time."""
 
     name: str
     words: tuple[Word, ...]
@@ -246,9 +246,9 @@ _Rows: TypeAlias = dict[str, dict[Row, None]]
 def reach(
     patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], go_on: Callable[[int], None]
 ) -> tuple[_Rows, list[dict[Row, None]]]:
-    """Return the rows of each predicate within reach of facts, and the arguments with which each action can be done.
+    """Return the rows of each predicate that are reachable from facts, and the possible arguments of each action.
 
-    `go_on` is called every now and then, and may raise.
+    `go_on` is called now and then with the number of instantiations, and may raise to stop the work.
     """
     instances = [dict[Row, None]() for _ in patterns]
     rules = [rule for one, known in zip(patterns, instances, strict=True) for rule in _rules(one, known)]
@@ -315,7 +315,7 @@ class _Join:
                 self._join(rule, looks, inner, at + 1)
 
     def _complete(self, rule: _Rule, binding: _Binding) -> None:
-        """Take in what follows, whatever the variables are that no atom binds."""
+        """Add what follows from a binding, for every choice of objects for its unbound variables."""
         choices = [rule.choices[place] if thing is None else (thing,) for place, thing in enumerate(binding)]
         for row in product(*choices):
             self._work += 1
@@ -331,7 +331,7 @@ class _Join:
                     self._push(name, bound(words, row))
 
     def _looks(self, rule: _Rule, first: int) -> list[_Look]:
-        """Order the atoms of a body such that each is looked up by as much as is known; the first one is given."""
+        """Order the atoms of a body, from a given first one, so that each lookup knows as many places as possible."""
         left, known, looks = list(range(len(rule.body))), set[Word](), list[_Look]()
 
         def unknown(number: int) -> tuple[bool, int, int]:
@@ -351,7 +351,7 @@ class _Join:
 
 
 def _matched(rule: _Rule, look: _Look, row: Row, binding: _Binding) -> _Binding | None:
-    """Return a binding with what an atom adds to it that is looked up; None if the two do not fit."""
+    """Return the binding extended by a row of a lookup; None if the two contradict each other."""
     inner = binding.copy()
     for word, thing in zip(look.words, row, strict=True):
         known = word if isinstance(word, str) else inner[word]

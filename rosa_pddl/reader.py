@@ -1,4 +1,4 @@
-"""Reads PDDL into unified-planning's model; what cannot be read or planned for is refused with its place."""
+"""Reads PDDL into unified-planning's model; errors name the place of what cannot be read or planned for."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -43,17 +43,17 @@ _COST = "total-cost"
 def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None) -> Domain:
     """Read a PDDL domain and problem.
 
-    Names keep the spelling of the files, and an object, an action, a predicate and a type may share one. Files that do
-    not say which ROSA action a PDDL action does, see docs/pddl.md, are given `actions`: an action that lacks the
-    condition `(over all (action_feasible ...))` gets it then.
+    Names keep the spelling of the files; an object, an action, a predicate and a type may have the same name. If the
+    files do not say which ROSA action a PDDL action does, see docs/pddl.md, `actions` says it: an action in it gets the
+    condition `(over all (action_feasible ...))` if it lacks that.
 
     Args:
         domain: path of the domain file.
         problem: path of the problem file.
-        actions: for PDDL actions the ROSA action that they do: its name, or the parameter that is it, as `?a`.
+        actions: for each PDDL action, the ROSA action that it does: its name, or the parameter for it, such as `?a`.
 
     Raises:
-        PddlError: a file cannot be read or is not correct PDDL; says the place.
+        PddlError: a file cannot be read or is not correct PDDL; the message gives the place.
         UnknownNameError: `actions` names a PDDL action or a parameter that is not in the files.
         UnsupportedPddlError: correct PDDL that cannot be planned or executed here.
     """
@@ -61,14 +61,14 @@ def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str
 
 
 def parse_domain(domain: str, problem: str, *, actions: Mapping[str, str] | None = None) -> Domain:
-    """Read a PDDL domain and problem that are texts, as `load_domain` does files."""
+    """Read a PDDL domain and problem from texts, as `load_domain` does from files."""
     return build_domain(parse(domain, "domain.pddl"), parse(problem, "problem.pddl"), actions or {})
 
 
 def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
     check_frames(domain, problem)
     read = _Reader(domain, problem, actions or {}).domain()
-    # what cannot be planned for is refused here, not at the first planning
+    # raises errors of what cannot be planned here, not at the first planning
     Problem(read, frozenset()).build()
     return read
 
@@ -76,7 +76,7 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
 def _rosa_action_of(
     name: str, conditions: Iterable[UpThing], parameters: Mapping[str, UpThing], outside: Mapping[str, str]
 ) -> str | None:
-    """Return the parameter (without its mark) or the constant that is the ROSA action; None if there is none."""
+    """Return the parameter (without `?`) or the constant that is the ROSA action; None if there is none."""
     said = {outside[one.fluent().name].lower(): one for one in conditions if one.is_fluent_exp() and len(one.args) == 1}
     for predicate in (f"{name.lower()}_action", FEASIBLE):
         if predicate in said:
@@ -87,7 +87,7 @@ def _rosa_action_of(
 
 
 class _Reader:
-    """Builds unified-planning's problem, in names of which no two are the same, as it wants it."""
+    """Builds unified-planning's problem, with unique names, as unified-planning requires."""
 
     def __init__(self, domain: Source, problem: Source, actions: Mapping[str, str]) -> None:
         from unified_planning.model import Problem as UpProblem
@@ -137,7 +137,7 @@ class _Reader:
         self._read_objects(self._domain, ":constants")
         self._read_objects(self._problem, ":objects")
         self._read_rosa_actions()
-        for head in rules:  # a rule may look at one that comes later
+        for head in rules:  # a rule may use a predicate that is derived later
             self._draft.axioms[head] = Derived((), None, len(made_of[head]))
         for head, each in rules.items():
             self._draft.axioms[head] = self._domain.derived(each, len(made_of[head]))
@@ -169,7 +169,7 @@ class _Reader:
         )
 
     def _declare(self, source: Source, kind: str, node: Node) -> str:
-        """Note a name, and return what it is called in the model."""
+        """Register a name of the files, and return its unique name in the model."""
         if not NAME.fullmatch(str(node)):
             message = f"found the {kind} {str(node)!r}, expected a name: a letter, then letters, digits, '_' or '-'"
             raise source.error(node, message)
@@ -203,7 +203,7 @@ class _Reader:
         self._up_problem.user_types.extend(kinds.values())
 
     def _variables(self, nodes: Iterable[Node]) -> dict[str, UpThing]:
-        """Return the types of variables by their names without the mark."""
+        """Return the types of variables by their names without `?`."""
         found: dict[str, UpThing] = {}
         for name, kind in typed(self._domain.source, nodes, are_variables=True):
             if name.lower[1:] in found:
@@ -232,7 +232,7 @@ class _Reader:
         self._lineages[str(node)] = lineage_of(type_, self._outside)
 
     def _read_rosa_actions(self) -> None:
-        """Take in the ROSA actions that PDDL actions are said to do."""
+        """Apply `actions`, which says which ROSA actions PDDL actions do."""
         domain = self._domain.source
         actions = (node for node in domain.root.children[2:] if node.head in BODY)
         schemas = [str(node.children[1]) for node in actions if node.children[1:]]
@@ -289,7 +289,7 @@ class _Reader:
             self._up_problem.set_initial_value(formulas.atom(node, {}), True)
 
     def _sort_numbers(self, goals: Sequence[UpThing]) -> NumberUses:
-        """Find out what numbers are for; leave what is only added up out of goals and effects."""
+        """Sort numbers by their uses; move resources and their limits out of the effects and goals."""
         derived = (one.condition for one in self._draft.axioms.values())
         uses = NumberUses(self._schemas.values(), self._costs.values(), derived, goals)
         for goal in goals:
@@ -318,7 +318,7 @@ class _Reader:
         return ""
 
     def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Iterator[tuple[str, UpThing]]:
-        """Yield what each action adds to a metric: numbers that only rise, their sums, and those times a constant."""
+        """Yield what each action adds to a metric, which is a sum of numbers that only rise, with constant factors."""
         head, parts = node.head, node.children[1:]
         constants = [part for part in parts if _NUMBER.fullmatch(part.lower)]
         if head in rising:
@@ -337,7 +337,7 @@ class _Reader:
 
 
 class _ActionReader:
-    """Reads what an action needs and does, how long it takes, and what it costs."""
+    """Reads the conditions, effects, duration and cost of an action."""
 
     def __init__(self, formulas: Formulas, parameters: Mapping[str, UpThing], name: str, has_cost: bool) -> None:
         from unified_planning.model import Parameter
@@ -371,7 +371,7 @@ class _ActionReader:
             self.parts[time] += conjuncts([self._formulas.condition(condition, self._scope, self._name)])
 
     def _read_duration(self, node: Node) -> None:
-        """Set a duration; of a bound on one side any that is allowed will do."""
+        """Set the duration; for a bound on one side only, it is the bound."""
         from unified_planning.model import DurationInterval, FixedDuration
 
         if not node.children:
@@ -411,7 +411,7 @@ class _ActionReader:
             self._add(fluent, formulas.manager.Bool(not is_deleted), "ASSIGN", where)
 
     def _read_change(self, node: Node, where: "_Where") -> None:
-        """Read what an action costs, which adds up, or does to a number."""
+        """Read the cost of an action, which may have several parts, or its effect on a number."""
         formulas, manager = self._formulas, self._formulas.manager
         if len(node.children) != 3 or not node.children[1].head:
             raise self._source.error(node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)")
@@ -441,7 +441,7 @@ class _ActionReader:
 
 
 class _Where(NamedTuple):
-    """Where an effect stands: at which end of an action, among which variables, and on what conditions."""
+    """The context of an effect: the end of the action, the variables in scope, and the conditions."""
 
     time: str
     scope: Scope
@@ -461,7 +461,7 @@ def _parts_of(node: Node) -> Iterator[Node]:
 
 
 def _rules(source: Source) -> Mapping[str, list[Node]]:
-    """Return what predicates are derived from, by their names: of each rule the atom and its condition."""
+    """Return the rules of each derived predicate by its name; each rule is an atom and its condition."""
     found: dict[str, list[Node]] = {}
     for node in source.root.children[2:]:
         if node.head == ":derived":
@@ -472,7 +472,7 @@ def _rules(source: Source) -> Mapping[str, list[Node]]:
 
 
 def _closures(rules: Mapping[str, list[Node]]) -> dict[str, set[str]]:
-    """Return the derived predicates that each derived one is made of, at whatever depth, itself included."""
+    """Return for each derived predicate all derived predicates that it depends on, itself included."""
     found = {
         head: {head, *(part.head for rule in each for part in nodes_of(rule.children[2]) if part.head in rules)}
         for head, each in rules.items()
@@ -500,7 +500,7 @@ def _signatures(source: Source, head: str) -> Iterator[Node]:
 
 @contextmanager
 def _located(source: Source, node: Node, place: str = "") -> Iterator[None]:
-    """Say where stands what unified-planning does not take, and in which place what stands at no line."""
+    """Give errors of unified-planning the place of a node, and errors without a line the text `place`."""
     from unified_planning.exceptions import UPException
 
     try:
@@ -519,7 +519,7 @@ def _time_of(node: Node) -> str | None:
 
 
 def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iterator[tuple[str, Node]]:
-    """Yield what an action needs, or does, and when: durative actions say when."""
+    """Yield the conditions or effects of an action, each with its time, which durative actions state."""
     if schema.head == ":action":
         yield ("end" if is_effect else "start"), node
         return

@@ -406,7 +406,7 @@ def _directions(task: Task) -> dict[int, int]:
 
 
 def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
-    """Note for each part of a number whether it makes it greater (1) or smaller (-1), or may do either (0)."""
+    """Note for each part of a number whether it increases the number (1), decreases it (-1), or may do either (0)."""
     if isinstance(number, tuple):
         head, *parts = number
         if head == "n":

@@ -1,1 +1,1 @@
-"""Programs of others that plan, each run in a process of its own, and what they need to be asked."""
+"""Planners by others, each run in a process of its own, and the code that calls them."""

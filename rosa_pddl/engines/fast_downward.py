@@ -1,7 +1,7 @@
-"""Fast Downward's search as a program of its own.
+"""Runs Fast Downward's search as a separate program.
 
-It is licensed under the GPL-3: nothing of it is imported here. Formats and exit codes are those of its documentation,
-"translator output format" and "exit codes".
+It is licensed under the GPL-3, so nothing of it is imported here. Its documentation, "translator output format" and
+"exit codes", describes the formats and exit codes.
 """
 
 import re
@@ -13,7 +13,7 @@ from rosa_pddl.engines.processes import INSTALL_ADVICE, ProcessHandle
 from rosa_pddl.outcomes import Outcome, Trouble
 
 SEARCHES = ("fast-downward-opt", "fast-downward")
-"""The engines that this program stands for: the best plan, and a plan."""
+"""The engines that use this program: for an optimal plan, and for any plan."""
 
 _STEP = re.compile(rb"^(\d+) \(\d+\)$", re.MULTILINE)
 _OUTCOMES = {
@@ -29,9 +29,9 @@ _OUTCOMES = {
 
 
 def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) -> tuple[int, ...] | Outcome:
-    """Search a plan in so much wall-clock time [s]; raises Trouble, or Cancelled.
+    """Search for a plan within `limit_s` of wall-clock time [s]; raises Trouble or Cancelled.
 
-    Returns the names of its operators, which have to be numbers, or that it is unsolvable.
+    Returns the names of the plan's operators, which must be numbers, or an outcome if there is no plan.
     """
     command = [str(program()), "--search", strategy, "--internal-plan-file", "/dev/null"]
     ended = process.ask(command, given=text.encode(), limit_s=limit_s)
@@ -47,7 +47,7 @@ def search(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) 
 
 @cache
 def program() -> Path | None:
-    """Return the file of the search; None if it is not installed."""
+    """Return the path of the search program; None if it is not installed."""
     found = find_spec("up_fast_downward")
     if found is None or found.origin is None:
         return None

@@ -1,6 +1,6 @@
-"""The engine `label-setting` for those who plan with unified-planning itself; `register_engine` makes it known.
+"""The engine `label-setting` for direct use with unified-planning, once `register_engine` has registered it.
 
-Imported late, as unified-planning is slow to import.
+This module is imported late, as unified-planning is slow to import.
 """
 
 from dataclasses import replace
@@ -33,7 +33,7 @@ _LONG_S = 1e6
 
 
 class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  # unified-planning ships no types
-    """Plans of least cost, exactly; what actions use up may be limited by the goal, and numbers may rise and fall."""
+    """Finds plans of least cost; the goal may limit the resources, and numbers may rise and fall."""
 
     def __init__(self) -> None:
         engines.Engine.__init__(self)
@@ -86,7 +86,7 @@ def _plan(problem: UpThing, result: PlanningResult) -> SequentialPlan:
 
 
 def _domain_of(problem: UpThing) -> Domain:
-    """Return a problem with instantaneous actions as a domain; the problem stays as it is."""
+    """Convert a problem with instantaneous actions into a domain, without changing the problem."""
     where, stated = f"problem {problem.name or 'without a name'}", problem.clone()
     for one, value in problem.initial_values.items():
         stated.set_initial_value(one, value)

@@ -1,4 +1,4 @@
-"""Programs of others: started quickly, fed, read, and ended with everything that they started."""
+"""Runs external programs: starts them quickly, passes input, reads output, and ends them with all their children."""
 
 import atexit
 import os
@@ -19,7 +19,7 @@ from rosa_pddl.outcomes import Outcome, Trouble
 INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
 """What to do when a program does not work."""
 
-# A plan of a million steps is smaller than this; what is longer is an engine that prints without end.
+# A plan of a million steps is smaller than this; an engine that writes more is printing without end.
 _MOST_OUTPUT = 64 << 20
 _LOOKS_S = 0.05
 _GRACE_S = 2
@@ -27,12 +27,12 @@ _NO_PYTHON_NOISE = {"PYTHONWARNINGS": "ignore", "PYTHONHASHSEED": "0"}
 
 
 class Cancelled(Exception):
-    """Who wanted the answer wants it no more; raised where a program runs or is to start."""
+    """The answer is no longer wanted; raised where a program runs or would start."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """A program that has ended: its exit code, or less than 0 for the signal that killed it, and what it wrote."""
+    """A program that has ended: its exit code, or minus the signal that killed it, and its output."""
 
     code: int
     output: bytes
@@ -47,10 +47,10 @@ class Ended:
 
 
 class ProcessHandle:
-    """Runs programs, one at a time; cancelling kills the one that runs, and lets none start any more.
+    """Runs programs, one at a time; cancelling kills the running program, and no program can start any more.
 
-    Each program leads a process group of its own, which is killed when the program has ended, however it ended:
-    no child of it survives, and one that keeps the output open is not waited for. It may hold so much data [B].
+    Each program leads its own process group, which is killed after the program has ended for whatever reason: no child
+    survives, and a child that keeps the output open is not waited for. The memory limit of a program is in bytes.
     """
 
     def __init__(self, memory_bytes: int | None = None) -> None:
@@ -60,9 +60,9 @@ class ProcessHandle:
         self._is_cancelled: Future[None] = Future()
 
     def cancel(self) -> None:
-        """End what runs, as its answer is no longer wanted. Returns at once.
+        """End the running program, as its answer is no longer wanted. Returns at once.
 
-        Who runs it kills it, soon; so there is no lock that an interrupt could leave locked.
+        The thread that runs the program soon kills it; so there is no lock that an interrupt could leave locked.
         """
         with suppress(InvalidStateError):
             self._is_cancelled.set_result(None)
@@ -75,9 +75,9 @@ class ProcessHandle:
         limit_s: float,
         environment: Mapping[str, str] | None = None,
     ) -> Ended:
-        """Run a program for so much wall-clock time [s]; raises Cancelled, or Trouble if that gives no answer.
+        """Run a program for at most `limit_s` of wall-clock time [s]; raises Cancelled, or Trouble if it fails.
 
-        It reads what is given, in this process's environment with more variables.
+        The program reads `given` from its input; `environment` adds variables to those of this process.
         """
         with _in_memory(given) as read, _in_memory() as output, _in_memory() as complaints:
             self.check()
@@ -95,7 +95,7 @@ class ProcessHandle:
                     _limit(process.pid, limit_s, self._memory_bytes)
                     verdict = _verdict(process.pid, limit_s, (output, complaints), self._is_cancelled.done)
                 finally:
-                    # before it is reaped, as until then its number is that of no other group
+                    # before the program is reaped, as until then no other group can have its number
                     with suppress(ProcessLookupError):
                         os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
@@ -117,7 +117,7 @@ class ProcessHandle:
 
 
 def _in_memory(content: bytes = b"") -> BinaryIO:
-    """Make a file without a name: quicker than a pipe, needs nobody to read on, and nothing is left of it."""
+    """Make a file in memory: faster than a pipe, needs no reader meanwhile, and leaves nothing behind."""
     file = os.fdopen(os.memfd_create("rosa_pddl"), "w+b")
     file.write(content)
     file.seek(0)
@@ -130,7 +130,7 @@ def _content(file: BinaryIO) -> bytes:
 
 def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
     with suppress(ProcessLookupError):
-        # a program that outlives this process, because that was killed, still comes to its end
+        # a limit of CPU time also ends a program when this process has been killed
         seconds = int(limit_s) + _GRACE_S
         resource.prlimit(pid, resource.RLIMIT_CPU, (seconds, seconds))
         if memory_bytes is not None:
@@ -138,7 +138,7 @@ def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
 
 
 def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO], is_cancelled: Callable[[], bool]) -> str:
-    """Wait for a program; return why that is over: `itself`, `late`, `endless` or `cancelled`."""
+    """Wait for a program; return why the waiting ended: `itself`, `late`, `endless` or `cancelled`."""
     deadline, file = time.monotonic() + limit_s, os.pidfd_open(pid)
     try:
         poll = select.poll()

@@ -1,4 +1,4 @@
-"""Engines of unified-planning, each asked in a process of its own, so that none can hang or crash this one."""
+"""Calls engines of unified-planning, each in a separate process, so that none can hang or crash this one."""
 
 import json
 import os
@@ -18,9 +18,9 @@ from rosa_pddl.outcomes import Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem, lock_of
 
 LABEL_SETTING = "label-setting"
-"""The engine that is the exact search, within limits."""
+"""The engine that is the exact search, which keeps limits."""
 NUMERIC = "enhsp"
-"""The engine that is asked about numbers that rise and fall where the exact search is capped."""
+"""The engine for numbers that rise and fall, if the exact search reaches its cap."""
 TRANSLATED = (*SEARCHES, LABEL_SETTING)
 """The engines that search a grounded task."""
 
@@ -33,7 +33,7 @@ OUTCOMES = {
     "MEMOUT": Outcome.OUT_OF_MEMORY,
     "UNSUPPORTED_PROBLEM": Outcome.UNSUPPORTED,
 }
-"""What unified-planning calls how a planning ended."""
+"""The outcomes by unified-planning's names for them."""
 _NEVER_UNSOLVABLE = (
     "it may be that there is no plan, which engines of overlapping steps hardly ever find out: Planner(), whose steps "
     "follow one another, may say what is out of reach"
@@ -41,10 +41,10 @@ _NEVER_UNSOLVABLE = (
 
 
 def late_environment() -> UpThing:
-    """Return an environment for unified-planning's problems that makes its factory of engines when asked for it.
+    """Return an environment for unified-planning's problems that makes its factory of engines on first use.
 
-    unified-planning 1.3 imports every engine with the environment, and with them what they tune parameters by, which
-    takes longer than the rest of a mission's start. This one is silent, too.
+    unified-planning 1.3 imports every engine with the environment, and with them libraries to tune parameters, which
+    takes longer than the rest of a mission's start. This environment also prints nothing.
     """
     from unified_planning import model
     from unified_planning.environment import Environment
@@ -71,17 +71,17 @@ def late_environment() -> UpThing:
             return Factory(self)
 
         def __reduce__(self) -> tuple[UpThing, ...]:
-            """Become an ordinary one in the process of an engine, which knows nothing of this package."""
+            """Pickle as an ordinary environment, as the process of an engine does not import this package."""
             return object.__new__, (Environment,), {**self.__dict__, "_factory": self._factory}
 
     return LateEnvironment()
 
 
 def register_engine(environment: UpThing = None) -> None:
-    """Make `label-setting` known to unified-planning, for `OneshotPlanner(name="label-setting")`.
+    """Register `label-setting` with unified-planning, for `OneshotPlanner(name="label-setting")`.
 
     Args:
-        environment: of the problems to be planned; by default unified-planning's global one.
+        environment: the environment of the problems to plan; by default unified-planning's global one.
     """
     from unified_planning.environment import get_environment
 
@@ -91,8 +91,8 @@ def register_engine(environment: UpThing = None) -> None:
 
 
 def missing(engine: str, domain: Domain) -> str | None:
-    """Return what to install if an engine is not there, None if it is."""
-    environment = domain.up_problem.environment  # its factory is slow to make, and only made where it is needed
+    """Return what to install if an engine is missing, else None."""
+    environment = domain.up_problem.environment  # its factory is slow to make, so it is made only if needed
     if engine in TRANSLATED:
         return None if fast_downward.program() else _missing(engine)
     if engine == NUMERIC and which("java") is None:
@@ -113,13 +113,13 @@ def _missing(engine: str) -> str:
 def asked(
     engine: str, problem: Problem, process: ProcessHandle, *, limit_s: float, overlapping: bool
 ) -> PlanningResult:
-    """Ask an engine for a plan, in so much wall-clock time [s]; raises Trouble, UnsupportedPddlError, or Cancelled.
+    """Ask an engine for a plan within a wall-clock time [s]; raises Trouble, UnsupportedPddlError or Cancelled.
 
-    If steps may overlap, their durations are kept, else each is an instant.
+    If steps may overlap, they keep their durations, else all are instantaneous.
     """
     with lock_of(problem.domain):
         supported = problem.domain.up_problem.environment.factory.engine(engine).supported_kind()
-        # of what an engine does not know, its plan is judged
+        # an engine without timed effects plans without forecasts; its plan is checked against them later
         known = problem if "TIMED_EFFECTS" in supported.features else replace(problem, until={})
         up_problem = known.build(overlapping=overlapping)
         unsupported = up_problem.kind.features - supported.features
@@ -139,7 +139,7 @@ def asked(
         answer = json.loads(ended.output)
         outcome = OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
         if (engine == NUMERIC or known.until) and outcome is Outcome.UNSOLVABLE_PROVEN:
-            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # ENHSP says so of problems that have plans; times are rounded
+            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # not proven: ENHSP errs, and times are rounded
         schedule = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
     except (ValueError, KeyError, TypeError) as error:
         message = f"it ended with exit code {ended.code} and no answer. It said: {ended.last_words}"

@@ -1,6 +1,6 @@
-"""Runs an engine of unified-planning in a process of its own: a problem comes in pickled, the answer goes out as JSON.
+"""Runs an engine of unified-planning in a process of its own: reads a pickled problem and writes the answer as JSON.
 
-It is started as a program and imports nothing of this package.
+It is started as a program and imports nothing from this package.
 """
 
 import json
@@ -14,9 +14,9 @@ from typing import Any
 
 def main() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    # what an engine prints is a complaint, not an answer
+    # engines' own output goes to standard error, so that it does not mix with the answer
     os.dup2(2, 1)
-    # unified-planning imports it to name a type, and with it scipy.stats for seconds; who needs it imports it anew
+    # unified-planning needs ConfigSpace for a type name only, but importing it takes seconds (scipy.stats)
     sys.modules["ConfigSpace"] = _Unneeded("ConfigSpace")
     try:
         answer = _solved(**pickle.load(sys.stdin.buffer))
@@ -26,7 +26,7 @@ def main() -> None:
         answer = {"status": "INTERNAL_ERROR", "said": f"{type(error).__name__}: {error}"}
     json.dump(answer, answers)
     answers.close()
-    # engines may leave threads behind that would keep this process from ending
+    # engines may leave threads running that would prevent this process from ending
     os.kill(os.getpid(), signal.SIGKILL)
 
 
@@ -38,7 +38,7 @@ def _solved(engine: str, problem: Any) -> dict[str, Any]:  # noqa: ANN401  # uni
     import unified_planning.environment as module
 
     del sys.modules["ConfigSpace"]
-    # some engines look at the global environment, whatever they are given
+    # some engines use the global environment, whichever they are given
     module.GLOBAL_ENVIRONMENT = problem.environment
     problem.environment.credits_stream = None
     made = problem.environment.factory.engine(engine)()
