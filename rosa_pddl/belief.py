@@ -26,8 +26,8 @@ _MOST_DOMAINS = 8
 _MOST_PASSED_OVER = 100
 
 Sense = Callable[[], Mapping[str, bool | float]]
-"""Returns what is sensed now: by text, whether a fact such as `(lit room)` holds, the value of a number such as
-`(length a b)`, and whether an object such as `sample_9 - sample` is there."""
+"""Returns the percepts by their text: whether a fact such as `(lit room)` holds, the value of a number such as
+`(length a b)`, and whether an object such as `sample_9 - sample` exists."""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Belief:
             self._now = _Believed(facts, self._used_up(step), self._undos_but(key))
 
     def unstarted(self, keys: Iterable[object], state: State) -> State:
-        """Return a state as if the steps with these keys had not started."""
+        """Return a state without the start effects of the steps with these keys."""
         for taken, given in [self._now.undos[key] for key in keys if key in self._now.undos]:
             state = (state | taken) - given
         return state

@@ -25,7 +25,7 @@ class PddlError(RosaPddlError):
 
 
 class UnsupportedPddlError(PddlError):
-    """Correct PDDL that neither the executor nor its planner can handle."""
+    """PDDL that is correct, but that the executor or its planner cannot handle."""
 
 
 class UnknownNameError(RosaPddlError):

@@ -268,7 +268,7 @@ class PlanExecutor(Behaviour):
         self._replanning.wait_no_more()
 
     def setup(self, **kwargs: object) -> None:
-        """Let the planner prepare, and keep the arguments for the steps; called once before the first tick."""
+        """Let the planner start to prepare, and keep the arguments for the steps; called once before the first tick."""
         self._setup_arguments = kwargs
         if isinstance(self._planner, Planner):
             problem = Problem(self._domain, self._belief.observe())
@@ -279,13 +279,13 @@ class PlanExecutor(Behaviour):
         self._drop_plan()
 
     def tick(self) -> Iterator[Behaviour]:
-        """Tick, and show visitors the nodes of the running steps too."""
+        """Tick, and also yield the ticked nodes of the steps, so that visitors see them."""
         for node in super().tick():
             yield from self._ticked
             yield node
 
     def update(self) -> Status:
-        """Take the next decision; called on each tick, never waits."""
+        """Sense, run the steps and replan if necessary; called on each tick, never waits."""
         self._ticked = []
         if self._is_midway:  # an interrupt cut the previous tick, or `_drop_plan`, short
             unlock(self._domain)
@@ -301,7 +301,7 @@ class PlanExecutor(Behaviour):
         return status
 
     def terminate(self, new_status: Status) -> None:
-        """Stop the running steps and forget the planning; called when the round ends or is interrupted."""
+        """Stop the running steps, and give up the plan and planning; called when the round ends or is interrupted."""
         self._drop_plan()
 
     def shutdown(self) -> None:

@@ -292,7 +292,7 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """One planning that happened.
+    """The record of one planning.
 
     Args:
         at_s: when the plan was requested [s, the executor's clock].

@@ -184,14 +184,14 @@ Test: TypeAlias = tuple[str, Number, Number]
 
 
 class State(NamedTuple):
-    """The atoms that hold, and the values of numbers that rise and fall."""
+    """The atoms that are true, and the values of the numbers that rise and fall."""
 
     atoms: frozenset[str]
     numbers: tuple[Any, ...] = ()
 
 
 class Condition(NamedTuple):
-    """The atoms that have to hold, those that must not, and comparisons."""
+    """The atoms that must be true, those that must be false, and comparisons that must hold."""
 
     needs: frozenset[str] = frozenset()
     denies: frozenset[str] = frozenset()

@@ -17,7 +17,7 @@ from weakref import WeakSet
 from rosa_pddl.outcomes import Outcome, Trouble
 
 INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
-"""What to do when a program does not work."""
+"""Advice for the case that a program does not work."""
 
 # A plan of a million steps is smaller than this; an engine that writes more is printing without end.
 _MOST_OUTPUT = 64 << 20
