@@ -428,7 +428,7 @@ def test_nothing_of_what_a_knowledge_base_knows_is_left_out():
     (found,) = (one for one in vars(known).values() if isinstance(one, Knowledge))
     past = "attempts answers processes plans open_plans requests records ended last_end begins rejected"
     said = "changed_by feasibility serials reasons histories revision now in_words heard version visited"
-    apart = "model network log clock alarms pending adaptable obsolete lacking users columns state measurements"
+    apart = "model network log clock telling alarms pending adaptable obsolete lacking users columns state measurements"
     held = "progress parameters recent since"
     parts = (found, found.state, found.measurements, found.records)
     names = {name for part in parts for name in vars(part) if not name.startswith("_")}
