@@ -7,15 +7,13 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from typing import ClassVar
 
-from suave_env.autopilot import Autopilot, Vector
-from suave_env.monitors import COMPONENT_STATUS, MISSION_STATUS, Outbox, thruster_words
-from suave_env.pipeline import SEABED_Z_M
+from suave_env.monitors import COMPONENT_STATUS, MISSION_STATUS, Change, Outbox, thruster_words
+from suave_env.sea import SEABED_Z_M
 from suave_env.settings import Settings, SuaveEnvError, unknown_name
-from suave_env.thrusters import COUNT
+from suave_env.vehicle import COUNT, Autopilot, Vector
 
 HIGHEST_ALTITUDE_M = 19.0
 """Altitude above the seabed [m] that a parameter may command at most: 1 m below the surface."""
@@ -272,20 +270,6 @@ class Recharge(Mover):
             self._is_sent = True
         if self._is_near(station, settings.recharge_tolerance_m):
             self._recharge(time)
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    """The activation, deactivation or new parameters of a component: the time [s], and its state from then on."""
-
-    time: float
-    component: str
-    active: bool
-    parameters: Mapping[str, float]
-
-    def __str__(self) -> str:
-        values = "".join(f", {name} = {value:g}" for name, value in self.parameters.items())
-        return f"{self.component} is {'active' if self.active else 'inactive'}{values}"
 
 
 class Components:

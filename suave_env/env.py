@@ -6,23 +6,25 @@ from functools import partial
 
 import numpy as np
 
-from suave_env.autopilot import Autopilot, Vector
-from suave_env.components import Agenda, Change, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
-from suave_env.metrics import LOW_LEVEL, Metrics, Reaction, Reactions, Violations
+from suave_env.components import Agenda, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.monitors import (
     COMPONENT_STATUS,
     EA_MEASUREMENT,
+    LOW_LEVEL,
     MISSION_STATUS,
     QA_STATUS,
+    Change,
     Message,
+    Metrics,
     Outbox,
+    Reaction,
+    Reactions,
+    Violations,
     thruster_words,
 )
-from suave_env.pipeline import SEABED_Z_M, Pipeline
+from suave_env.sea import SEABED_Z_M, THRESHOLDS_M, Pipeline, Water, expected_altitude
 from suave_env.settings import Settings, SuaveEnvError, ThrusterEvent, parse_thruster_events
-from suave_env.thrusters import Thrusters
-from suave_env.vehicle import Vehicle, floated
-from suave_env.water import THRESHOLDS_M, Water, expected_altitude
+from suave_env.vehicle import Autopilot, Thrusters, Vector, Vehicle, floated
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from suave_env.env import SuaveEnv
 from suave_env.monitors import Message
 from suave_env.settings import Settings
-from suave_env.thrusters import COUNT
+from suave_env.vehicle import COUNT
 
 COMPONENTS = ("spiral_search", "follow_pipeline", "recover_thrusters", "recharge")
 """The components, in the order of the action."""

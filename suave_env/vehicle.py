@@ -1,21 +1,98 @@
-"""The BlueROV2 in the water, simulated by MuJoCo. This is the only file of the package that uses MuJoCo."""
+"""The BlueROV2 in the water: its six thrusters, its hull, which MuJoCo simulates, and the autopilot that flies it.
+
+A setpoint becomes a jerk-limited move, a wanted force and six thrusts, every control period.
+"""
 
 import logging
 import math
 from collections.abc import Callable
 from importlib.resources import files
+from math import atan2, cos, isfinite, sin
 from struct import Struct
 from typing import Any
 
 import numpy as np
 
 from suave_env.settings import Settings, SuaveEnvError
-from suave_env.thrusters import COUNT
 
-_log = logging.getLogger(__name__)
+Vector = tuple[float, float, float]
+"""East, north, up: world frame ENU, z up."""
+
+COUNT = 6
+"""Number of thrusters: 1 front right, 2 front left, 3 rear right, 4 rear left, 5 right and 6 left vertical."""
+
+_COSINE = 0.7071067811865476
+_YAW_ARM_M = 0.1676  # mean of the arms of the front pair (0.164 m) and the rear pair (0.171 m)
+_ROLL_ARM_M = 0.109
+_DENSITY_KG_M3 = 1000.0  # of the water, as the buoyancy of SUAVE's world has it
 _UNUSED = ("EQUALITY", "FRICTIONLOSS", "LIMIT", "SENSOR", "ISLAND", "AUTORESET")  # the last: what is lost stays lost
 _WRITE_THRUSTS = Struct(f"{COUNT}d").pack_into  # a third of the time that a slice of the array takes
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
+_log = logging.getLogger(__name__)
+
+
+class Thrusters:
+    """Shares a wanted force among the thrusters; the mixer knows nothing of failures.
+
+    A failed thruster is frozen at its last output: with its servo function set to 0, ArduPilot stops writing the
+    channel, and the simulated motor keeps pushing (kas-lab/suave v1.3.0).
+
+    Attributes:
+        outputs: Thrusts [N] of thrusters 1 to 6, positive along the direction of each in the model.
+        energy_j: Energy that they have put into the water [J], with ideal propellers.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.outputs = [0.0] * COUNT
+        self.energy_j = 0.0
+        # an actuator disc of area A takes |T|^1.5 / sqrt(2 rho A) to push still water of density rho
+        self._power = 1 / math.sqrt(2 * _DENSITY_KG_M3 * math.pi / 4 * settings.propeller_m**2)
+        self._limit = settings.thrust_limit_n
+        self._stuck: dict[int, float] = {}
+
+    @property
+    def failed(self) -> tuple[int, ...]:
+        return tuple(sorted(self._stuck))
+
+    def fail(self, number: int) -> None:
+        """Freeze a thruster, 1 to 6, at its last output."""
+        self._stuck.setdefault(number, self.outputs[number - 1])
+
+    def recover(self, number: int) -> None:
+        """Restore a thruster, 1 to 6: it obeys again."""
+        self._stuck.pop(number, None)
+
+    def allocate(
+        self, forward: float, left: float, up: float, roll: float, turn: float, duration: float = 0.0
+    ) -> list[float]:
+        """Share a wanted force and torque among the thrusters, count the energy of a duration [s], return the outputs.
+
+        The shares are those of the "vectored" frame of ArduPilot's Sub, for thrusts along the directions of the model.
+        Forces along x, y and z of the body frame [N]; torques about its x and z [N m], a turn positive to the left.
+
+        Returns:
+            The six outputs [N]. Beyond the limit, the thrusts of a group are scaled together: the direction stays.
+        """
+        forward, left, turn = forward / (4 * _COSINE), left / (4 * _COSINE), turn / (4 * _YAW_ARM_M)
+        one, two = -forward - left - turn, -forward + left + turn
+        three, four = forward - left + turn, forward + left - turn
+        five, six = roll / (2 * _ROLL_ARM_M) - up / 2, -roll / (2 * _ROLL_ARM_M) - up / 2
+        limit = self._limit
+        level = max(abs(one), abs(two), abs(three), abs(four))
+        if level > limit:
+            scale = limit / level
+            one, two, three, four = one * scale, two * scale, three * scale, four * scale
+        upright = max(abs(five), abs(six))
+        if upright > limit:
+            five, six = five * limit / upright, six * limit / upright
+        self.outputs = outputs = [one, two, three, four, five, six]
+        if self._stuck:
+            for number, frozen in self._stuck.items():
+                outputs[number - 1] = frozen
+            one, two, three, four, five, six = outputs
+        thrusts = abs(one) ** 1.5 + abs(two) ** 1.5 + abs(three) ** 1.5 + abs(four) ** 1.5
+        self.energy_j += (thrusts + abs(five) ** 1.5 + abs(six) ** 1.5) * self._power * duration
+        return outputs
 
 
 class Vehicle:
@@ -102,3 +179,199 @@ def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo 
         return spec.compile()
     except ValueError as error:
         raise SuaveEnvError(f"MuJoCo refuses the vehicle of these settings: {error}") from error
+
+
+class SCurve:
+    """A move over a length that starts and ends at rest, within limits on speed, acceleration and jerk.
+
+    The speed-up has three phases of constant jerk: `+J` for `tj`, 0 for `ta`, `-J` for `tj`. It reaches the peak speed
+    `J tj (tj + ta)`; its length is half of the peak speed times `2 tj + ta`. After cruising, the slow-down mirrors it.
+    `tj`, then `ta`, are the longest that the limits and the length allow.
+
+    Args:
+        length: Length [m], from 0.
+        speed: Speed limit [m/s].
+        acceleration: Acceleration limit [m/s2].
+        jerk: Jerk limit [m/s3].
+
+    Attributes:
+        duration: Time of the whole move [s].
+    """
+
+    __slots__ = ("_jerk", "_length", "_peak", "_plateau", "_ramp", "_rise", "duration")
+
+    def __init__(self, length: float, speed: float, acceleration: float, jerk: float) -> None:
+        ramp = min(math.cbrt(length / (2 * jerk)), math.sqrt(speed / jerk), acceleration / jerk)
+        plateau = 0.0
+        if ramp == acceleration / jerk:
+            # length = a (tj + ta) (2 tj + ta), solved for ta; and peak speed = a (tj + ta)
+            by_length = (-3 * ramp + math.sqrt(ramp * ramp + 4 * length / acceleration)) / 2
+            plateau = max(0.0, min(by_length, speed / acceleration - ramp))
+        self._jerk, self._length, self._ramp, self._plateau = jerk, length, ramp, plateau
+        self._rise = 2 * ramp + plateau
+        self._peak = jerk * ramp * (ramp + plateau)
+        cruise = max(0.0, length / self._peak - self._rise) if self._peak > 0 else 0.0
+        self.duration = 2 * self._rise + cruise
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Return the distance [m] and the speed [m/s] of the move at a time since its start [s]."""
+        left, rise = self.duration - time, self._rise
+        if left <= 0:
+            return self._length, 0.0
+        if left < rise:
+            distance, speed = self._speeding_up(left)
+            return self._length - distance, speed
+        if time < rise:
+            return self._speeding_up(time)
+        return self._peak * (time - self._rise / 2), self._peak
+
+    def _speeding_up(self, time: float) -> tuple[float, float]:
+        ramp, jerk = self._ramp, self._jerk
+        if time <= ramp:
+            return jerk * time**3 / 6, jerk * time * time / 2
+        top = jerk * ramp
+        if time <= ramp + self._plateau:
+            since = time - ramp
+            return top * (ramp * ramp / 6 + ramp * since / 2 + since * since / 2), top * (ramp / 2 + since)
+        # by symmetry about the middle of the speed-up: speed(t) = peak - speed(rise - t)
+        left = self._rise - time
+        speed = self._peak - jerk * left * left / 2
+        return self._peak * (self._rise / 2 - left) + jerk * left**3 / 6, speed
+
+
+class Guidance:
+    """Flies to setpoints, our own simplification of the GUIDED mode of ArduPilot's Sub.
+
+    A new setpoint begins a jerk-limited move from rest to rest, in a straight line from the stopping point `p + v / k`
+    to the setpoint. Position gain `k` and a first-order velocity loop of time constant `tau` follow it:
+
+        `v_wanted = v_move + k (p_move - p)`,  `F = m / tau (v_wanted - v) + integral`
+
+    Whoever applies the force adds the vehicle's drag, so that the loop has the lag `tau` at every speed.
+    """
+
+    def __init__(self, settings: Settings, position: Vector) -> None:
+        self._settings = settings
+        self._gains = (settings.position_gain, settings.position_gain, settings.height_gain)
+        self._stiffness = (settings.mass_kg / settings.velocity_lag_s, settings.mass_kg / settings.height_lag_s)
+        self._integral_gain, self._integral_limit = settings.integral_gain, settings.integral_limit_n
+        self._integral: Vector = (0.0, 0.0, 0.0)
+        self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
+
+    def go_to(self, target: Vector, position: Vector, velocity: Vector, time: float) -> None:
+        """Begin a move to a setpoint [m] from where the vehicle is [m] and how fast it moves [m/s], now [s]."""
+        origin = self.stopping_point(position, velocity)
+        dx, dy, dz = (end - start for end, start in zip(target, origin, strict=True))
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        self._origin, self._start = origin, time
+        self._direction = (dx / length, dy / length, dz / length) if length > 0 else (0.0, 0.0, 0.0)
+        speed, acceleration = self._limits()
+        self._move = SCurve(length, speed, acceleration, self._settings.jerk_limit_m_s3)
+
+    def stopping_point(self, position: Vector, velocity: Vector) -> Vector:
+        """Return where the vehicle would come to rest [m]: `p + v / k`."""
+        (px, py, pz), (vx, vy, vz), (kx, ky, kz) = position, velocity, self._gains
+        return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
+
+    def force(self, position: list[float], velocity: list[float], time: float, duration: float) -> Vector:
+        """Return the wanted force [N], world frame ENU, z up, to be held for a duration [s] from now [s].
+
+        It reads the first three numbers of position [m] and velocity [m/s].
+        """
+        along, speed = self._move.at(time - self._start)
+        ox, oy, oz = self._origin
+        ex, ey, ez = self._direction
+        kx, ky, kz = self._gains
+        level, upright = self._stiffness
+        wx = ex * speed + kx * (ox + ex * along - position[0]) - velocity[0]
+        wy = ey * speed + ky * (oy + ey * along - position[1]) - velocity[1]
+        wz = ez * speed + kz * (oz + ez * along - position[2]) - velocity[2]
+        gain, limit = self._integral_gain * duration, self._integral_limit
+        ix, iy, iz = self._integral
+        ix, iy, iz = ix + gain * wx, iy + gain * wy, iz + gain * wz
+        if not (-limit <= ix <= limit and -limit <= iy <= limit and -limit <= iz <= limit):
+            ix, iy, iz = (min(limit, max(-limit, part)) for part in (ix, iy, iz))
+        self._integral = (ix, iy, iz)
+        return level * wx + ix, level * wy + iy, upright * wz + iz
+
+    def _limits(self) -> tuple[float, float]:
+        """Return the limits on speed [m/s] and acceleration [m/s2] along the move's direction."""
+        settings = self._settings
+        ex, ey, ez = self._direction
+        level, upright = math.hypot(ex, ey), abs(ez)
+        vertical = settings.climb_limit_m_s if ez > 0 else settings.descent_limit_m_s
+        speed, acceleration = math.inf, math.inf
+        if level > 0:
+            speed, acceleration = settings.speed_limit_m_s / level, settings.acceleration_limit_m_s2 / level
+        if upright > 0:
+            speed = min(speed, vertical / upright)
+            acceleration = min(acceleration, settings.climb_acceleration_limit_m_s2 / upright)
+        if level == upright == 0:
+            return settings.speed_limit_m_s, settings.acceleration_limit_m_s2
+        return speed, acceleration
+
+
+class Autopilot:
+    """Holds a heading of east and flies to setpoints."""
+
+    def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
+        self._gains = (
+            *(settings.heading_gain, settings.heading_damping, settings.roll_damping),
+            *(settings.drag_surge, settings.drag_sway, settings.drag_heave),
+        )
+        self._vehicle, self._thrusters, self._bias = vehicle, thrusters, bias
+        self._period, self._periods, self._until = settings.control_period_s, 0, 0.0
+        self._guidance = Guidance(settings, vehicle.position)
+
+    @property
+    def position(self) -> Vector:
+        """Position [m], world frame ENU, z up; extrapolated at constant velocity between two control periods."""
+        pose_of, motion_of = self._vehicle.state
+        x, y, z, *_ = pose_of()
+        vx, vy, vz, *_ = motion_of()
+        since = self._until - self._periods * self._period
+        return x + since * vx, y + since * vy, z + since * vz
+
+    def go_to(self, target: Vector, time: float) -> None:
+        """Fly to a setpoint [m], world frame ENU, z up, from now [s] on."""
+        x, y, z = target
+        self._guidance.go_to((x, y, z + self._bias), self.position, self._vehicle.velocity, time)
+
+    def hold(self, time: float) -> None:
+        """Stop as soon as possible, from now [s] on."""
+        position, velocity = self.position, self._vehicle.velocity
+        self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
+
+    def fly(self, until: float) -> None:
+        """Simulate all control periods that end by a time [s]."""
+        self._until, last = until, math.floor(until / self._period + 1e-9)
+        if last > self._periods:
+            self._fly_periods(last)
+            self._periods = last
+
+    def _fly_periods(self, last: int) -> None:
+        period, guide, push = self._period, self._guidance.force, self._vehicle.push
+        allocate = self._thrusters.allocate
+        pose_of, motion_of = self._vehicle.state
+        heading_gain, heading_damping, roll_damping, surge_drag, sway_drag, heave_drag = self._gains
+        for count in range(self._periods, last):
+            pose, motion = pose_of(), motion_of()
+            x, _, _, qw, qx, qy, qz = pose
+            vx, vy, vz, roll_rate, _, yaw_rate = motion
+            if not isfinite(x + vx):
+                when = f"{count * period:.3f} s"
+                raise SuaveEnvError(f"the simulation became unstable after {when}; a setting is far from its default")
+            east, north, up = guide(pose, motion, (count + 0.5) * period, period)
+            yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+            cosine, sine = cos(yaw), sin(yaw)
+            surge, sway = cosine * vx + sine * vy, cosine * vy - sine * vx
+            push(
+                allocate(
+                    cosine * east + sine * north + surge_drag * abs(surge) * surge,
+                    cosine * north - sine * east + sway_drag * abs(sway) * sway,
+                    up + heave_drag * abs(vz) * vz,
+                    -roll_damping * roll_rate,
+                    -heading_gain * yaw - heading_damping * yaw_rate,
+                    period,
+                )
+            )

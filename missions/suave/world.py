@@ -60,7 +60,7 @@ class Sea(World):
                 return list(messages)
 
     def results(self) -> Mapping[str, float | None]:
-        from suave_env.metrics import mean_reactions
+        from suave_env.monitors import mean_reactions
 
         return {**asdict(self._env.metrics), **mean_reactions(self._env.reactions)}
 

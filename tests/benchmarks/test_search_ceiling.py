@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from suave_env import Settings, SuaveEnv
-from suave_env.water import expected_altitude
+from suave_env.sea import expected_altitude
 
 pytestmark = pytest.mark.benchmark
 

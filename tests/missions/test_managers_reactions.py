@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from missions.baselines import open_run
 from missions.engine.registry import find_mission
 from suave_env import Change
-from suave_env.metrics import Reaction, Reactions, mean_reactions
+from suave_env.monitors import Reaction, Reactions, mean_reactions
 
 News = namedtuple("News", ["time", "key", "value"])
 MURKY, CLEAR = "1.5", "3.5"

@@ -6,7 +6,7 @@ from suave_stand_ins import Pilot, values_of
 from suave_env import Settings
 from suave_env.components import Agenda, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
 from suave_env.monitors import Outbox
-from suave_env.thrusters import Thrusters
+from suave_env.vehicle import Thrusters
 
 PROMPT = Settings().replace(start_delay_s=0)
 CENTRE = (-17.0, 2.4)

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from suave_env import Settings
-from suave_env.autopilot import Guidance, SCurve
-from suave_env.thrusters import Thrusters
-from suave_env.vehicle import Vehicle
+from suave_env.vehicle import Guidance, SCurve, Thrusters, Vehicle
 
 MOVES = st.tuples(st.floats(1e-3, 60), st.floats(0.1, 3), st.floats(0.1, 3), st.floats(0.1, 3))
 

@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 from suave_stand_ins import Script, make_env
 
 from suave_env import Settings
-from suave_env.metrics import Violations
-from suave_env.thrusters import Thrusters
-from suave_env.vehicle import floated
+from suave_env.monitors import Violations
+from suave_env.vehicle import Thrusters, floated
 
 NOTES = st.lists(st.tuples(st.floats(0, 10), st.sampled_from("ab"), st.booleans(), st.booleans()), max_size=20)
 

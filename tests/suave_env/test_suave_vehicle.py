@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from suave_env import Settings, SuaveEnvError
-from suave_env.pipeline import SEABED_Z_M, VERTICES_M
+from suave_env.sea import SEABED_Z_M, VERTICES_M
 from suave_env.vehicle import Vehicle
 
 IDLE = [0.0] * 6
