@@ -6,9 +6,9 @@ from typing import Final
 
 from numpy.random import Generator
 
-from missions.agv.building import Building, Corridor
 from missions.agv.joint import Place, Task
-from missions.agv.pddl import SWITCH, PddlNames, cross_schema, switch_schema
+from missions.agv.model import Building, Corridor
+from missions.agv.tree import SWITCH, PddlNames, cross_schema, switch_schema
 from missions.engine.mission import MissionError
 from rosa_pddl import Planner, PlanningResult
 from rosa_pddl.domain import FEASIBLE

@@ -7,11 +7,9 @@ from typing import Final
 
 from kb import KnowledgeBase
 from missions import SUMMARIES
-from missions.agv.building import PAPER, Building
 from missions.agv.joint import Modes
-from missions.agv.model import NAVIGATE, building_model
-from missions.agv.pddl import PddlNames, cross_schema, switch_schema
-from missions.agv.tree import Planned, PlanningState, Route, agv_tree
+from missions.agv.model import NAVIGATE, PAPER, Building, building_model
+from missions.agv.tree import PddlNames, Planned, PlanningState, Route, agv_tree, cross_schema, switch_schema
 from missions.agv.world import AgvKind
 from missions.engine.mission import Mission, Percepts
 from missions.engine.task_layer import by_schema

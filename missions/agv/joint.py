@@ -16,8 +16,7 @@ from typing import Final, NamedTuple
 
 from kb import Choice, KnowledgeBase, Model
 from kb.status import OPERATORS
-from missions.agv.building import Building, Corridor, checked
-from missions.agv.model import NAVIGATE
+from missions.agv.model import NAVIGATE, Building, Corridor, checked
 from missions.engine.mission import MissionError
 from rosa_pddl.search import Move, cheapest, distances
 

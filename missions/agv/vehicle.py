@@ -11,7 +11,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from missions.agv.building import Building, Corridor
+from missions.agv.model import Building, Corridor
 from missions.engine.mission import MissionError
 
 Array = NDArray[np.float64]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.random import Generator
 
 from kb import KnowledgeBase, ManagedSystem
-from missions.agv.building import Building
-from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS
+from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIGHT, SPEEDS, Building
 from missions.agv.tree import Route
 from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, check_walls, steer
 from missions.engine.components import VERBS, NamedComponents, SimulatedComponents

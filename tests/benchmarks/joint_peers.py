@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from kb import Model
 from kb.status import OPERATORS
-from missions.agv.building import Building, Corridor
 from missions.agv.joint import Place, Question, Task
+from missions.agv.model import Building, Corridor
 from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.search import distances
 

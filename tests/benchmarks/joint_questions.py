@@ -7,9 +7,8 @@ from typing import TypeVar
 from numpy.random import Generator
 
 from kb import KnowledgeBase, Model
-from missions.agv.building import Building
 from missions.agv.joint import Answer, JointPlanner, Place, Question
-from missions.agv.model import agv_model
+from missions.agv.model import Building, agv_model
 
 MODEL = agv_model()
 PREFERENCES = (

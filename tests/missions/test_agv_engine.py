@@ -10,7 +10,7 @@ from numpy.random import default_rng
 from kb import KnowledgeBase
 from missions.agv.joint import JointPlanner, Question
 from missions.agv.model import agv_model
-from missions.agv.pddl import left_of
+from missions.agv.tree import left_of
 from rosa_pddl import Outcome, Planner, Problem, initial_state
 
 MODEL = agv_model()
