@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from missions.engine.mission import MissionError
-from missions.proof.rig import Predicate, Rig, Setup
+from missions.proof.rig import Change, Predicate, Rig, Setup
 from missions.proof.rounds import (
     CAN_COPY,
     Changed,
@@ -30,7 +30,6 @@ from missions.proof.rounds import (
     Workers,
     megabytes,
 )
-from missions.proof.surroundings import Change
 
 _AT_A_TIME: Final = 32
 """How many situations each process explores between two looks at the clock."""

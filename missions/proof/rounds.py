@@ -24,9 +24,8 @@ from py_trees.common import Status
 from missions.engine.mission import MissionError
 from missions.experiments.workers import end_with
 from missions.proof.memory import Memory, said
-from missions.proof.planned import nodes, stage_of
-from missions.proof.rig import Predicate, Rig, Setup
-from missions.proof.surroundings import Answer, Change
+from missions.proof.rig import Change, Predicate, Rig, Setup, nodes, stage_of
+from missions.proof.tape import Answer
 from rosa_bt.behaviours import kept
 
 CAN_COPY: Final = sys.platform.startswith("linux")

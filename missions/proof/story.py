@@ -6,9 +6,8 @@ from pathlib import Path
 from pprint import pformat
 from typing import Any
 
-from missions.proof.rig import Rig, Setup
+from missions.proof.rig import Change, Rig, Setup
 from missions.proof.rounds import Step
-from missions.proof.surroundings import Change
 from missions.testing.scripted import LETTERS
 from rosa_bt import Trace, TraceVisitor
 

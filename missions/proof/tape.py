@@ -12,9 +12,13 @@ from enum import Enum
 from types import MethodType
 from typing import Any, Final, NamedTuple, Protocol
 
+from py_trees.behaviour import Behaviour
+
 from kb import KnowledgeBase
 from kb.views import ElementView, Views
-from missions.proof.surroundings import Choice, Choices
+
+Answer = tuple[str, str]
+"""The name of a leaf, and the letter of what it returned: R, S or F."""
 
 Path = tuple[tuple[Callable[..., Any], tuple[Any, ...]], ...]
 """How a value is reached from the knowledge base: attributes, items and calls, one after another."""
@@ -23,6 +27,51 @@ _OF_NO_USE: Final = ("log", "revision")
 """Not recorded: the number of events so far decides nothing, the present facts do."""
 _LIVE: Final = (KnowledgeBase, Views, ElementView, MethodType)
 """Types whose objects always show the present state; all others are valid at one moment only."""
+
+
+class Choice(NamedTuple):
+    """A question to a leaf: its name, and the letters that it may return."""
+
+    name: str
+    letters: str
+
+
+class Choices:
+    """Decides what leaves answer in a tick: first by a script, then the first letter; a leaf asked again says the same.
+
+    Attributes:
+        taken: the answers since `begin`.
+        others: scripts for the answers that were possible but not taken, each once.
+        said: all questions with their answers: to leaves, and to the knowledge base (see `Tape`).
+    """
+
+    def __init__(self) -> None:
+        self.taken: list[Answer] = []
+        self.said: list[tuple[Any, object]] = []
+        self._script: tuple[Answer, ...] = ()
+        self.others: list[tuple[Answer, ...]] = []
+        self._said: dict[Behaviour, str] = {}
+
+    def begin(self, script: tuple[Answer, ...]) -> None:
+        self.taken, self.said, self._script, self.others, self._said = [], [], script, [], {}
+
+    def choose(self, leaf: Behaviour, letters: str) -> str:
+        if leaf not in self._said:
+            asked = Choice(leaf.name, letters)
+            self._said[leaf] = letter = self.take(asked)
+            self.said.append((asked, letter))
+        return self._said[leaf]
+
+    def take(self, asked: Choice) -> str:
+        """Return the next answer, and note the other possible ones in `others`."""
+        name, letters = asked
+        place = len(self.taken)
+        letter = self._script[place][1] if place < len(self._script) else letters[0]
+        if place >= len(self._script):
+            before = tuple(self.taken)
+            self.others += [(*before, (name, other)) for other in letters[1:]]
+        self.taken.append((name, letter))
+        return letter
 
 
 class _States(Protocol):

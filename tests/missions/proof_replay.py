@@ -2,7 +2,8 @@
 
 from math import nan
 
-from missions.proof.surroundings import Choices, Surroundings, take_over
+from missions.proof.rig import Surroundings, take_over
+from missions.proof.tape import Choices
 from rosa_bt import replay_trace
 
 

@@ -14,8 +14,8 @@ from py_trees.decorators import Inverter, SuccessIsFailure
 
 from kb import Model
 from missions.proof.exploration import Exploration
-from missions.proof.properties import check
 from missions.proof.rig import Rig, Setup
+from missions.proof.verification import check
 from rosa_bt import ForAction, IsActionFeasible, do_until_unfeasible, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 

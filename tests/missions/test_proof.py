@@ -38,11 +38,9 @@ from missions.engine.task_layer import by_schema
 from missions.proof import Leaf, eventually, exploration, leads_to, never, verify
 from missions.proof.exploration import Exploration
 from missions.proof.memory import Memory
-from missions.proof.planned import nodes
-from missions.proof.rig import Rig, Setup
+from missions.proof.rig import Rig, Setup, Surroundings, nodes
 from missions.proof.rounds import CAN_COPY, Rounds
 from missions.proof.story import as_test
-from missions.proof.surroundings import Surroundings
 from missions.proof.verification import prove, setup_of
 from missions.suave import MISSION as SUAVE
 from missions.suave.tree import InspectPipeline, SearchPipeline
