@@ -16,9 +16,8 @@ from websockets.sync.client import connect
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.engine.mission import MissionError
-from missions.wires.bridge import Bridge, BridgeSettings
+from missions.wires.bridge import Bridge, BridgeSettings, parameter_messages
 from missions.wires.node import QUEUED, Outbox, RosError
-from missions.wires.rosa_services import parameter_messages
 from missions.wires.rosbridge import Peer, Rosbridge, RosbridgeServer
 
 SETTINGS = BridgeSettings(attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"})
