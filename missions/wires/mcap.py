@@ -41,6 +41,10 @@ _COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configu
 _LARGEST_RECORD: Final = 2**30
 """The largest record of an MCAP file [bytes]."""
 CHUNK_BYTES: Final = 2**16
+WAITING: Final = 100_000
+"""How many messages may wait to be written; when more do, the recording ends and the robot goes on."""
+PATIENCE_S: Final = 10.0
+"""How long one message may take to be written when a file is closed [s]."""
 _LOGGED: Final = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
 """The kinds of events that are on `/rosa/log`, besides failures of components."""
 _NAMES: Final = {Status.INVALID: "IDLE"}
@@ -90,7 +94,8 @@ def write_in_chunks(path: Path, recorded: Iterable[Raw]) -> None:
 class McapFile(AbstractContextManager["McapFile"]):
     """An MCAP file that grows with each message; if it is cut off, it can be read up to there.
 
-    `close` rewrites it in chunks with an index. A thread of its own encodes and writes.
+    `close` rewrites it in chunks with an index. A thread of its own encodes and writes, so a disk that is slow or hangs
+    holds up nobody; nothing more is recorded once 100,000 messages wait for it.
 
     Args:
         path: of the file; an existing file is replaced.
@@ -118,7 +123,10 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns, as type `kind`."""
-        self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
+        if self._queue.qsize() < WAITING:
+            self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
+        elif self._error is None:
+            self._give_up(OSError(f"the disk does not keep up, {WAITING} messages wait to be written"))
 
     def close(self) -> None:
         """Write the queued messages, and rewrite the file in chunks with an index.
@@ -127,7 +135,11 @@ class McapFile(AbstractContextManager["McapFile"]):
             MissionError: a message could not be written; the file holds those before it.
         """
         self._queue.put(None)
-        self._thread.join()
+        while self._thread.is_alive():
+            waiting = self._queue.qsize()
+            self._thread.join(PATIENCE_S)
+            if self._thread.is_alive() and self._queue.qsize() == waiting:
+                raise self._unwritten(self._error or OSError(f"the disk does not answer, {waiting} messages wait"))
         if self._file.closed:
             return
         try:
@@ -152,9 +164,13 @@ class McapFile(AbstractContextManager["McapFile"]):
                 self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
                 if self._queue.empty():
                     self._file.flush()
-        except Exception as error:  # reported when it is closed; the mission goes on
-            self._error = error
-            _log.warning("%s is recorded no further: %s", self.path, error)
+        except Exception as error:  # the mission goes on
+            self._give_up(error)
+
+    def _give_up(self, error: Exception) -> None:
+        """Record nothing more; the error is reported when the file is closed."""
+        self._error = error
+        _log.warning("%s is recorded no further: %s", self.path, error)
 
     def _unwritten(self, error: Exception) -> MissionError:
         return MissionError(f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}")

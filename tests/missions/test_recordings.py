@@ -7,9 +7,11 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+import time
 from contextlib import suppress
 from pathlib import Path
 from struct import error as Torn
+from threading import Event
 
 import pytest
 from hypothesis import given
@@ -27,7 +29,7 @@ from missions import cli
 from missions.engine.mission import MissionError
 from missions.engine.recording import measured, read_recording
 from missions.testing.recorded import replay
-from missions.wires import ros
+from missions.wires import mcap, ros
 from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
 from missions.wires.node import made
 from rosa_bt import ForAction, TreeRunner, first_feasible
@@ -437,6 +439,38 @@ def test_recording_without_room_is_told_when_it_ends_and_holds_what_came_before(
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert len(read_bag(tmp_path / "full.mcap").events) > 10
+
+
+def test_disk_that_hangs_ends_the_recording_and_holds_up_nobody(tmp_path, monkeypatch):
+    answers, add = Event(), mcap._Records.add
+    monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
+    monkeypatch.setattr(mcap, "WAITING", 100)
+    monkeypatch.setattr(mcap, "PATIENCE_S", 0.05)
+    file = McapFile(tmp_path / "hung.mcap")
+    for number in range(1000):
+        file.write("/number", ros.FLOAT, float(number), dict, {"data": float(number)})
+        while number == 0 and not file._queue.empty():
+            time.sleep(0.001)
+    assert file._queue.qsize() == 100
+    with pytest.raises(MissionError, match=r"cannot write .*hung.mcap: the disk does not keep up, 100 messages wait"):
+        file.close()
+    answers.set()  # what was being written when the recording ended is whole, and nothing comes after it
+    with pytest.raises(MissionError, match="does not keep up"):
+        file.close()
+    assert read_bag(tmp_path / "hung.mcap").topics == {"/number": (ros.FLOAT, 1)}
+
+
+def test_disk_that_hangs_at_the_end_is_told(tmp_path, monkeypatch):
+    answers, add = Event(), mcap._Records.add
+    monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
+    monkeypatch.setattr(mcap, "PATIENCE_S", 0.05)
+    file = McapFile(tmp_path / "hung.mcap")
+    file.write("/number", ros.FLOAT, 1.0, dict, {"data": 1.0})
+    with pytest.raises(MissionError, match="the disk does not answer"):
+        file.close()
+    answers.set()
+    file.close()  # it answers again, and nothing is lost
+    assert read_bag(tmp_path / "hung.mcap").topics == {"/number": (ros.FLOAT, 1)}
 
 
 def test_recording_that_does_not_say_how_it_was_run_is_refused(tmp_path):
