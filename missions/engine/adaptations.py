@@ -179,6 +179,10 @@ class AdaptationLog:
             over = [one for one in self._open if one.is_over(self._kb, self._last_tick)]
             self._close(sorted(over, key=lambda one: not one.action))
 
+    def forget(self, count: int) -> None:
+        """Note that the first task plans are no longer among `plans`; all of them were looked at when it settled."""
+        self._plans_settled -= count
+
     @property
     def is_at_rest(self) -> bool:
         """Whether no adaptation is open, and every task plan was looked at."""

@@ -41,6 +41,7 @@ _SHAPES: Final[Sequence[tuple[tuple[type, ...], str]]] = (
 )
 POSE_PERIOD_S: Final = 0.5
 _REMEMBERED: Final = 2000  # events, for the chains that end with them
+PLANS: Final = 256  # task plans that are remembered, for the same
 
 
 class Recorder:
@@ -92,7 +93,7 @@ class Recorder:
         self._seen_version = self._revision = -1
         self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
-        self._supposed = self._adapted = 0
+        self._supposed = self._adapted = self._planned = 0
         self._posed_at = -inf
         self._task_plans: list[Any] = []
         self._heard: Counter[Any] = Counter()
@@ -229,16 +230,22 @@ class Recorder:
         if self._own is not None:
             self._own.settle()
             self._own.ticking(self.kb.now)
+        past = max(0, len(self._task_plans) - PLANS)
+        with self.kb.reading():  # facts may be told by other threads than the one that ticks
+            del self._task_plans[:past]
+            if self._own is not None:
+                self._own.forget(past)
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""
         for one in planning:
             for plan in one.plans[self._heard[one] :]:
                 self._heard[one] += 1
+                self._planned += 1
                 self._task_plans.append(plan)
                 shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
                 shown |= {"asked": plan.at_s, "outcome": str(plan.outcome), "solved": plan.outcome.is_solved}
-                self.put("taskplan", len(self._task_plans), shown | {"steps": [str(step) for step in plan.steps]})
+                self.put("taskplan", self._planned, shown | {"steps": [str(step) for step in plan.steps]})
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())

@@ -15,6 +15,7 @@ from missions.engine.mission import MissionError, Percepts
 from missions.engine.recording import sensed
 from missions.engine.registry import find_mission
 from missions.testing.scripted import FakeClock, ScriptedManaged
+from missions.views import recorder as recorder_module
 from missions.views.recorder import Recorder, RunRecorder
 from missions.views.report import Rows, differences, read_page, report, write_report
 from rosa_bt import TreeRunner
@@ -106,6 +107,21 @@ def test_chain_of_a_planned_mission_says_that_it_was_planned_anew():
     words = [link["words"] for one in run.last("adaptation").values() for link in one["chain"]]
     assert "replanned: recharge, then inspect_pipeline" in words
     assert run.last("taskplan")
+
+
+def test_task_plans_of_long_ago_are_forgotten_and_nothing_is_shown_otherwise(monkeypatch):
+    shown = []
+    for most in (recorder_module.PLANS, 1):
+        monkeypatch.setattr(recorder_module, "PLANS", most)
+        run = open_run(find_mission("suave_extended"), task="pddl", seed=0, settings={})
+        recorder = Recorder(run.kb, run.tree, what_if=False)
+        run.run()
+        recorder.close()
+        shown.append(recorder.recorded)
+    planned = max(shown[0].last("taskplan"))
+    assert len(recorder._task_plans) < planned
+    assert any("replanned" in link["words"] for one in shown[0].last("adaptation").values() for link in one["chain"])
+    assert shown[1].rows == shown[0].rows
 
 
 def test_what_if_cases_are_what_the_knowledge_base_would_have_answered():
