@@ -204,8 +204,10 @@ class UavWorld(mission.World):
         settings, before, step_s = self.settings, self.level, self._step_s
         watts = self.vehicle.rotor_w + settings.avionics_w + self._nodes.watts
         gained = step_s / settings.charge_s if self.is_charging else 0.0
-        self.level = level = max(0.0, min(1.0, before + gained - watts * step_s / settings.capacity_j))
-        self._least = min(self._least, level)
+        level = before + gained - watts * step_s / settings.capacity_j
+        self.level = level = 0.0 if level < 0.0 else 1.0 if level > 1.0 else level
+        if level < self._least:
+            self._least = level
         for least, what in LEVELS.items():
             if before >= least > level:
                 self.disturb(f"the battery fell below {least:g}, which {what}")
@@ -247,7 +249,11 @@ class UavWorld(mission.World):
 
 
 class Nodes(NamedComponents):
-    """The components, and what each does while it is active; a change takes effect at once."""
+    """The components, and what each does while it is active; a change takes effect at once.
+
+    Attributes:
+        watts: power of the active components [W].
+    """
 
     def __init__(self, robot: UavWorld) -> None:
         super().__init__()
@@ -265,13 +271,9 @@ class Nodes(NamedComponents):
             "folding_servo": self._fold,
         }
         self._powers_w = {"gripper": half_w, "analyser": half_w, "infrared_camera": robot.settings.infrared_w}
+        self.watts = 0.0
         self._worked_s = dict.fromkeys(self._acts, 0.0)
         self._done: set[str] = set()  # components that have reported, since they became active, that they are
-
-    @property
-    def watts(self) -> float:
-        """Power of the active components [W]."""
-        return sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def act(self) -> None:
         """Let the active components act; called once a period."""
@@ -289,6 +291,7 @@ class Nodes(NamedComponents):
         if component in self.active:
             return
         super().activate(component)
+        self._count_watts()
         self._done.discard(component)
         if component == "gripper":
             self._worked(component, False)
@@ -301,6 +304,7 @@ class Nodes(NamedComponents):
         if component not in self.active:
             return
         super().deactivate(component)
+        self._count_watts()
         robot = self._robot
         if component == "search_planner":
             self._ahead = [robot.vehicle.position[:2], *self._ahead]  # to go on where it stopped
@@ -310,6 +314,9 @@ class Nodes(NamedComponents):
             robot.is_charging = False
         if component in MOVERS and not self.active.intersection(MOVERS):
             robot.vehicle.hold()
+
+    def _count_watts(self) -> None:
+        self.watts = sum([watts for name, watts in self._powers_w.items() if name in self.active])
 
     def _worked(self, component: str, works: bool) -> float:
         """Return how long a component has worked without a break [s]; `works` tells whether it does in this period."""
