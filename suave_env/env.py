@@ -24,7 +24,7 @@ from suave_env.monitors import (
 )
 from suave_env.sea import SEABED_Z_M, THRESHOLDS_M, Pipeline, Water, expected_altitude
 from suave_env.settings import Settings, SuaveEnvError, ThrusterEvent, parse_thruster_events
-from suave_env.vehicle import Autopilot, Thrusters, Vector, Vehicle, floated
+from suave_env.vehicle import Autopilot, Thrusters, Vehicle, floated
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class SuaveEnv:
         now: Time since GUIDED [s].
         components: The nodes, to be activated, deactivated and given parameters.
         pipeline: The pipeline; its `points` are for plots.
-        station: Position of the recharge station [m], world frame ENU, z up.
+        station: Position (x, y) of the recharge station [m], world frame ENU.
     """
 
     def __init__(self, settings: Settings, rng: np.random.Generator) -> None:
@@ -86,7 +86,7 @@ class SuaveEnv:
         self._battery_level, self._recharges = 1.0, 0
         self._water, self._thrusters = Water(settings), Thrusters(settings)
         self.pipeline = Pipeline(settings)
-        self.station: Vector = (settings.station_x_m, settings.station_y_m, settings.station_z_m)
+        self.station = (settings.station_x_m, settings.station_y_m)
         self._vehicle = Vehicle(settings, x, y, settings.start_z_m + floated(settings))
         bias = settings.bias_m + settings.bias_sd_m * bias
         self._autopilot = Autopilot(settings, self._vehicle, self._thrusters, bias)

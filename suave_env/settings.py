@@ -55,7 +55,7 @@ _SUB = "ArduPilot, defaults of Sub"
 _OWN = "own choice"
 _FITTED = "calibrated on three groups of published runs, see docs/sea.md"
 _DRAWN = "calibrated on the table of the ROSA paper, see docs/sea.md"
-_ROS = "of the order seen in ROS 2 (10 to 50 ms)"
+_ROS = "typical of ROS 2 (10 to 50 ms)"
 _EXPERIMENT = "extended SUAVE experiment of the ROSA paper (300 s, visibility period 80 s)"
 
 
@@ -81,23 +81,23 @@ class Settings:
     By default the rules are those of SUAVE v1.3.0 of 2024; `replace(rules="2025")` takes those of 2025 (`RULES`).
     """
 
-    rules: str = _setting("2024", "-", "rules of SUAVE that the defaults follow: 2024 or 2025", _SUAVE)
+    rules: str = _setting("2024", "-", "rules of SUAVE: 2024 or 2025", _SUAVE)
 
     # The loop
     physics_step_s: float = _setting(0.02, "s", "step of the physics engine", _OWN, 1e-4, 0.1)
-    control_period_s: float = _setting(0.04, "s", "period at which thrust is chosen anew, then held", _OWN, 1e-4, 0.2)
+    control_period_s: float = _setting(0.04, "s", "period at which the thrusts are computed", _OWN, 1e-4, 0.2)
     pose_period_s: float = _setting(0.05, "s", "period at which the camera looks for the pipeline", _MODEL, 1e-3)
 
     # Start; each start or bias that is set is exact, unless its standard deviation is set too
     start_x_m: float = _setting(-17.0, "m", "mean start position, east; also the centre of the spiral", _SUAVE)
     start_y_m: float = _setting(2.4, "m", "mean start position, north; also the centre of the spiral", _DRAWN)
-    start_z_m: float = _setting(-18.5, "m", "position in which the vehicle is put, up", _SUAVE, -19.9, -1.0)
+    start_z_m: float = _setting(-18.5, "m", "height at which the vehicle is put into the sea", _SUAVE, -19.9, -1.0)
     start_x_sd_m: float = _setting(0.1, "m", "standard deviation of the start position, east", _DRAWN, 0)
     start_y_sd_m: float = _setting(0.25, "m", "standard deviation of the start position, north", _DRAWN, 0)
-    bias_m: float = _setting(0.75, "m", "mean of true minus commanded height (home against origin)", _DRAWN, -5, 5)
-    bias_sd_m: float = _setting(0.18, "m", "standard deviation of that bias between runs", _DRAWN, 0)
-    boot_s: float = _setting(30.0, "s", "time for which the vehicle floats upwards before GUIDED", _SUAVE, 0, 100)
-    start_delay_s: float = _setting(4.0, "s", "time before the first setpoint is obeyed", _FITTED, 0)
+    bias_m: float = _setting(0.75, "m", "mean of true height minus commanded height", _DRAWN, -5, 5)
+    bias_sd_m: float = _setting(0.18, "m", "standard deviation of that bias", _DRAWN, 0)
+    boot_s: float = _setting(30.0, "s", "time during which the vehicle floats up before GUIDED", _SUAVE, 0, 100)
+    start_delay_s: float = _setting(4.0, "s", "time until the first setpoint is obeyed", _FITTED, 0)
 
     # Vehicle
     mass_kg: float = _setting(10.012, "kg", "mass with thrusters", _MODEL, 0.1)
@@ -114,8 +114,8 @@ class Settings:
     drag_roll: float = _setting(3.992, "N m s2", "quadratic drag about the forward axis", _MODEL, 0)
     drag_pitch: float = _setting(3.992, "N m s2", "quadratic drag about the left axis", _MODEL, 0)
     drag_yaw: float = _setting(3.992, "N m s2", "quadratic drag about the upward axis", _MODEL, 0)
-    thrust_limit_n: float = _setting(50.0, "N", "largest thrust of one thruster, either way", _MODEL, 0.1)
-    propeller_m: float = _setting(0.076, "m", "diameter of a propeller, for the energy", "T200, data sheet", 0.01)
+    thrust_limit_n: float = _setting(50.0, "N", "largest thrust of one thruster, both directions", _MODEL, 0.1)
+    propeller_m: float = _setting(0.076, "m", "diameter of a propeller, for its energy", "T200, data sheet", 0.01)
 
     # Guidance and control
     speed_limit_m_s: float = _setting(1.0, "m/s", "horizontal speed limit", f"{_SUB}: WPNAV_SPEED", 0.01)
@@ -136,37 +136,36 @@ class Settings:
 
     # Camera and pipeline
     half_view_angle_rad: float = _setting(math.pi / 6, "rad", "half of the camera's field of view", _SUAVE, 0.01, 1.5)
-    pipe_point_offset_m: float = _setting(0.75, "m", "height of the detected points above the pipe (later: 0)", _SUAVE)
-    pipe_turn_rad: float = _setting(0.0, "rad", "turn of the pipeline about the mean start, to the left", _OWN)
+    pipe_point_offset_m: float = _setting(0.75, "m", "height of the detected points above the pipe (2025: 0)", _SUAVE)
+    pipe_turn_rad: float = _setting(0.0, "rad", "rotation of the pipeline about the mean start, to the left", _OWN)
 
     # Water
     visibility_min_m: float = _setting(1.25, "m", "least water visibility", _EXPERIMENT, 0)
     visibility_max_m: float = _setting(3.75, "m", "greatest water visibility", _EXPERIMENT, 0)
     visibility_period_s: float = _setting(80.0, "s", "period of the water visibility", _EXPERIMENT, 1)
-    visibility_shift_s: float = _setting(0.0, "s", "time by which the visibility is ahead", _EXPERIMENT)
+    visibility_shift_s: float = _setting(0.0, "s", "time shift of the visibility", _EXPERIMENT)
     visibility_monitor_period_s: float = _setting(1.0, "s", "period of the visibility monitor", _SUAVE, 0.05)
 
     # Thruster failure and its recovery
     thruster_events: str = _setting(
-        "1 failure 35", "-", "thruster, failure or recovery, time [s]; separated by commas; empty for none", _EXPERIMENT
+        "1 failure 35", "-", "comma-separated events: thruster, failure or recovery, time [s]; or empty", _EXPERIMENT
     )
-    thruster_events_chained: bool = _setting(True, "-", "an event's time is from the one before (later: false)", _SUAVE)
-    thruster_told_twice: bool = _setting(False, "-", "failures also as ERROR, recoveries as OK (later: true)", _SUAVE)
+    thruster_events_chained: bool = _setting(True, "-", "times count from the event before (2025: false)", _SUAVE)
+    thruster_told_twice: bool = _setting(False, "-", "publish ERROR and OK as well (2025: true)", _SUAVE)
     thruster_monitor_period_s: float = _setting(1.0, "s", "period of the thruster monitor", _SUAVE, 0.05)
-    recovery_wait_s: float = _setting(10.0, "s", "wait before the first thruster is restored", _SUAVE, 0)
-    recovery_spacing_s: float = _setting(0.25, "s", "wait between thrusters being restored", _SUAVE, 0)
-    recovery_interruptible: bool = _setting(False, "-", "deactivation stops a recovery (later: true)", _SUAVE)
+    recovery_wait_s: float = _setting(10.0, "s", "time until the first thruster is restored", _SUAVE, 0)
+    recovery_spacing_s: float = _setting(0.25, "s", "time between the recoveries of two thrusters", _SUAVE, 0)
+    recovery_interruptible: bool = _setting(False, "-", "deactivation stops a recovery (2025: true)", _SUAVE)
 
     # Battery and recharge
-    battery: bool = _setting(True, "-", "the battery drains and is monitored", _EXPERIMENT)
+    battery: bool = _setting(True, "-", "whether there is a battery that drains and is monitored", _EXPERIMENT)
     discharge_time_s: float = _setting(200.0, "s", "time in which a full battery is empty", _EXPERIMENT, 1)
     battery_period_s: float = _setting(1.0, "s", "period of the battery and its monitor", _SUAVE, 0.05)
-    recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (later: 0.5)", _SUAVE, 0.05)
-    recharge_resends: bool = _setting(True, "-", "each tick sends the station again (later: false)", _SUAVE)
+    recharge_period_s: float = _setting(5.0, "s", "period of the recharge node (2025: 0.5)", _SUAVE, 0.05)
+    recharge_resends: bool = _setting(True, "-", "send the station again at each tick (2025: false)", _SUAVE)
     recharge_tolerance_m: float = _setting(0.5, "m", "distance in x and y at which the station is reached", _SUAVE, 0)
     station_x_m: float = _setting(-3.0, "m", "recharge station, east", _SUAVE)
     station_y_m: float = _setting(-2.0, "m", "recharge station, north", _SUAVE)
-    station_z_m: float = _setting(-19.5, "m", "recharge station, up; never read by the vehicle", _SUAVE)
     transit_altitude_m: float = _setting(1.25, "m", "altitude commanded on the way to the station", _SUAVE, 0.1, 19)
 
     # Spiral search
@@ -174,24 +173,24 @@ class Settings:
     spiral_altitude_m: float = _setting(2.0, "m", "altitude of the spiral before one is set", _SUAVE, 0.1, 19)
     spiral_angle_step_rad: float = _setting(0.1, "rad", "angle between points of the spiral", _SUAVE, 1e-3)
     spiral_tolerance_m: float = _setting(0.4, "m", "distance in x, y and z at which a point is reached", _SUAVE, 0)
-    spiral_patience: int = _setting(10, "ticks", "ticks without a step after which the search corrects", _SUAVE, 0)
+    spiral_patience: int = _setting(10, "ticks", "ticks without progress before a correction", _SUAVE, 0)
     spiral_correction_m: float = _setting(0.25, "m", "descent of one correction", _SUAVE, 0)
-    spiral_restarts: bool = _setting(False, "-", "activation begins a new spiral there (later: true)", _SUAVE)
+    spiral_restarts: bool = _setting(False, "-", "activation begins a new spiral there (2025: true)", _SUAVE)
 
     # Pipeline following
     follow_period_s: float = _setting(2.0, "s", "period of the follower", _SUAVE, 0.05)
     follow_altitude_m: float = _setting(1.25, "m", "altitude of following", _SUAVE, 0.1, 19)
     follow_tolerance_m: float = _setting(0.5, "m", "distance in x and in y at which a point is reached", _SUAVE, 0)
-    follow_patience: int = _setting(10, "ticks", "waits after which the point is sent again each time", _SUAVE, 0)
-    follow_loses_point: bool = _setting(True, "-", "deactivation loses the point under way (later: false)", _SUAVE)
+    follow_patience: int = _setting(10, "ticks", "ticks after which each tick sends the point again", _SUAVE, 0)
+    follow_loses_point: bool = _setting(True, "-", "deactivation loses the point under way (2025: false)", _SUAVE)
 
     # Mission and managers
-    activation_s: float = _setting(0.03, "s", "time that activating a component takes", _ROS, 0)
-    deactivation_s: float = _setting(0.03, "s", "time that deactivating one takes", _ROS, 0)
-    parameter_s: float = _setting(0.03, "s", "time that setting parameters takes", _ROS, 0)
-    guided_period_s: float = _setting(1.0, "s", "period at which nodes hear of GUIDED; their clocks lag", _SUAVE, 0.01)
-    mission_period_s: float = _setting(1.0, "s", "period of the mission node without a tree (later: 0.1)", _SUAVE, 0.01)
-    tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree: sleeps of 100 and 50 ms", _SUAVE, 0.01)
+    activation_s: float = _setting(0.03, "s", "time to activate a component", _ROS, 0)
+    deactivation_s: float = _setting(0.03, "s", "time to deactivate a component", _ROS, 0)
+    parameter_s: float = _setting(0.03, "s", "time to set parameters", _ROS, 0)
+    guided_period_s: float = _setting(1.0, "s", "period at which nodes are told about GUIDED", _SUAVE, 0.01)
+    mission_period_s: float = _setting(1.0, "s", "period of the mission node without a tree (2025: 0.1)", _SUAVE, 0.01)
+    tree_period_s: float = _setting(0.15, "s", "period of SUAVE's tree, which sleeps for 100 and 50 ms", _SUAVE, 0.01)
 
     def __post_init__(self) -> None:
         """Check every value, and the values against each other."""

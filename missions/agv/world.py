@@ -35,16 +35,16 @@ class Settings(Constants):
     incidents: str = setting(
         "kinect fails in c1, dark in c3",
         "-",
-        "what happens once within a corridor: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
+        "events, once each: 'COMPONENT fails|recovers in CORRIDOR', 'dark|light in CORRIDOR'",
         _PAPER,
     )
     capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
     physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
-    control_period_s: float = setting(0.1, "s", "period of looking and steering", _OWN, 1e-2)
+    control_period_s: float = setting(0.1, "s", "period of sensing and steering", _OWN, 1e-2)
     monitor_period_s: float = setting(0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1)
-    switching_s: float = setting(0.5, "s", "time that starting or stopping a component takes", _OWN, 0.0)
-    parameter_s: float = setting(0.1, "s", "time that setting parameters takes", _OWN, 0.0)
-    standing_w: float = setting(2.0, "W", "drawn by the base while the vehicle stands", _OWN, 0.0)
+    switching_s: float = setting(0.5, "s", "time to start or stop a component", _OWN, 0.0)
+    parameter_s: float = setting(0.1, "s", "time to set parameters", _OWN, 0.0)
+    standing_w: float = setting(2.0, "W", "power of the base while the vehicle stands", _OWN, 0.0)
     reach_m: float = setting(0.3, "m", "distance at which a place is reached", _OWN, 0.05)
 
     def __post_init__(self) -> None:

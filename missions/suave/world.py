@@ -80,13 +80,13 @@ class Sea(World):
     def way_m(self) -> float:
         """Return how far the vehicle is from the station [m]."""
         seen = self._env.observe()
-        return math.dist((seen.x, seen.y), self._env.station[:2])
+        return math.dist((seen.x, seen.y), self._env.station)
 
     def disturbances(self) -> list[tuple[float, str]]:
         return self._env.disturbances
 
     def scenery(self) -> Mapping[str, Any]:
-        return {"pipeline": self._env.pipeline.points, "recharge station": [self._env.station[:2]]}
+        return {"pipeline": self._env.pipeline.points, "recharge station": [self._env.station]}
 
 
 class _SeaKind(WorldKind):
