@@ -216,7 +216,7 @@ class Question:
         for name, light in self.light.items():
             checked(f"light of corridor {name}", light, most=1.0)
         if not any(self.weights.values()):
-            raise MissionError(f"nothing is to be minimised; give one of {', '.join(GOALS)} a weight above 0")
+            raise MissionError(f"nothing is minimised; give one of {', '.join(GOALS)} a weight above 0")
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ class Building:
     def __post_init__(self) -> None:
         for name in (*self.places, *self.corridors):
             if not _NAME.fullmatch(name):
-                raise MissionError(f"{name!r} in map {self.name} is no name: a letter, then letters, digits or '_'")
+                raise MissionError(f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'")
         for place, point in self.places.items():
             for axis, value in zip("xy", point, strict=True):
                 checked(f"{axis} of place {place}", value, -_MOST)
@@ -79,7 +79,7 @@ class Building:
         for end in corridor.ends:
             self.check("place", end, f"corridor {name}")
         if corridor.ends[0] == corridor.ends[1]:
-            raise MissionError(f"corridor {name} leads from {corridor.ends[0]} to itself; take it out")
+            raise MissionError(f"corridor {name} leads from {corridor.ends[0]} to itself; remove it")
         length_m = corridor.length_m or math.dist(*(self.places[end] for end in corridor.ends))
         checked(f"length_m of corridor {name}", length_m, 1e-3)
         checked(f"obstacles of corridor {name}", corridor.obstacles)

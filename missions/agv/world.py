@@ -51,7 +51,7 @@ class Settings(Constants):
         super().__post_init__()
         steps = self.control_period_s / self.physics_step_s
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-            message = f"control_period_s {self.control_period_s:g} is no whole multiple of physics_step_s"
+            message = f"control_period_s {self.control_period_s:g} is not a whole multiple of physics_step_s"
             raise MissionError(f"{message} {self.physics_step_s:g}")
 
 
@@ -74,7 +74,7 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
         component, change, light, corridor = read.groups(default="")
         if component not in ("", *DRAW_W) or corridor not in building.corridors:
             known = f"there are {', '.join(DRAW_W)}; {', '.join(building.corridors)}"
-            raise MissionError(f"incidents cannot be {text!r}: {known}; name others, or none by --set incidents=")
+            raise MissionError(f"incidents cannot be {text!r}: {known}; name others, or none with --set incidents=")
         found.append(Incident(change or light, component, corridor))
     return tuple(found)
 

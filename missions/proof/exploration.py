@@ -207,12 +207,12 @@ class Exploration:
         try:
             mark, size, count, seconds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
         except Exception as error:  # gzip and pickle raise many kinds
-            raise MissionError(f"it is not what an exploration has left: {error!r}") from error
+            raise MissionError(f"it is not a saved exploration: {error!r}") from error
         if mark == self._mark():
             self.explore(size, _ALONE_S, cores=1)
         both = zip(self._rounds.found, news[0], strict=True)
         if mark != self._mark() or any(not mine.items() <= theirs.items() for mine, theirs in both):
-            raise MissionError("it is of another mission, of other options, or the mission has been changed since")
+            raise MissionError("it is of another mission or of other options, or the mission has changed since")
         self.seconds = seconds
         self._rounds.hear(news)
         while len(self.onward) < count:

@@ -116,7 +116,7 @@ class Memory:
             key = int.from_bytes(blake2b(text.encode(), digest_size=8).digest())
             self._by_ids[ids] = key
             if self._states.setdefault(key, state) is not state:
-                raise MissionError("two states of the mission differ, but the repr() of their values is the same")
+                raise MissionError("two states of the mission differ, but the repr() of their values is equal")
         return key
 
     def write(self, key: int) -> None:

@@ -277,7 +277,7 @@ class Leaf:
     def __post_init__(self) -> None:
         wrong = [one for one in (*self.answers, *self.effects) if one not in LETTERS]
         if wrong:
-            raise ValueError(f"a leaf answers with letters of R, S and F, not with {wrong[0]!r}")
+            raise ValueError(f"the answers of a leaf are letters of R, S and F, not {wrong[0]!r}")
 
 
 def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:

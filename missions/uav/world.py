@@ -285,7 +285,7 @@ class Nodes(NamedComponents):
         """Raise MissionError unless the component exists and no parameters are given: none has any."""
         if component not in self._acts or parameters:
             known = f"there are {', '.join(self._acts)}, which have no parameters"
-            raise MissionError(f"{component} with {dict(parameters)} cannot be; {known}")
+            raise MissionError(f"{component!r} with parameters {dict(parameters)} is unknown; {known}")
 
     def activate(self, component: str, /) -> None:
         if component in self.active:

@@ -109,12 +109,12 @@ class Steering(Listener):
             elif what == "inject":
                 self._inject(asked)
             else:
-                raise MissionError(f"{what!r} cannot be done; there are pause, resume, step, speed and inject")
+                raise MissionError(f"{what!r} is unknown; known are pause, resume, step, speed and inject")
             self._change.notify_all()
 
     def _inject(self, asked: Mapping[str, Any]) -> None:
         if self._model is None:
-            raise MissionError("there is no run to disturb yet")
+            raise MissionError("no run has begun yet")
         attributes, components = self._model.attributes, self._model.components
         values = {attributes[one].name: finite_number(value) for one, value in dict(asked.get("measure", {})).items()}
         released = [attributes[one].name for one in asked.get("release", ())]
@@ -343,7 +343,7 @@ class LiveView(AbstractContextManager["LiveView"]):
             situation = self._kb.situation(dict(asked.get("measured", {})), failed=list(asked.get("failed", ())))
             return {"whatif": {"t": self._now, **supposed(situation)}}
         if self._steering is None:
-            raise MissionError("this page may look, and do nothing; in a simulation, --allow-control lets it")
+            raise MissionError("this page may only watch; with --allow-control, pages may control a simulation")
         self._steering.do(asked)
         return None
 
@@ -358,7 +358,7 @@ class _Page:
 
 def _listening(host: str, port: int) -> socket.socket:
     if not 0 <= port <= 65535:
-        raise MissionError(f"a port is a number from 0 (any that is free) to 65535, not {port}")
+        raise MissionError(f"a port must be a number from 0 (any that is free) to 65535, not {port}")
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
@@ -382,4 +382,4 @@ def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends
     speed = finite_number(value)
     if 0 <= speed <= FASTEST:
         return speed
-    raise MissionError(f"a speed is a number from 0 (as fast as it can) to {FASTEST:g} times real time, not {value!r}")
+    raise MissionError(f"a speed must be from 0 (as fast as possible) to {FASTEST:g} times real time, not {value!r}")

@@ -225,7 +225,7 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
     """
     models = one.header["model"], other.header["model"]
     if models[0] != models[1]:
-        raise MissionError(f"runs of one model can be compared, not of {models[0]} and {models[1]}")
+        raise MissionError(f"only runs of the same model can be compared, not of {models[0]} and {models[1]}")
     in_a, in_b = _settings(one.header), _settings(other.header)
     asked = [
         {"t": 0.0, "words": f"{name}: {value} in A, {in_b.get(name, _DEFAULT)} in B", "a": None, "b": None}

@@ -65,7 +65,7 @@ class SocketFeed:
         except ValueError:
             port = None
         if not place.hostname or port is None:
-            raise MissionError(f"{address!r} is no address of a live view; write HOST:PORT, or the link it printed")
+            raise MissionError(f"{address!r} is not the address of a live view; write HOST:PORT, or the printed link")
         query = f"token={token}" if token else place.query
         url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
         self.title = f"{place.hostname}:{port}"

@@ -77,11 +77,11 @@ class BridgeSettings:
         known = {one.name: one for one in fields(cls)}
         for name, value in read.items():
             if name not in known:
-                raise MissionError(f"{path} has a field {name!r}; there are {', '.join(known)}")
+                raise MissionError(f"{path} has an unknown field {name!r}; known are {', '.join(known)}")
             wanted = dict if name in ("attributes", "components") else str
             texts = value.values() if isinstance(value, dict) else (value,)
             if not isinstance(value, wanted) or not all(isinstance(one, str) for one in texts):
-                raise MissionError(f"{name} in {path} is {'a table of texts' if wanted is dict else 'a text'}")
+                raise MissionError(f"{name} in {path} must be {'a table of texts' if wanted is dict else 'a text'}")
         return cls(**read)
 
 
@@ -247,7 +247,7 @@ class RosComponents:
     def _place(self, component: str) -> str:
         if component not in self._names:
             known = ", ".join(self._names) or "none"
-            raise RosError(f"no node is {component!r}; nodes are {known}: name it under components")
+            raise RosError(f"there is no node for {component!r}, only for {known}: name its node under components")
         return self._names[component]
 
     def _follow(self, calls: Calls) -> "Future[None]":
@@ -487,7 +487,7 @@ class RosaServices:
 
 def _refuse_query(one: Message) -> Message:
     asked = str(one.get("query", ""))[:60]
-    raise RosError(f"TypeQL is not answered here, as {asked!r}; ask by the other services, or by kb.query")
+    raise RosError(f"TypeQL such as {asked!r} is not answered here; use the other services, or kb.query")
 
 
 def _span(one: ReconfigurationPlan | Process) -> Message:
@@ -514,14 +514,14 @@ def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
 def _part(one: Message, key: str) -> Message:
     part = one.get(key)
     if not isinstance(part, dict):
-        raise RosError(f"the request has a field {key!r}, an object; given are {', '.join(one) or 'none'}")
+        raise RosError(f"the request needs an object in the field {key!r}; its fields are {', '.join(one) or 'none'}")
     return part
 
 
 def _name(one: Message, key: str) -> str:
     name = _part(one, key).get("name")
     if not isinstance(name, str) or not name:
-        raise RosError(f"{key} has a field 'name', a text")
+        raise RosError(f"{key} needs a text in the field 'name'")
     return name
 
 

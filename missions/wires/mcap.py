@@ -111,7 +111,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         ros.types()  # so does this, without `rosbags`
         try:
             if self.path.exists() and not self.path.is_file():
-                raise OSError("it is no file; name one that is there, or a new one")
+                raise OSError("it is not a file; name a file, or a new one")
             self._file = self.path.open("wb")
         except (OSError, ValueError) as error:
             raise self._unwritten(error) from error
@@ -364,7 +364,7 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        raise MissionError(f"{path} is none of ours; rosa replay {path} --mission NAME --report FILE.html shows it")
+        raise MissionError(f"{path} is not rosa's own; rosa replay {path} --mission NAME --report FILE.html shows it")
     with TemporaryDirectory() as folder:
         file = Path(folder) / f"{Path(path).stem}.tql"
         file.write_text(bag.run["typeql"], encoding="utf-8")
@@ -391,7 +391,7 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
         version = run.get("rosa") if isinstance(run, Mapping) else run
         raise MissionError(f"{place} is a recording of version {version!r}; this program reads version {VERSION}")
     if missing := {"model", "typeql", "page"} - run.keys():
-        raise MissionError(f"{place} is damaged: how it was run lacks {', '.join(sorted(missing))}")
+        raise MissionError(f"{place} is damaged: its header lacks {', '.join(sorted(missing))}")
     return run
 
 

@@ -196,7 +196,7 @@ def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401 
         RosError: the type or a field is not known, or a value does not have the type of its field.
     """
     if not isinstance(message, dict):
-        raise RosError(f"{kind} is written as an object, not as {message!r:.60}")
+        raise RosError(f"{kind} must be an object, not {message!r:.60}")
     fields = library.fields(kind)
     for name in message:
         if name not in fields:
@@ -208,7 +208,7 @@ def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401 
 def _made(library: Library, kind: str, length: int | None, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
     if length is not None:
         if not isinstance(value, list | tuple) or (length and len(value) != length):
-            raise RosError(f"{place} is a list of {length or 'any number'} {kind}, not {value!r:.60}")
+            raise RosError(f"{place} must be a list of {length or 'any number of'} {kind}, not {value!r:.60}")
         return [_made(library, kind, None, one, place) for one in value]
     if kind in _FLOATS and (value is None or (isinstance(value, int | float) and not isinstance(value, bool))):
         return math.nan if value is None else float(value)
@@ -220,7 +220,7 @@ def _made(library: Library, kind: str, length: int | None, value: Any, place: st
         return value
     if "/" in kind:
         return made(library, kind, value)
-    raise RosError(f"{place} is a {kind}, not {value!r:.60}")
+    raise RosError(f"{place} must be a {kind}, not {value!r:.60}")
 
 
 def message_of(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library

@@ -165,10 +165,8 @@ class Rosbridge(Wire):
                     wait_s = _FIRST_WAIT_S
                     self._talk(socket)
             except Exception as error:  # refused, unknown host, no WebSocket, wrong token: try again
-                said = (
-                    f"no connection to {self._url}: {error or type(error).__name__}; it tries again, in the end every "
-                )
-                said += f"{_LONGEST_WAIT_S:g} s: does a rosbridge run there, and is the address right (--url)?"
+                said = f"no connection to {self._url}: {error or type(error).__name__}; it tries again, at last every "
+                said += f"{_LONGEST_WAIT_S:g} s. Is a rosbridge running there, and is the address (--url) right?"
                 self._tell(False, said)
                 self._closing.wait(wait_s)
                 wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
@@ -198,7 +196,7 @@ class Rosbridge(Wire):
                 peer.put(message)
             self._unsent.clear()
             self._peer = peer
-        missed = f"messages published there meanwhile are missed, {len(late)} of ours are sent now"
+        missed = f"messages published there meanwhile are lost, {len(late)} of ours are sent now"
         self._tell(True, f"connected to {self._url} after {away_s:.1f} s; {missed}")
 
     def _end(self, why: str) -> None:
@@ -259,7 +257,7 @@ class RosbridgeServer(Wire):
         with needs("ros2", "rosbridge"):
             from websockets.sync.server import serve
         if host not in LOOPBACK and not token:
-            raise MissionError(f"{host} is not this machine only: give a token that clients have to give too")
+            raise MissionError(f"{host} can be reached from other machines: give a token, which clients must give too")
         super().__init__(nullcontext())  # it needs no lock, as its own connection never ends
         self._token, self._lock, self._numbers = token, RLock(), count(1)
         self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
@@ -397,24 +395,24 @@ class RosbridgeServer(Wire):
 
 def _read(text: str | bytes) -> Message:
     if isinstance(text, bytes):
-        raise ValueError("binary messages are not taken; send JSON (compression none)")
+        raise ValueError("binary messages are not accepted; send JSON (compression none)")
     message = json.loads(text)
     if not isinstance(message, dict) or not isinstance(message.get("op"), str):
-        raise ValueError('a message is an object with a text "op"')
+        raise ValueError('a message must be an object with a text "op"')
     return message
 
 
 def _text_of(message: Message, key: str) -> str:
     value = message.get(key)
     if not isinstance(value, str) or not value:
-        raise ValueError(f'{message["op"]} has a text "{key}"')
+        raise ValueError(f'{message["op"]} needs a text "{key}"')
     return value
 
 
 def _dict_of(message: Message, key: str) -> Message:
     value = message.get(key, {})
     if not isinstance(value, dict):
-        raise ValueError(f'"{key}" of {message["op"]} is an object')
+        raise ValueError(f'"{key}" of {message["op"]} must be an object')
     return value
 
 

@@ -72,7 +72,7 @@ def test_corridor_is_as_long_as_its_places_are_apart():
         (corridor(to="d"), "names the place 'd', which map small lacks"),
         (corridor(to="a"), "leads from a to itself"),
         (told(places={"a": [0, 0], "b": [3, 4], "z": [9, 9]}), "disconnected: no way from a to z; add a corridor"),
-        (told(places={"A b": [0, 0]}), "'A b' in map small is no name"),
+        (told(places={"A b": [0, 0]}), "'A b' in map small is not a name"),
         (told(goal="c"), "goal names the place 'c'"),
     ],
 )

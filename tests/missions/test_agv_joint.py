@@ -285,7 +285,7 @@ def test_battery_limit_makes_the_robot_take_a_thriftier_way():
     [
         ({"weights": {"speed": 1.0}}, "no weight 'speed'; there are time, energy, collisions"),
         ({"weights": {"time": -1.0}}, "must be a number from 0"),
-        ({"weights": {}}, "nothing is to be minimised"),
+        ({"weights": {}}, "nothing is minimised"),
         ({"limits": {"energy": float("nan")}}, "the limit of energy is nan"),
         ({"goal": "z"}, "goal names the place 'z'"),
         ({"light": {"c9": 0.1}}, "names the corridor 'c9', which map paper lacks"),

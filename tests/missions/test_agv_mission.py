@@ -172,11 +172,11 @@ def test_dark_corridor_is_entered_with_the_lamp_on():
         ({"incidents": "radar fails in c1"}, "incidents cannot be 'radar fails in c1': there are amcl"),
         (
             {"incidents": "dark in c9"},
-            "incidents cannot be 'dark in c9': there are .*; c1; .* none by --set incidents=",
+            "incidents cannot be 'dark in c9': there are .*; c1; .* none with --set incidents=",
         ),
         ({"capacity_j": "much"}, "capacity_j is 'much'; allowed is a number from 1"),
         ({"reach": "1"}, "unknown setting 'reach'; near: reach_m"),
-        ({"control_period_s": "0.015"}, "no whole multiple"),
+        ({"control_period_s": "0.015"}, "not a whole multiple"),
     ],
 )
 def test_bad_setting_is_refused(values, words):

@@ -527,8 +527,8 @@ def test_wrong_settings_are_told(tmp_path):
                 Bridge(kb, server, wrong)
         file = tmp_path / "bridge.toml"
         for text, said in (
-            ("url = 3", "url .* is a text"),
-            ("speed = 3", "field 'speed'"),
+            ("url = 3", "url .* must be a text"),
+            ("speed = 3", "unknown field 'speed'"),
             ("[attributes", "cannot read"),
         ):
             file.write_text(text)

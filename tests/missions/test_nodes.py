@@ -212,11 +212,11 @@ def test_closing_ends_what_is_open(backend):
 def test_messages_are_checked_against_their_types(node):
     for kind, message, said in (
         (STRING, {"date": "x"}, "no field 'date'; it has data"),
-        (STRING, {"data": 3}, "data of std_msgs/msg/String is a string, not 3"),
-        (ARRAY, {"data": [1.0, "x"]}, "is a float64, not 'x'"),
-        (ARRAY, {"data": 3.0}, "is a list"),
-        ("std_msgs/msg/UInt8", {"data": 256}, "is a uint8, not 256"),
-        ("std_msgs/msg/Bool", {"data": 1}, "is a bool, not 1"),
+        (STRING, {"data": 3}, "data of std_msgs/msg/String must be a string, not 3"),
+        (ARRAY, {"data": [1.0, "x"]}, "must be a float64, not 'x'"),
+        (ARRAY, {"data": 3.0}, "must be a list"),
+        ("std_msgs/msg/UInt8", {"data": 256}, "must be a uint8, not 256"),
+        ("std_msgs/msg/Bool", {"data": 1}, "must be a bool, not 1"),
         ("somebody_msgs/msg/Secret", {}, "somebody_msgs/msg/Secret"),
     ):
         with pytest.raises(RosError, match=said):

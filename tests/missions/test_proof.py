@@ -243,7 +243,7 @@ def test_exploration_goes_on_from_no_file_in_which_a_bit_is_wrong():
     kept = bytearray(Exploration(setup_of(SUAVE)).explore(most=10).as_bytes())
     for place in range(12, len(kept), 397):
         kept[place] ^= 4
-        with pytest.raises(MissionError, match="not what an exploration has left"):
+        with pytest.raises(MissionError, match="not a saved exploration"):
             Exploration(setup_of(SUAVE)).go_on_from(bytes(kept))
         kept[place] ^= 4
 
@@ -254,7 +254,7 @@ def test_file_of_another_mission_is_not_gone_on_from():
         with pytest.raises(MissionError, match="of another mission"):
             Exploration(other).go_on_from(text)
     for broken in (b"", b"{}", text[: len(text) // 2], pickle.dumps((1, 2)), pickle.dumps(Path())):
-        with pytest.raises(MissionError, match="not what an exploration has left"):
+        with pytest.raises(MissionError, match="not a saved exploration"):
             Exploration(setup_of(SUAVE)).go_on_from(broken)
 
 
@@ -622,7 +622,7 @@ def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypat
     assert done.output.splitlines()[1:] == whole.output.splitlines()[1:]
     assert done.output.split(" s, ")[0].rpartition(",")[0] == whole.output.split(" s, ")[0].rpartition(",")[0]
     kept.write_text("{}")
-    assert f"cannot go on from {kept}: it is not what an exploration has left" in str(verify_suave().exception)
+    assert f"cannot go on from {kept}: it is not a saved exploration" in str(verify_suave().exception)
     assert kept.read_text() == "{}"
     kept.unlink()
     kept.mkdir()

@@ -143,9 +143,9 @@ def test_wanted_velocity_keeps_its_limits_and_points_to_the_target(at, to, speed
 
 def test_component_that_does_not_exist_is_refused_with_those_that_do():
     world = UavWorld(Settings(), numpy.random.default_rng(0))
-    with pytest.raises(MissionError, match=r"griper with .* cannot be; there are .*, gripper, "):
+    with pytest.raises(MissionError, match=r"'griper' with .* is unknown; there are .*, gripper, "):
         world.managed.activate("griper")
-    with pytest.raises(MissionError, match=r"gripper with .*force.* cannot be; .* have no parameters"):
+    with pytest.raises(MissionError, match=r"'gripper' with .*force.* is unknown; .* have no parameters"):
         world.managed.set_parameters("gripper", {"force": 1.0})
 
 
