@@ -293,7 +293,7 @@ def test_two_runs_are_told_apart_from_the_first_difference_on(tmp_path):
     page = report(one, other)
     assert len(page) < 3_000_000
     assert differences(one, one) == []
-    with pytest.raises(MissionError, match="only runs of the same model can be compared, not of suave_ext.* and agv"):
+    with pytest.raises(MissionError, match=r"only runs of the same model can be compared, not of suave_ext.* and agv"):
         differences(one, recorded("agv")[0])
 
 
