@@ -131,7 +131,12 @@ class Groot2Publisher(VisitorBase):
     def _serve(self) -> None:
         while not self._closing.is_set():
             if self._socket.poll(_LOOK_MS):
-                self._socket.send_multipart(self._answer(self._socket.recv_multipart()))
+                frames = self._socket.recv_multipart()
+                try:
+                    answer = self._answer(frames)
+                except Exception as error:  # e.g. a value on a blackboard that has no text; the next is answered
+                    answer = _refusal(f"that cannot be shown: {type(error).__name__}: {error}")
+                self._socket.send_multipart(answer)
         self._context.destroy()
 
     def _answer(self, frames: Sequence[bytes]) -> list[bytes]:
@@ -157,9 +162,13 @@ class Groot2Publisher(VisitorBase):
 def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries of a blackboard, other values than numbers and texts as text; a tick may write meanwhile."""
     board = Blackboard.storage if subtree is None else subtree
-    plain = (bool, int, float, str)
-    return {key.lstrip("/"): one if isinstance(one, plain) else repr(one) for key, one in list(board.items())}
+    return {key.lstrip("/"): one if _is_plain(one) else repr(one) for key, one in list(board.items())}
+
+
+def _is_plain(value: object) -> bool:
+    """Return whether the wire can hold a value as it is; it has integers of 64 bits."""
+    return isinstance(value, float | str) or (isinstance(value, int) and value.bit_length() < 64)
 
 
 def _refusal(why: str) -> list[bytes]:
-    return [b"error", why.encode()]
+    return [b"error", why.encode(errors="replace")]

@@ -5,12 +5,14 @@ import struct
 import sys
 from contextlib import contextmanager, suppress
 
+import msgpack
 import pytest
 import zmq
 from btview.client import Groot2Client
 from btview.model import NodeStatus
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import StatusQueue, Success
+from py_trees.blackboard import Blackboard
 from py_trees.common import Status
 from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
@@ -159,6 +161,39 @@ def test_nonsense_is_refused_in_words_and_the_next_is_answered(frames, said):
         assert said in refused[1].decode()
         tree.tick()
         assert statuses(client)["look"][0] is NodeStatus.FAILURE
+
+
+class Untold:
+    """A value that has no text."""
+
+    def __repr__(self):
+        raise ValueError("no text")
+
+
+@pytest.mark.parametrize(
+    ("value", "said"), [(Untold(), b"that cannot be shown: ValueError: no text"), ("\ud800", b"UnicodeEncodeError")]
+)
+def test_value_that_cannot_be_shown_is_refused_and_the_next_is_answered(value, said):
+    with watched(own_tree()) as (tree, client):
+        Blackboard.storage["/odd"] = value
+        try:
+            refused = ask(client, head("B"), b"")
+        finally:
+            del Blackboard.storage["/odd"]
+        assert refused[0] == b"error"
+        assert said in refused[1]
+        tree.tick()
+        assert statuses(client)["look"][0] is NodeStatus.FAILURE
+
+
+def test_number_beyond_64_bits_is_shown_as_text():
+    with watched(own_tree()) as (_, client):
+        Blackboard.storage["/huge"] = 2**70
+        try:
+            shown = msgpack.unpackb(ask(client, head("B"), b"")[1])
+        finally:
+            del Blackboard.storage["/huge"]
+        assert [board["huge"] for board in shown.values()] == [str(2**70)]
 
 
 def test_message_without_end_is_cut_and_the_next_is_answered():
