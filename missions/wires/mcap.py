@@ -29,6 +29,7 @@ from missions.engine.runner import Listener
 from missions.views.recorder import Recorder
 from missions.views.report import VERBATIM, Recorded, Row
 from missions.wires import ros
+from missions.wires.node import Refusals
 from rosa_bt.xml import NumberedTree
 
 DIAGNOSTICS, TREE, TREE_LOG, LOG = "/diagnostics", "/behavior_tree", "/behavior_tree_log", "/rosa/log"
@@ -100,6 +101,9 @@ class McapFile(AbstractContextManager["McapFile"]):
     Args:
         path: of the file; an existing file is replaced.
 
+    Attributes:
+        refused: how many messages were malformed and left out, by what was wrong.
+
     Raises:
         MissionError: it cannot be written there, or the extra `mcap` is missing.
     """
@@ -116,6 +120,7 @@ class McapFile(AbstractContextManager["McapFile"]):
         except (OSError, ValueError) as error:
             raise self._unwritten(error) from error
         self._records = _Records(self._file, use_chunking=False)
+        self.refused = Refusals()
         self._error: Exception | None = None
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
@@ -150,7 +155,7 @@ class McapFile(AbstractContextManager["McapFile"]):
             with draft(self.path) as part:
                 write_in_chunks(part, mcap_messages(self.path, Counter()))
                 part.replace(self.path)
-        except Exception as error:  # also of the function that makes a message
+        except Exception as error:  # of the disk or of the library
             raise self._unwritten(error) from error
 
     def _write_all(self) -> None:
@@ -158,12 +163,17 @@ class McapFile(AbstractContextManager["McapFile"]):
             write()
 
     def _write(self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]) -> None:
+        if self._error is not None:
+            return
         try:
-            if self._error is None:
-                data = ros.types().encode(kind, make())
-                self._records.add(Raw(topic, kind, "", ros.nanoseconds(time_s), data))
-                if self._queue.empty():
-                    self._file.flush()
+            one = Raw(topic, kind, "", ros.nanoseconds(time_s), ros.types().encode(kind, make()))
+        except Exception as error:  # what was malformed is left out, all others are written
+            self.refused.add(f"{topic}: {type(error).__name__}: {error}")
+            return
+        try:
+            self._records.add(one)
+            if self._queue.empty():
+                self._file.flush()
         except Exception as error:  # the mission goes on
             self._give_up(error)
 
@@ -194,6 +204,9 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         page: the recorder that makes the rows of the report; None to make one.
         run: how the robot is run, e.g. mission and settings, as plain values.
 
+    Attributes:
+        refused: as of `McapFile`.
+
     Raises:
         MissionError: the file cannot be written, or the extra `mcap` is missing.
     """
@@ -208,6 +221,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         run: Mapping[str, object] | None = None,
     ) -> None:
         self._file, self._kb, self._open = McapFile(path), kb, ExitStack()
+        self.refused = self._file.refused
         self._numbered: NumberedTree | None = None
         self._statuses: dict[int, str] = {}
         self._open.callback(self._file.close)
