@@ -18,7 +18,7 @@ from threading import Lock
 from typing import Any, Final, NamedTuple
 
 from missions.engine.mission import MissionError
-from missions.views.output import OutputFile
+from missions.views.output import OutputFile, plain
 
 VERSION: Final = 1
 NUMBERED: Final = frozenset({"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"})
@@ -133,7 +133,12 @@ class Recorded:
 
 
 def encoded(value: object) -> str:
-    return _ENCODER.encode(value)
+    """Return a value as JSON; what JSON cannot hold, such as the odd feedback of a behaviour, is written as text."""
+    try:
+        text = _ENCODER.encode(value)
+    except (TypeError, ValueError):
+        text = _ENCODER.encode(plain(value))
+    return text.encode(errors="replace").decode()
 
 
 def page_of(document: Mapping[str, Any], title: str) -> str:

@@ -2,11 +2,15 @@
 
 import html
 import json
+import math
 import re
 import threading
 from functools import cache
 
 import pytest
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.trees import BehaviourTree
 from small_rover import rover_model, rover_tree
 
 from kb import ConfigurationManager, KnowledgeBase
@@ -258,6 +262,22 @@ def test_text_that_would_end_the_page_is_shown_and_ends_nothing(tmp_path):
     assert any(evil in one["words"] for one in again.last("event").values())
     _, data = page.split('<script type="application/json" id="rosa-data">')
     assert json.loads(data.partition("</script>")[0])["version"] == 1
+
+
+@pytest.mark.parametrize(
+    ("odd", "shown"), [({"a set"}, "{'a set'}"), (math.nan, None), ("\ud800", "?"), (3.5, 3.5), (None, None)]
+)
+def test_feedback_that_is_not_text_does_not_cost_the_whole_report(tmp_path, odd, shown):
+    class Odd(Behaviour):
+        def update(self):
+            self.feedback_message = odd
+            return Status.RUNNING
+
+    tree = BehaviourTree(Odd("odd"))
+    recorder = Recorder(KnowledgeBase(rover_model(), clock=lambda: 0.0), tree)
+    tree.tick()
+    recorder.report(str(tmp_path / "run.html"))
+    assert list(read_page(tmp_path / "run.html").last("node").values()) == [["R", shown]]
 
 
 def test_page_asks_nothing_of_any_network():
