@@ -90,7 +90,7 @@ def _node(settings: BridgeSettings, serve: int | None, host: str, token: str, *,
 
         return DdsNode(host=host)
     if rclpy:
-        from missions.wires.rclpy_node import RclpyNode
+        from missions.wires.ros import RclpyNode
 
         return RclpyNode()
     from missions.wires.rosbridge import Rosbridge, RosbridgeServer

@@ -16,6 +16,7 @@ from missions.views.output import plain
 
 CHOSEN = ("function", "component")
 """The kinds of elements for which a design or a configuration is chosen."""
+_CASES: Final = 60
 
 
 def described(node: Node, units: Mapping[str, str]) -> dict[str, Any]:
@@ -76,8 +77,8 @@ def supposed(situation: Situation) -> dict[str, Any]:
     return {"feasible": feasible, "status": status, "chosen": chosen}
 
 
-def cases(kb: KnowledgeBase, most: int = 60) -> list[dict[str, Any]]:
-    """Return what would be feasible with another value of each measured attribute; at most `most` cases.
+def cases(kb: KnowledgeBase) -> list[dict[str, Any]]:
+    """Return what would be feasible with another value of each measured attribute; at most 60 cases.
 
     One value of each interval between thresholds is tried: all values in an interval give the same statuses.
     """
@@ -87,7 +88,7 @@ def cases(kb: KnowledgeBase, most: int = 60) -> list[dict[str, Any]]:
             for node in state.network.attributes.values()
             if node.constraints and (measured := state.value[node.index]) is not None
             for low, high in _intervals(node, state)
-        ][:most]
+        ][:_CASES]
     found = []
     for node, value, low, high in intervals:
         is_now = low <= value < high

@@ -168,8 +168,8 @@ def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
     return answered
 
 
-def serve_http(server: "MCPServer", port: int, token: str, host: str = "127.0.0.1") -> None:
-    """Serve over HTTP, only to clients with the token, until interrupted.
+def serve_http(server: "MCPServer", port: int, token: str) -> None:
+    """Serve over HTTP on this machine, only to clients with the token, until interrupted.
 
     Raises:
         MissionError: there is no token, or the extra `mcp` is missing.
@@ -188,4 +188,4 @@ def serve_http(server: "MCPServer", port: int, token: str, host: str = "127.0.0.
         else:
             await app(scope, receive, send)
 
-    uvicorn.run(guarded, host=host, port=port, log_level="warning")
+    uvicorn.run(guarded, host="127.0.0.1", port=port, log_level="warning")

@@ -21,7 +21,7 @@ from missions.engine.mission import MissionError
 from missions.wires import ros
 from missions.wires.dds import DdsNode, Structs
 from missions.wires.node import RosError, made, message_of
-from missions.wires.rclpy_node import Messages, RclpyNode
+from missions.wires.ros import Messages, RclpyNode
 from missions.wires.rosbridge import Rosbridge, RosbridgeServer
 
 HERE = Path(__file__).parent
