@@ -274,6 +274,8 @@ class Recorder:
             "chain": chain_of(adaptation, tuple(self._events), self._task_plans, self._nodes, nodes),
         }
         self.put("adaptation", self._adapted, shown)
+        if self._own is not None:
+            self._own.adaptations.clear()  # the row is enough
         if self._what_if:
             self.suppose(self.kb.now)
 

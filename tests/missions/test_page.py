@@ -124,6 +124,7 @@ def test_task_plans_of_long_ago_are_forgotten_and_nothing_is_shown_otherwise(mon
         shown.append(recorder.recorded)
     planned = max(shown[0].last("taskplan"))
     assert len(recorder._task_plans) < planned
+    assert len(recorder._own.adaptations) < len(shown[0].last("adaptation"))
     assert any("replanned" in link["words"] for one in shown[0].last("adaptation").values() for link in one["chain"])
     assert shown[1].rows == shown[0].rows
 
