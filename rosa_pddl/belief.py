@@ -15,7 +15,18 @@ from kb import KnowledgeBase
 from kb.events import Log
 from kb.explanation import Explanation
 from kb.forecasts import FeasibleUntil
-from rosa_pddl.domain import Domain, Feasibility, State, Step, UpThing, exact, head_of, number_fact, numbers_in
+from rosa_pddl.domain import (
+    Domain,
+    Feasibility,
+    State,
+    Step,
+    UpThing,
+    arguments_of,
+    exact,
+    head_of,
+    number_fact,
+    numbers_in,
+)
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
 from rosa_pddl.problem import feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
 from rosa_pddl.resource_usage import usage_of
@@ -81,9 +92,19 @@ class Belief:
         """Switch to a domain with other objects, and forget what was known about objects that it does not have."""
         gone = {*self.domain.types} - {*domain.types}
         self.domain = domain
-        kept = frozenset(fact for fact in self._now.facts if gone.isdisjoint(_names_in(fact)))
-        numbers = {text: value for text, value in self._now.numbers.items() if gone.isdisjoint(_names_in(text))}
-        self._now = replace(self._now, facts=kept, numbers=numbers)
+
+        def stays(fact: str) -> bool:
+            return gone.isdisjoint(arguments_of(fact))
+
+        now = self._now
+        self._now = _Believed(
+            frozenset(filter(stays, now.facts)),
+            {text: value for text, value in now.numbers.items() if stays(text)},
+            {
+                key: (frozenset(filter(stays, one)), frozenset(filter(stays, two)))
+                for key, (one, two) in now.undos.items()
+            },
+        )
         self._answer, self.sensed, self._taken_in = {}, _Sensed(), None
         self.passed_over.clear()
 
@@ -92,7 +113,7 @@ class Belief:
         self._read()
         for text, is_there in self._answer.items():
             name, mark, kind = str(text).partition(" - ")
-            if mark and is_there is not (name in self.domain.types):
+            if mark and is_there is not (("object", name.lower()) in self.domain.inside):
                 if not isinstance(is_there, bool):
                     raise SensingError(f"sense returned {is_there!r} for {text!r}, expected True or False")
                 yield name, kind, is_there
@@ -191,10 +212,6 @@ class Belief:
             elif not self.domain.is_feasibility(atom):
                 facts[atom] = bool(known)
         return _Sensed(facts, numbers)
-
-
-def _names_in(fact: str) -> list[str]:
-    return fact.replace("(", " ").replace(")", " ").split()
 
 
 class LastingFeasibility:

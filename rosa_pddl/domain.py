@@ -338,9 +338,28 @@ def head_of(atom: str) -> str:
     return inside.split(" ", 1)[0].rstrip(")")
 
 
+def atoms_in(formulas: Iterable[UpThing]) -> Iterator[UpThing]:
+    """Yield the atoms and numbers in unified-planning expressions; its own extractor is unsafe in several threads."""
+    for one in formulas:
+        if one.is_fluent_exp():
+            yield one
+        else:
+            yield from atoms_in(one.args)
+
+
+def subject_of(fact: str) -> str:
+    """Return what a fact is about: an atom itself, or the number whose value is stated, `(fuel rover)`."""
+    return fact[3:-1].rpartition(" ")[0] if fact.startswith("(= ") else fact
+
+
+def arguments_of(fact: str) -> list[str]:
+    """Return the arguments of an atom, or of a number: `["room"]` for `(lit room)`."""
+    return subject_of(fact)[1:-1].split()[1:]
+
+
 def fluents_in(formulas: Iterable[UpThing]) -> set[UpThing]:
     """Return the predicates and numbers that unified-planning expressions mention, as its fluents."""
-    return {atom.fluent() for one in formulas for atom in one.environment.free_vars_extractor.get(one)}
+    return {atom.fluent() for atom in atoms_in(formulas)}
 
 
 def conjuncts(formulas: Iterable[UpThing]) -> Iterator[UpThing]:

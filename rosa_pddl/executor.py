@@ -221,7 +221,7 @@ class PlanExecutor(Behaviour):
 
     def remove_object(self, name: str) -> None:
         """Remove an object and stop the steps that use it, between ticks; UnknownNameError if it cannot be removed."""
-        domain = without_object(self._domain, name)
+        domain, name = without_object(self._domain, name), self._domain.spelling("object", name, name)
         self._release([one for one in self._running if name in one.step.arguments])
         self._use(domain)
         if self._plan is not None and any(name in step.arguments for step in self._plan.unfinished_steps):

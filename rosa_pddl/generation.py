@@ -4,8 +4,9 @@ The PDDL follows ROSA's convention: a type `action` with one object for each ROS
 that is true for this object only, and `(action_feasible ?a)`, whose value comes from the knowledge base.
 """
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from decimal import Decimal
 from itertools import chain, starmap
 from typing import Final
@@ -104,6 +105,8 @@ class Declarations:
         self.schemas = tuple(schemas)
         self.problem = problem
         self._place = f"declarations of {name}"
+        self._title = re.sub(r"[^A-Za-z0-9_-]+", "_", name)  # a mission may have any name, a domain of PDDL may not
+        _check_texts(problem, self._place)
         for one in self.schemas:
             _check(one)
         if not self.schemas:
@@ -165,7 +168,7 @@ class Declarations:
         requirements = [":typing", ":adl", *[":durative-actions"] * has_durations]
         return listed(
             "define",
-            listed("domain", self.name),
+            listed("domain", self._title),
             listed(":requirements", *requirements, *[":numeric-fluents"] * bool(numbers or self._has_costs)),
             listed(":types", *self._types()),
             listed(":constants", *self._listed_objects(constant=True)),
@@ -184,8 +187,8 @@ class Declarations:
         goals += [listed("<=", listed(name), _number(limit)) for name, limit in problem.limits.items()]
         return listed(
             "define",
-            listed("problem", self.name),
-            listed(":domain", self.name),
+            listed("problem", self._title),
+            listed(":domain", self._title),
             listed(":objects", *self._listed_objects(constant=False)),
             listed(":init", *facts),
             listed(":goal", listed("and", *goals)),
@@ -254,7 +257,7 @@ def _parsed(text: str, place: str) -> Node:
 
 
 def _typed(nodes: Iterable[Node]) -> _Scope:
-    found = typed(Source("", ANY), nodes)
+    found = typed(Source("parameters", ANY), nodes)
     return {name.lower: "object" if kind is None or kind.is_list else str(kind) for name, kind in found}
 
 
@@ -262,11 +265,16 @@ def _of(schema: ActionSchema) -> str:
     return f"schema {schema.name}"
 
 
+def _check_texts(declared: ActionSchema | DeclaredProblem, place: str) -> None:
+    for one in fields(declared):
+        value = getattr(declared, one.name)
+        if isinstance(value, str) and str(one.type).startswith("tuple"):
+            raise PddlError(f"{one.name} is one text, expected several; write ({value!r},)", place)
+
+
 def _check(schema: ActionSchema) -> None:
     place = _of(schema)
-    for key in ("parameters", "start", "over_all", "end", "start_effects", "end_effects", "makes_feasible"):
-        if isinstance(getattr(schema, key), str):
-            raise PddlError(f"{key} is one text, expected several; write ({getattr(schema, key)!r},)", place)
+    _check_texts(schema, place)
     amounts = {f"uses[{name!r}]": value for name, value in schema.uses.items()}
     for key, value in {"duration_s": schema.duration_s, "cost": schema.cost, **amounts}.items():
         if isinstance(value, int | float) and not 0.0 <= value < float("inf"):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Real
 
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, UpThing, exact, fluents_in, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, Schema, UpThing, atoms_in, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import lock_of
@@ -147,11 +147,7 @@ class Relevance:
                 effects = schema.start_effects + schema.end_effects
                 if any(effect.fluent.fluent() in needed for effect in effects):
                     looks = [part for effect in effects for part in (effect.condition, effect.value)]
-                    atoms = [
-                        atom
-                        for formula in (*schema.start, *schema.over_all, *schema.end, *looks)
-                        for atom in formula.environment.free_vars_extractor.get(formula)
-                    ]
+                    atoms = [*atoms_in((*schema.start, *schema.over_all, *schema.end, *looks))]
                     needed |= {atom.fluent() for atom in atoms}
                     of_others = any(
                         domain.outside[atom.fluent().name].lower() == FEASIBLE

@@ -272,7 +272,7 @@ class Grounded:
         for row in sorted(rows, key=lambda one: [order[word] for word in one]):
             needs = self._bound(pattern.needs, row)
             made = None if needs is False else self._instance(pattern, row, needs)
-            if made is not None and (made.effects or not made.layer):
+            if made is not None and made.effects:  # Fast Downward refuses operators that do nothing
                 yield made
 
     def _instance(self, pattern: ActionPattern, row: Sequence[str], node: Node) -> "_Instance":

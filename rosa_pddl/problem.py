@@ -1,6 +1,6 @@
 """Builds the problem for a planner from what the knowledge base says and the mission senses."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -17,6 +17,7 @@ from rosa_pddl.domain import (
     State,
     Step,
     UpThing,
+    atoms_in,
     exact,
     head_of,
     lineage_of,
@@ -47,7 +48,7 @@ class Problem:
 
     Raises:
         UnknownNameError: a key of `costs` is no numeric fact of the domain, or one of `until` no feasibility fact.
-        SensingError: a time in `until` is not a finite number.
+        SensingError: a value of `costs` is no number, or a time in `until` is not a finite one.
     """
 
     domain: Domain
@@ -61,6 +62,8 @@ class Problem:
     def __post_init__(self) -> None:
         numeric, costs = self.domain.numeric if self.costs else frozenset(), dict[str, float]()
         for text, value in self.costs.items():
+            if not isinstance(value, Real):
+                raise SensingError(f"{text} is {value!r}, expected a number")
             costs[self.domain.atom(text)] = value
             head = head_of(self.domain.atom(text))
             if head not in numeric:
@@ -147,12 +150,9 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
         UnknownNameError: there is no such type, the name is taken or not a PDDL name, or the object would be a ROSA
             action: only the knowledge base defines those.
     """
-    kind = domain.inside.get(("type", type_name.lower()), type_name.lower())
-    up_types = {one.name: one for one in domain.up_problem.user_types}
-    if kind not in up_types:
-        known = [domain.outside[one] for one in up_types]
-        raise UnknownNameError(f"{domain.file} has no type {type_name!r} (of {name!r}); {nearest(type_name, known)}")
-    lineage = lineage_of(up_types[kind], domain.outside)
+    spelled = domain.spelling("type", type_name, f"{name} - {type_name}")
+    kind = domain.up_problem.user_type(domain.inside["type", spelled.lower()])
+    lineage = lineage_of(kind, domain.outside)
     if ACTION_TYPE in lineage:
         raise UnknownNameError(f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}")
     if not NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
@@ -163,7 +163,7 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     while inside in domain.outside:
         inside += "_object"
     problem = domain.up_problem.clone()
-    problem.add_object(inside, up_types[kind])
+    problem.add_object(inside, kind)
     return replace(
         domain,
         up_problem=problem,
@@ -218,8 +218,8 @@ def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
     """Return the parameters of an action as unified-planning expressions."""
     from unified_planning.model import Parameter
 
-    types, environment = {one.name: one for one in domain.up_problem.user_types}, domain.up_problem.environment
-    kinds = ((name, types[domain.inside.get(("type", kind.lower()), kind.lower())]) for name, kind in schema.parameters)
+    environment, type_of = domain.up_problem.environment, domain.up_problem.user_type
+    kinds = ((name, type_of(domain.inside["type", kind.lower()])) for name, kind in schema.parameters)
     return [environment.expression_manager.ParameterExp(Parameter(name, kind, environment)) for name, kind in kinds]
 
 
@@ -257,20 +257,17 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
 
 
 def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
+    """Build an action whose conditions and effects are those of a step that nothing else happens beside."""
     from unified_planning.exceptions import UPException
     from unified_planning.model import InstantaneousAction
 
-    made = _made(InstantaneousAction, schema, domain)
-    # conditions that the start effects make true are dropped, and start effects that the end effects overwrite
-    brought = {(one.fluent, one.value.is_true()) for one in schema.start_effects if _is_certain(one)}
-    overwritten = {one.fluent for one in schema.end_effects if _is_certain(one) and one.is_assignment()}
-    after = {one.fluent: _after(one) for one in schema.start_effects if not one.fluent.fluent().type.is_bool_type()}
-    later = (one.substitute(after) for one in schema.over_all + schema.end if _literal(one) not in brought)
-    lasting = (one for one in schema.start_effects if one.fluent not in overwritten)
-    for condition in (*schema.start, *later):
+    made, after = _made(InstantaneousAction, schema, domain), _after(schema.start_effects, domain)
+    for condition in (*schema.start, *map(after, (*schema.over_all, *schema.end))):
         made.add_precondition(condition)
+    ends = [_effect_like(one, after(one.condition), after(one.value)) for one in schema.end_effects]
+    lasting = (kept for one in schema.start_effects for kept in _not_overwritten(one, ends))
     try:
-        _add_effects(made, (*lasting, *schema.end_effects))
+        _add_effects(made, (*lasting, *ends))
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
@@ -281,16 +278,66 @@ def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     return made
 
 
-def _is_certain(effect: UpThing) -> bool:
-    return bool(effect.condition.is_true()) and not effect.forall
+def _after(effects: Sequence[UpThing], domain: Domain) -> Callable[[UpThing], UpThing]:
+    """Return a function that says what a condition or a number is after effects, in terms of the state before them.
+
+    Two things are left as they are: derived predicates, and numbers that are changed under a condition.
+    """
+    from unified_planning.model.walkers.identitydag import IdentityDagWalker
+
+    changed, environment = {one.fluent.fluent() for one in effects}, domain.up_problem.environment
+    manager, in_order = environment.expression_manager, sorted(effects, key=lambda one: bool(one.value.is_true()))
+
+    class After(IdentityDagWalker):  # type: ignore[misc]  # unified-planning ships no types
+        def walk_fluent_exp(self, expression: UpThing, args: UpThing, **kwargs: UpThing) -> UpThing:
+            value = expression
+            for one in in_order:  # what becomes true comes last, as true wins
+                hit = _hit(one, expression)
+                if expression.fluent().type.is_bool_type():
+                    value = manager.Or(value, hit) if one.value.is_true() else manager.And(value, manager.Not(hit))
+                elif hit.is_true() and one.is_assignment():
+                    value = one.value
+                elif hit.is_true():
+                    value = (manager.Plus if one.is_increase() else manager.Minus)(value, one.value)
+            return value
+
+    def after(formula: UpThing) -> UpThing:
+        if changed.isdisjoint(atom.fluent() for atom in atoms_in([formula])):
+            return formula
+        return After(environment).walk(formula).simplify()
+
+    return after
 
 
-def _after(effect: UpThing) -> UpThing:
-    manager, fluent = effect.environment.expression_manager, effect.fluent
-    if effect.is_assignment():
-        return effect.value
-    return (manager.Plus if effect.is_increase() else manager.Minus)(fluent, effect.value)
+def _hit(effect: UpThing, atom: UpThing) -> UpThing:
+    """Return the condition on which an effect changes an atom or a number."""
+    from unified_planning.model import Variable
+
+    manager = atom.environment.expression_manager
+    if effect.fluent.fluent() != atom.fluent():
+        return manager.FALSE()
+    # the variables of the effect get names that the atom cannot have
+    fresh = {one: Variable(f"{one.name}.", one.type, atom.environment) for one in effect.forall}
+    fluent, condition = effect.fluent.substitute(fresh), effect.condition.substitute(fresh)
+    same = [manager.Equals(*pair) for pair in zip(fluent.args, atom.args, strict=True) if pair[0] != pair[1]]
+    hit = manager.And(condition, *same)
+    return (manager.Exists(hit, *fresh.values()) if fresh else hit).simplify()
 
 
-def _literal(formula: UpThing) -> tuple[UpThing, bool]:
-    return (formula.arg(0), False) if formula.is_not() else (formula, True)
+def _not_overwritten(effect: UpThing, later: Iterable[UpThing]) -> Iterator[UpThing]:
+    """Yield an effect at the start of a step as far as the effects at its end leave it; true wins in any case."""
+    manager, condition = effect.environment.expression_manager, effect.condition
+    for other in (one for one in later if one.is_assignment()):
+        hit = _hit(other, effect.fluent)
+        if hit.is_true():
+            return
+        if effect.value.is_true() and other.value.is_false():
+            condition = manager.And(condition, manager.Not(hit)).simplify()
+    yield _effect_like(effect, condition, effect.value)
+
+
+def _effect_like(effect: UpThing, condition: UpThing, value: UpThing) -> UpThing:
+    made = effect.clone()
+    made.set_condition(condition)
+    made.set_value(value)
+    return made

@@ -1,6 +1,5 @@
 """Reads PDDL into unified-planning's model; errors name the place of what cannot be read or planned for."""
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -19,6 +18,7 @@ from rosa_pddl.syntax import (
     CHANGES,
     COMPARISONS,
     NAME,
+    NUMBER,
     Formulas,
     Node,
     Scope,
@@ -35,7 +35,6 @@ from rosa_pddl.syntax import (
     typed,
 )
 
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over_all"}
 _COST = "total-cost"
 
@@ -97,7 +96,7 @@ class _Reader:
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
         self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
         self._actions = actions
-        self._inside: dict[tuple[str, str], str] = {}
+        self._inside = {("type", "object"): "object"}
         self._outside = {"object": "object"}
         self._places: dict[tuple[str, str], tuple[str, int]] = {}
         self._lineages: dict[str, tuple[str, ...]] = {}
@@ -275,7 +274,7 @@ class _Reader:
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
-        if node.head == "at" and len(node.children) == 3 and _NUMBER.fullmatch(node.children[1].lower):
+        if node.head == "at" and len(node.children) == 3 and NUMBER.fullmatch(node.children[1].lower):
             message = f"found {start_of(node)!r}: facts that become true at a time are not supported; Aries (up-aries) "
             raise source.unsupported(node, message + "by itself would do. Sense the fact instead")
         if node.head == "=" and len(node.children) == 3:
@@ -320,7 +319,7 @@ class _Reader:
     def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Iterator[tuple[str, UpThing]]:
         """Yield what each action adds to a metric, which is a sum of numbers that only rise, with constant factors."""
         head, parts = node.head, node.children[1:]
-        constants = [part for part in parts if _NUMBER.fullmatch(part.lower)]
+        constants = [part for part in parts if NUMBER.fullmatch(part.lower)]
         if head in rising:
             yield from rising[head].items()
         elif head == "+":
@@ -386,7 +385,9 @@ class _ActionReader:
             least, most = (self._formulas.number(part.children[2], self._scope) for part in (lower, upper))
             self.duration = DurationInterval(least, most, lower.head == ">", upper.head == "<")
         elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
-            self.duration = FixedDuration(self._formulas.number(node.children[2], self._scope))
+            self.duration = FixedDuration(self._formulas.number(node.children[2], self._scope).simplify())
+            if self.duration.lower.is_constant() and self.duration.lower.constant_value() < 0:
+                raise self._source.error(node, f"found {start_of(node)!r}, expected a duration of 0 s or more")
         else:
             raise self._source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
 

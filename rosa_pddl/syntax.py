@@ -13,12 +13,14 @@ from rosa_pddl.exceptions import PddlError, UnknownNameError, UnsupportedPddlErr
 from rosa_pddl.validate import text_of
 
 NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+NUMBER: Final = re.compile(r"[-+]?([0-9]+(/[0-9]+)?|[0-9]+\.[0-9]*|\.[0-9]+)(e[-+]?[0-9]{1,3})?")
 # a type may follow the hyphen without a space
 _TOKEN = re.compile(r";[^\n]*|\s+|[()]|-(?=[A-Za-z])|[^\s();]+")
 
 COMPARISONS: Final = ("<", ">", "<=", ">=")
 CHANGES: Final = ("assign", "increase", "decrease", "scale-up", "scale-down")
 _CONNECTIVES = ("and", "or", "not", "imply", "when", "forall", "exists")
+_MOST_NESTED = 100
 BODY: Final[Mapping[str, tuple[str, ...]]] = {
     ":action": (":parameters", ":precondition", ":effect"),
     ":durative-action": (":parameters", ":duration", ":condition", ":effect"),
@@ -103,9 +105,9 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
     """Read a typed list such as `a b - t c`; return each name with its type, or with None."""
     found: list[tuple[Node, Node | None]] = []
     waiting: list[Node] = []
-    before = ""
+    before, last = "", ANY
     for node in nodes:
-        expects_type, before = before == "-", str(node)
+        expects_type, before, last = before == "-", str(node), node
         is_either = expects_type and node.head == "either" and len(node.children) > 1
         if is_either and not are_variables:
             message = "found '(either ...)': an object has one type, and a type one above it; only variables may have"
@@ -119,6 +121,8 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
             if are_variables and not node.lower.startswith("?"):
                 raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
             waiting.append(node)
+    if before == "-":
+        raise source.error(last, "found '-' at the end, expected a type after it")
     return found + [(name, None) for name in waiting]
 
 
@@ -160,6 +164,8 @@ def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
         if root is not None:
             raise PddlError(f"found {token!r} after the end of {expected}, expected nothing more", file, line, column)
         if token == "(":
+            if len(stack) == _MOST_NESTED:
+                raise PddlError(f"more than {_MOST_NESTED} lists in one another", file, line, column)
             stack.append(_Open(line, column, []))
         elif not stack:
             raise PddlError(f"found {token!r}, expected '{expected}'", file, line, column)
@@ -236,6 +242,10 @@ def body_of(source: Source, schema: Node) -> dict[str, Node]:
             raise source.error(keyword, message + nearest(keyword.lower, allowed))
         if not words or not words[0].is_list:
             raise source.error(keyword, f"expected '(' after {keyword.word}")
+        if keyword.lower in parts:
+            raise source.error(
+                keyword, f"found {keyword.word!r} again in {schema.head} {name}; join the two with (and ...)"
+            )
         parts[keyword.lower] = words.pop(0)
     if schema.head == ":durative-action" and ":duration" not in parts:
         raise source.error(schema, f"(:durative-action {name} has no ':duration'")
@@ -399,11 +409,10 @@ class Formulas:
             first, *others = [self.type_of(part) for part in node.children[1:]]
             above = (kind for kind in first.ancestors if all(kind in other.ancestors for other in others))
             return next(above, None) or self.type_of(ANY)
-        name = self._domain.inside.get(("type", node.lower), node.lower)
-        kinds = {kind.name: kind for kind in self._problem.user_types}
-        if name not in kinds:
+        name = self._domain.inside.get(("type", node.lower))
+        if name is None:
             raise self._unknown_name("type", node, ())
-        return kinds[name]
+        return self._problem.user_type(name)
 
     def atom(self, node: Node, scope: Scope, *, is_condition: bool = False, is_number: bool = False) -> UpThing:
         if not node.head:
@@ -461,7 +470,7 @@ class Formulas:
 
     def constant(self, node: Node) -> UpThing:
         try:
-            value = Fraction(node.lower)
+            value = Fraction(node.lower if NUMBER.fullmatch(node.lower) else "")
             float(value)
         except (ValueError, OverflowError, ZeroDivisionError):
             raise self._no_number(node) from None

@@ -9,7 +9,7 @@ from math import inf
 from operator import add, mul, sub
 from typing import NamedTuple
 
-from rosa_pddl.domain import Domain, Exact, State, Step, TimedStep, UpThing, exact, number_fact, numbers_in
+from rosa_pddl.domain import Domain, Exact, State, Step, TimedStep, UpThing, exact, number_fact, numbers_in, subject_of
 
 Binding = Mapping[str, str]
 Facts = AbstractSet[str]
@@ -139,7 +139,7 @@ def _happen(
         come |= added
         if len(moment) > 1:
             read = set(mentioned_atoms(domain, conditions, effects, binding))
-            touched.append((number, read, deleted | added))
+            touched.append((number, read, set(map(subject_of, deleted | added))))
     for (one, needed, changed), (other, _, changed_too) in permutations(touched, 2):
         if one != other and changed_too & (needed | changed):
             atom = min(changed_too & (needed | changed))

@@ -97,7 +97,7 @@ def _domain_of(problem: UpThing) -> Domain:
         "action": problem.actions,
     }
     names = [(kind, one.name) for kind, ones in things.items() for one in ones]
-    inside = {(kind, name.lower()): name for kind, name in names}
+    inside = {("type", "object"): "object", **{(kind, name.lower()): name for kind, name in names}}
     for kind, name in names:
         if not NAME.fullmatch(name) or inside[kind, name.lower()] != name:
             message = f"found the {kind} {name!r}, expected a name of letters, digits, '_' and '-'"

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from unified_planning.environment import get_environment
 from unified_planning.io import PDDLReader
 
-from rosa_pddl import Planner, Problem, feasible_atoms, initial_state, load_domain
+from rosa_pddl import Planner, Problem, feasible_atoms, initial_state, load_domain, parse_domain
 from rosa_pddl.exceptions import PddlError
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.syntax import conditions
@@ -181,6 +181,9 @@ def problem(**changes):
         (bad(duration_s=-1), "duration_s is -1, expected a number that is not negative"),
         (bad(cost=float("nan")), "cost is nan"),
         (problem(goal=()), "there is no goal"),
+        (problem(goal="(seen pit)"), r"goal is one text, expected several; write \('\(seen pit\)',\)"),
+        (problem(facts="(seen pit)"), "facts is one text"),
+        (bad(parameters=("?x -",)), "found '-' at the end, expected a type"),
         (problem(goal=("(sene pit)",)), "unknown predicate 'sene', expected a declared one; nearest: seen"),
         (problem(facts=("(deep pit)",)), "unknown predicate 'deep'"),
         (
@@ -196,6 +199,12 @@ def problem(**changes):
 def test_slip_in_a_declaration_is_said_with_what_was_expected(make, message):
     with pytest.raises(PddlError, match=message):
         make().load()
+
+
+def test_domain_is_readable_whatever_the_mission_is_called():
+    made = Declarations("my cave (2)", [DRIVE, LOOK, CHARGE], PROBLEM)
+    read = parse_domain(made.domain_pddl, made.problem_pddl)
+    assert read.name == made.load().name == "my_cave_2_"
 
 
 @pytest.mark.filterwarnings("ignore")  # unified-planning calls what is deprecated, and warns of equal names

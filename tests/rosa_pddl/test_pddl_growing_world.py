@@ -71,6 +71,42 @@ def test_a_step_that_is_done_with_what_has_gone_is_stopped(rocks):
     assert world.run() is Status.SUCCESS
 
 
+def test_objects_are_known_in_any_capitals(rocks):
+    world = World(rocks)
+    assert world.run(until="analyse") is Status.RUNNING
+    world.executor.remove_object("SAMPLE_1")
+    assert world.executor.current_steps == ()
+    world.facts = {"BASE - place": True, "Crater - place": False}
+    world.tick()
+    assert world.executor.objects("place") == ("base",)
+    assert world.executor.objects("OBJECT") == ("drive", "base")
+
+
+def test_with_an_object_goes_what_is_believed_of_it_and_of_no_predicate_of_its_name():
+    files = DOMAIN, PROBLEM.replace("crater", "crater at")
+    world = World(parse_domain(*files))
+    world.facts = {"(lies sample_1 at)": True}
+    world.tick()
+    before = world.executor.state
+    world.facts = {}
+    world.executor.remove_object("at")
+    assert before - world.executor.state == {"(lies sample_1 at)"}
+
+
+def test_what_a_running_step_takes_back_is_of_no_object_that_has_gone():
+    effect = "(and (at start (forall (?o - sample) (not (lies ?o ?p)))) (at end (analysed ?s)))"
+    files = DOMAIN.replace("(at end (analysed ?s))", effect), PROBLEM.replace("sample_1 -", "sample_1 sample_2 -")
+    world = World(parse_domain(*files))
+    world.facts = {"(lies sample_2 base)": True, "(lies sample_1 base)": True}
+    world.executor.goals.replace("(analysed sample_1)")
+    assert world.run(until="analyse") is Status.RUNNING
+    world.facts = {}
+    world.executor.remove_object("sample_2")
+    world.executor.stop(Status.INVALID)
+    assert "(lies sample_1 base)" in world.executor.state
+    assert not [fact for fact in world.executor.state if "sample_2" in fact]
+
+
 def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
     world = World(rocks)
     for name, kind, words in (

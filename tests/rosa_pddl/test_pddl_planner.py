@@ -12,7 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import ROOMS_DOMAIN, ROOMS_PROBLEM, FakeKb, load_mission, load_text
 
-from rosa_pddl import Outcome, Planner, Problem, UnsupportedPddlError, feasible_atoms, initial_state, parse_domain
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    Problem,
+    SensingError,
+    UnsupportedPddlError,
+    feasible_atoms,
+    initial_state,
+    parse_domain,
+)
 from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.validate import flaw
 
@@ -333,3 +342,13 @@ def test_plans_are_as_short_as_those_of_the_naive_twin(request, which, data):
     assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
     assert len(result.steps) == (expected or 0)
     assert expected is None or flaw(domain, result.steps, problem.state) is None
+
+
+def test_cost_that_is_no_number_is_refused_by_its_name():
+    domain = parse_domain(
+        "(define (domain d) (:predicates (done)) (:functions (far)) (:action go :effect (done)))",
+        "(define (problem p) (:domain d) (:goal (done)))",
+    )
+    for wrong in (None, "3", [3]):
+        with pytest.raises(SensingError, match=r"\(far\) is .*, expected a number"):
+            Problem(domain, initial_state(domain), costs={"(far)": wrong})

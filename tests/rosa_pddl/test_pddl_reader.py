@@ -140,6 +140,28 @@ MALFORMED = {
     ),
     "no goal": (in_rooms("(:goal (forall (?x - room) (scanned ?x)))", ""), "problem.pddl:1:1", ":goal"),
     "no duration": (in_rooms(":duration (= ?duration 5)", ""), "domain.pddl:6:3", ":duration"),
+    "part of an action twice": (
+        in_rooms(":duration (= ?duration 5)", ":duration (= ?duration 5) :duration (= ?duration 6)"),
+        "domain.pddl@:duration (= ?duration 6)",
+        ":duration|again in :durative-action",
+    ),
+    "negative duration": (
+        in_rooms("(= ?duration 5)", "(= ?duration (- 2 5))"),
+        "domain.pddl@(= ?duration (- 2 5))",
+        "a duration of 0 s or more",
+    ),
+    "endless number": (
+        in_rooms("(= ?duration 5)", "(= ?duration 1e999999999)"),
+        "domain.pddl@1e999999999",
+        "expected a number of at most 1e308",
+    ),
+    "number of Python": (in_rooms("(= ?duration 5)", "(= ?duration 1_0)"), "domain.pddl@1_0", "expected a number"),
+    "type left out": (in_rooms("robby - robot", "robby -"), "problem.pddl@-)", "expected a type after it"),
+    "too deep": (
+        in_rooms("(broken kitchen)", "(and " * 200 + "(broken kitchen)" + ")" * 200),
+        "problem.pddl:3:",
+        "more than 100 lists in one another",
+    ),
     "not PDDL": (("hello", ROOMS_PROBLEM), "domain.pddl:1:1", "(define"),
     "empty": (("; nothing\n", ROOMS_PROBLEM), "domain.pddl", "empty"),
     "files exchanged": ((ROOMS_PROBLEM, ROOMS_DOMAIN), "domain.pddl:1:9", "is this the domain file"),

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pddl_world import as_global, load_text
 
-from rosa_pddl import Problem, TimedStep, initial_state, schedule_flaw
+from rosa_pddl import Problem, TimedStep, initial_state, parse_domain, schedule_flaw
 from rosa_pddl.validate import ended, flaw, missing_at_start, started
 
 
@@ -141,6 +141,22 @@ def test_a_schedule_that_does_not_work_says_why(relay, rest, words):
     schedule = [at(relay, 0.0, "run", "ann"), *(at(relay, *one) for one in rest)]
     wrong = schedule_flaw(relay, schedule, initial_state(relay))
     assert wrong is None if words is None else words in wrong
+
+
+def test_number_that_one_step_needs_and_another_changes_at_the_same_time_is_in_the_way():
+    domain = parse_domain(
+        """(define (domain tank) (:predicates (done) (empty)) (:functions (fuel))
+          (:durative-action look :duration (= ?duration 2) :condition (at start (>= (fuel) 20)) :effect (at end (done)))
+          (:durative-action drain :duration (= ?duration 2)
+            :effect (and (at start (decrease (fuel) 15)) (at end (empty)))))""",
+        "(define (problem p) (:domain tank) (:init (= (fuel) 30)) (:goal (and (done) (empty))))",
+    )
+
+    def flaw_of(drain_s):
+        steps = [(domain.step("look", []), 0.0), (domain.step("drain", []), drain_s)]
+        return schedule_flaw(domain, [TimedStep(step, at_s, 2.0) for step, at_s in steps], initial_state(domain))
+
+    assert (flaw_of(0.0), flaw_of(0.5)) == ("look() and drain() get in each other's way over (fuel)", None)
 
 
 def test_what_holds_over_all_is_looked_at_in_between(relay):
