@@ -12,7 +12,7 @@ from py_trees.composites import Selector, Sequence
 from py_trees.trees import BehaviourTree
 
 from rosa_bt.behaviours import KbBehaviour, RosaAction, begin_mission, halt
-from rosa_bt.decorators import ForAction
+from rosa_bt.composites import ForAction
 from rosa_bt.display import svg_tree
 from rosa_bt.exceptions import in_words
 

@@ -21,7 +21,7 @@ from kb.manager import PriorityPlanner
 from kb.planners import Choice
 from kb.status import OPERATORS
 from kb.views import ConstraintView
-from rosa_bt.idioms import feasible_then_act
+from rosa_bt.composites import feasible_then_act
 
 # Steps until the deadline at most; shortest step [s]; states at most: if there are more, steps are twice as long.
 _STEPS, _FINEST_S, _MOST_STATES = 48, 1.0, 250

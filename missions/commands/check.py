@@ -19,7 +19,7 @@ from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import find_mission
 from missions.engine.task_layer import declarations_of, mission_domain
 from rosa_bt import IsActionFeasible, RosaAction
-from rosa_bt.idioms import unguarded
+from rosa_bt.composites import unguarded
 from rosa_pddl.domain import ACTION_TYPE
 from rosa_pddl.syntax import Node, Source, read_source, section, typed
 

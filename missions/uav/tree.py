@@ -27,7 +27,7 @@ from kb import KnowledgeBase
 from missions.engine.mission import Condition, Percepts
 from missions.uav.model import MOST_SAMPLES
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
-from rosa_bt.decorators import UntilSuccess
+from rosa_bt.composites import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))

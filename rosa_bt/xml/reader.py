@@ -19,9 +19,8 @@ from py_trees.common import Status
 
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock, Ports, key_of
-from rosa_bt.xml.controls import CONTROLS
-from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.nodes import LEAVES, MAX_NODES, Branch, Control, OneChild, Rules, Slot, XmlLeaf, is_plain
+from rosa_bt.xml.controls import NODES
+from rosa_bt.xml.nodes import MAX_NODES, Branch, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
 
@@ -263,9 +262,6 @@ def _strictly(text: str | bytes, file: str) -> Element:
         raise XmlError(where(), f"it cannot be decoded: {error}") from None
 
 
-_NODES: Final[Mapping[str, type[Control | OneChild | XmlLeaf]]] = {**CONTROLS, **DECORATORS, **LEAVES}
-
-
 class SubTree(Branch):
     """A tree of a file: below another tree, or as the root that is ticked.
 
@@ -316,7 +312,7 @@ def load_xml(
     is_one = isinstance(text_or_path, str | Path) or not isinstance(text_or_path, Iterable)
     document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # checked above
     for name, element in document.trees.items():
-        if name in (*_NODES, "SubTree") or name in registry.entries:
+        if name in (*NODES, "SubTree") or name in registry.entries:
             raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
     kb = registry.bound.get("kb")
     board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
@@ -367,7 +363,7 @@ class _Builder:
         """Return the node, and whether it is a condition."""
         tag, name = element.node, element.get("name") or element.node
         entry = self._registry.entries.get(tag)
-        if "ID" in element.attrib and element.tag not in _MODELS and (tag in _NODES or entry):
+        if "ID" in element.attrib and element.tag not in _MODELS and (tag in NODES or entry):
             raise element.error(f"<{element.tag}> has an ID, which only <Action ID=...> and such have; write name=...")
         if tag == "SubTree":
             return self._subtree(element, board), False
@@ -379,9 +375,9 @@ class _Builder:
             branches = [Branch(slot.node.name, [slot], Ports({}, {}, board)) for slot in slots]
             node = entry.make(name, element.ports, branches, board)
             return node, not slots and self._is_condition(entry, element, node)
-        if tag not in _NODES:
+        if tag not in NODES:
             raise element.error(self._unknown(tag))
-        kind = _NODES[tag]
+        kind = NODES[tag]
         _check_children(element, *kind.CHILDREN)
         ports = Ports(kind.PORTS, element.ports, board)
         ports.check_required()
@@ -444,7 +440,7 @@ class _Builder:
             return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_OF_VERSION_3[tag]}>"
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
-        near = get_close_matches(tag, [*_NODES, "SubTree"], 1)
+        near = get_close_matches(tag, [*NODES, "SubTree"], 1)
         guess = f"did you mean the node {near[0]!r}? " if near else ""
         return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
 

@@ -10,13 +10,11 @@ from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Measurement
-from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
-from rosa_bt.decorators import ForAction, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch, UntilSuccess
 from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
-from rosa_bt.xml.controls import CONTROLS
-from rosa_bt.xml.decorators import DECORATORS
-from rosa_bt.xml.nodes import LEAVES, MAX_NODES, Branch
+from rosa_bt.xml.controls import NODES
+from rosa_bt.xml.nodes import MAX_NODES, Branch
 
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
@@ -26,7 +24,7 @@ _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", 
 _OF_NAV2: Final = frozenset(
     ("RecoveryNode", "PipelineSequence", "RoundRobin", "RateController", "SingleTrigger", "GoalUpdatedController")
 )
-BUILT_IN: Final = frozenset({*CONTROLS, *DECORATORS, *LEAVES, *_FORMS}) - _OF_NAV2
+BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
 _ROLES: Final = frozenset({"name", "child", "children", "blackboard", "behaviour_class_name"})
 """Parameters that no attribute of an element sets."""

@@ -16,8 +16,7 @@ from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIsFailure
 
 from rosa_bt.behaviours import ActionBehaviour
-from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
-from rosa_bt.decorators import ForAction, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.blackboard import ports_of
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain

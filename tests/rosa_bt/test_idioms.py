@@ -25,7 +25,7 @@ from rosa_bt import (
     forget_progress,
     switch_safely,
 )
-from rosa_bt.idioms import unguarded
+from rosa_bt.composites import unguarded
 
 
 class Robot:

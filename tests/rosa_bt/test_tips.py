@@ -10,10 +10,8 @@ from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, ForAction, TreeRunner, load_xml, switch_safely
-from rosa_bt.composites import DoUntilUnfeasible
-from rosa_bt.decorators import UntilSuccess
-from rosa_bt.xml.controls import CONTROLS
-from rosa_bt.xml.decorators import DECORATORS
+from rosa_bt.composites import DoUntilUnfeasible, UntilSuccess
+from rosa_bt.xml.controls import NODES
 
 
 class Device(Behaviour):
@@ -40,7 +38,7 @@ def within_every_node(leaf, kb):
     needed = {**{tag: f'{port}="3"' for tag, port in ports.items()}, "Precondition": 'if="true"'}
     needed |= dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), 'entry="x"')
     needed |= dict.fromkeys(("LoopInt", "LoopDouble", "LoopBool", "LoopString"), 'queue="1;1"')
-    for tag, kind in {**CONTROLS, **DECORATORS}.items():
+    for tag, kind in [one for one in NODES.items() if one[1].CHILDREN[1]]:
         count = max(kind.CHILDREN[0], 2 if kind.CHILDREN[1] > 1 else 1)
         tree = f"<{tag} {needed.get(tag, '')}>{'<leaf/>' * count}</{tag}>"
         yield count, load_xml(wrapped(f"<under>{tree}</under>"), registry)
