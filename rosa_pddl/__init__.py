@@ -1,8 +1,8 @@
 """Decides what to do next: plans in PDDL with unified-planning, and executes and replans in a py_trees behaviour."""
 
 from rosa_pddl.belief import LastingFeasibility
-from rosa_pddl.domain import Domain, Feasibility, Schema, State, Step, TimedStep
-from rosa_pddl.engines.unified_planning import register_engine
+from rosa_pddl.domain import Attempt, Domain, Feasibility, Outcome, PlanningResult, Schema, State, Step, TimedStep
+from rosa_pddl.engines import register_engine
 from rosa_pddl.exceptions import (
     GoalError,
     MissingBehaviourError,
@@ -17,7 +17,6 @@ from rosa_pddl.exceptions import (
 from rosa_pddl.executor import PlanExecutor
 from rosa_pddl.generation import ActionSchema, Declarations, DeclaredProblem
 from rosa_pddl.goals import Goals
-from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult
 from rosa_pddl.planner import Certificate, Planner, awaited, certificate
 from rosa_pddl.problem import Problem, feasible_atoms, initial_state
 from rosa_pddl.reader import load_domain, parse_domain

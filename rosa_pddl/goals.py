@@ -9,9 +9,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Real
 
-from rosa_pddl.domain import FEASIBLE, Domain, Schema, UpThing, atoms_in, exact, fluents_in, head_of
+from rosa_pddl.domain import FEASIBLE, Domain, PlanningResult, Schema, UpThing, atoms_in, exact, fluents_in, head_of
 from rosa_pddl.exceptions import GoalError, nearest
-from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import lock_of
 from rosa_pddl.syntax import Goal, conditions
 

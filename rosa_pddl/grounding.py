@@ -12,7 +12,7 @@ from operator import itemgetter, mul
 from threading import Lock
 from typing import Any, TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, State, Step, UpThing, exact, head_of, numbers_in
+from rosa_pddl.domain import Domain, Exact, Outcome, State, Step, Trouble, UpThing, exact, head_of, numbers_in
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
 from rosa_pddl.instances import (
@@ -31,7 +31,6 @@ from rosa_pddl.instances import (
     row_of,
     text_of_row,
 )
-from rosa_pddl.outcomes import Outcome, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Condition, Number, Operation, Rule, Task, TaskGraph

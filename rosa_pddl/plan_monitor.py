@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 from kb.forecasts import FeasibleUntil
 from rosa_pddl.belief import Belief, ExpectedEffects
-from rosa_pddl.domain import Domain, Feasibility, State, Step, TimedStep
+from rosa_pddl.domain import Domain, Feasibility, PlanningResult, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.goals import Goals
-from rosa_pddl.outcomes import PlanningResult
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.syntax import Goal

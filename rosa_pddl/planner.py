@@ -14,10 +14,9 @@ from math import comb, inf
 from pathlib import Path
 
 from rosa_pddl import search
-from rosa_pddl.domain import Domain, Step, fluents_in
-from rosa_pddl.engines import fast_downward
+from rosa_pddl.domain import Attempt, Domain, Outcome, PlanningResult, Step, Trouble, fluents_in
+from rosa_pddl.engines import LABEL_SETTING, NUMERIC, SEARCHES, TRANSLATED, asked, fast_downward, missing
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
-from rosa_pddl.engines.unified_planning import LABEL_SETTING, NUMERIC, TRANSLATED, asked, missing
 from rosa_pddl.exceptions import (
     PlannerSettingError,
     PlanningBudgetError,
@@ -32,7 +31,6 @@ from rosa_pddl.grounding import (
     UnreachableGoalError,
 )
 from rosa_pddl.instances import is_out_of_reach
-from rosa_pddl.outcomes import Attempt, Outcome, PlanningResult, Trouble
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
 from rosa_pddl.validate import flaw, missing_at_start, schedule_flaw
@@ -389,7 +387,7 @@ class _Portfolio:
 
     def _answer(self, way: str, deadline: float) -> PlanningResult:
         limited = ", ".join(self._problem.domain.limited)
-        if limited and self._engine_of(way) in fast_downward.SEARCHES:
+        if limited and self._engine_of(way) in SEARCHES:
             message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
             raise Trouble(Outcome.UNSUPPORTED, message)
         if way in ("warm", "cold", LABEL_SETTING):
@@ -462,7 +460,7 @@ class _Portfolio:
         # silent, as each line of output would wake this process up
         how = f"astar({estimate}()" if is_optimal else "lazy_greedy([ff()], preferred=[ff()]"
         strategy = f"{how}, verbosity=silent)"
-        found = fast_downward.search(text, strategy, self.process, limit_s=_left_s(deadline))
+        found = fast_downward(text, strategy, self.process, limit_s=_left_s(deadline))
         if isinstance(found, Outcome):
             return PlanningResult(found)
         steps = tuple([grounded.step(number) for number in found])

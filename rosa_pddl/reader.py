@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Derived, Domain, Schema, UpThing, conjuncts, lineage_of
-from rosa_pddl.engines.unified_planning import late_environment
+from rosa_pddl.engines import late_environment
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.problem import Problem
 from rosa_pddl.resource_usage import NumberUses

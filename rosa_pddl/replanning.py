@@ -8,10 +8,9 @@ from html import escape
 from math import inf
 from typing import Literal, Protocol, TypeAlias
 
-from rosa_pddl.domain import Domain, State, Step
+from rosa_pddl.domain import Domain, Outcome, PlanningResult, State, Step
 from rosa_pddl.exceptions import PlannerSettingError, PlanningBudgetError
 from rosa_pddl.goals import Goals, Relevance, SoftGoals
-from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.plan_monitor import Clash, PlanExecution, PlanMonitor
 from rosa_pddl.planner import CERTIFIED, Planner, awaited
 from rosa_pddl.problem import Problem, lock_of

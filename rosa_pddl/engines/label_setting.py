@@ -12,10 +12,9 @@ from unified_planning.exceptions import UPException
 from unified_planning.model import ProblemKind
 from unified_planning.plans import ActionInstance, SequentialPlan
 
-from rosa_pddl.domain import Domain, Schema, UpThing, conjuncts, lineage_of
-from rosa_pddl.engines.unified_planning import LABEL_SETTING, OUTCOMES
+from rosa_pddl.domain import Domain, Outcome, PlanningResult, Schema, UpThing, conjuncts, lineage_of
+from rosa_pddl.engines import LABEL_SETTING, OUTCOMES
 from rosa_pddl.exceptions import PddlError
-from rosa_pddl.outcomes import Outcome, PlanningResult
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, initial_state
 from rosa_pddl.syntax import NAME

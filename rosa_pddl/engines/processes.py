@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import BinaryIO
 from weakref import WeakSet
 
-from rosa_pddl.outcomes import Outcome, Trouble
+from rosa_pddl.domain import Outcome, Trouble
 
 INSTALL_ADVICE = "try 'pip install --force-reinstall up-fast-downward'"
 """Advice for the case that a program does not work."""

@@ -16,7 +16,7 @@ from kb import Model
 from kb.status import OPERATORS
 from missions.agv.joint import Place, Question, Task
 from missions.agv.model import Building, Corridor
-from rosa_pddl.engines import fast_downward as downward
+from rosa_pddl.engines import fast_downward_program
 from rosa_pddl.search import distances
 
 GOALS = {"time": 1e3, "energy": 1e3, "collisions": 1e6}
@@ -175,7 +175,7 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
     (folder / "problem.pddl").write_text(problem_pddl(robot, question))
     command = [sys.executable, "-m", "fast_downward.translate", "domain.pddl", "problem.pddl", "--sas-file", "task.sas"]
     subprocess.run(command, cwd=folder, capture_output=True, check=True)
-    search = [str(downward.program()), "--search", "astar(blind())"]
+    search = [str(fast_downward_program()), "--search", "astar(blind())"]
     task = (folder / "task.sas").read_text()
     done = subprocess.run(search, cwd=folder, input=task, capture_output=True, text=True, check=False)
     costs = [int(line.split(": ")[1]) for line in done.stdout.splitlines() if "Plan cost: " in line]

@@ -13,7 +13,7 @@ from figures import percentiles, shown, table
 from numpy.random import default_rng
 
 from rosa_pddl import Outcome, Planner, Problem, initial_state, load_domain
-from rosa_pddl.engines import fast_downward as downward
+from rosa_pddl.engines import fast_downward_program
 from rosa_pddl.validate import flaw
 
 sys.path.append(str(Path(__file__).parents[1] / "rosa_pddl"))  # the generated worlds are those of the tests there
@@ -50,7 +50,7 @@ def by_unified_planning(up_problem):
 
 def bare_start():
     """Start the search program and let it end at once."""
-    subprocess.run([str(downward.program()), "--help"], capture_output=True, check=True)
+    subprocess.run([str(fast_downward_program()), "--help"], capture_output=True, check=True)
 
 
 def test_replanning_after_the_battery_drop(tables, monkeypatch, tmp_path):

@@ -15,4 +15,4 @@ def rooms(tmp_path_factory):
 @pytest.fixture
 def without_java(monkeypatch):
     """What the search in this process leaves undone is not asked of ENHSP, which is slow to start."""
-    monkeypatch.setattr("rosa_pddl.engines.unified_planning.which", lambda _: None)
+    monkeypatch.setattr("rosa_pddl.engines.which", lambda _: None)

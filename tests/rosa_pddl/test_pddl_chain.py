@@ -24,7 +24,7 @@ from rosa_pddl import (
     load_domain,
     schedule_flaw,
 )
-from rosa_pddl.engines import fast_downward as downward
+from rosa_pddl.engines import fast_downward_program
 
 NAUGHTY = """
 import os, subprocess, sys, time
@@ -188,7 +188,7 @@ def broken_search(monkeypatch, tmp_path):
     file = tmp_path / "search"
     file.write_text("#!/bin/sh\necho oh dear; exit 1\n")
     file.chmod(0o755)
-    monkeypatch.setattr(downward, "program", lambda: file)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: file)
 
 
 def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
@@ -221,7 +221,7 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
     slow = tmp_path / "slow"
     slow.write_text("#!/bin/sh\nexec sleep 1000\n")
     slow.chmod(0o755)
-    monkeypatch.setattr(downward, "program", lambda: slow)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow)
     planner = Planner(moves=0, timeout_s=300.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
     result = planner.plan(feasible(extended))
     late = Outcome.OUT_OF_TIME
@@ -294,7 +294,7 @@ def test_in_lock_step_an_answer_that_hangs_on_the_clock_ends_the_run():
 def test_the_same_question_is_answered_at_once(extended, monkeypatch):
     planner = Planner(moves=0)
     first = planner.plan(feasible(extended))
-    monkeypatch.setattr(downward, "program", lambda: "/nowhere")
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: "/nowhere")
     again = planner.plan(feasible(extended))
     assert told(again) == [("cache", Outcome.SOLVED_OPTIMALLY)]
     assert (again.steps, again.cost) == (first.steps, first.cost)
@@ -302,11 +302,11 @@ def test_the_same_question_is_answered_at_once(extended, monkeypatch):
 
 
 def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
-    planner, there = Planner(moves=0), downward.program()
+    planner, there = Planner(moves=0), fast_downward_program()
     with monkeypatch.context() as patched:
-        patched.setattr(downward, "program", lambda: "/nowhere")
+        patched.setattr("rosa_pddl.engines.fast_downward_program", lambda: "/nowhere")
         assert planner.plan(feasible(extended)).outcome is Outcome.ENGINE_MISSING
-    assert downward.program() == there
+    assert fast_downward_program() == there
     assert planner.plan(feasible(extended)).outcome is Outcome.SOLVED_OPTIMALLY
 
 

@@ -22,7 +22,6 @@ from rosa_pddl import (
     initial_state,
     parse_domain,
 )
-from rosa_pddl.engines import fast_downward as downward
 from rosa_pddl.validate import flaw
 
 
@@ -127,7 +126,7 @@ def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
 
 
 def test_an_engine_that_is_not_installed_is_named_with_what_to_install(extended, monkeypatch):
-    monkeypatch.setattr(downward, "program", lambda: None)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: None)
     result = Planner(moves=0).plan(problem_of(extended))
     assert result.outcome is Outcome.ENGINE_MISSING
     assert "pip install up-fast-downward" in result.message
@@ -141,7 +140,7 @@ def test_an_unknown_engine_gets_the_nearest_names(extended):
 
 
 def test_an_engine_that_cannot_be_started_is_missing(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "program", lambda: tmp_path / "no-python")
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: tmp_path / "no-python")
     result = Planner(moves=0).plan(problem_of(extended))
     assert result.outcome is Outcome.ENGINE_MISSING
     assert "no-python" in result.message
@@ -155,7 +154,7 @@ def test_an_engine_that_crashes_says_what_it_said(extended, monkeypatch, tmp_pat
     broken = tmp_path / "python"
     broken.write_text(f"#!/bin/sh\n{script}\n")
     broken.chmod(0o755)
-    monkeypatch.setattr(downward, "program", lambda: broken)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: broken)
     result = Planner(moves=0).plan(problem_of(extended))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert "oh dear" in result.message
@@ -170,7 +169,7 @@ def program(tmp_path, script):
 
 def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_path):
     search = program(tmp_path, "echo '0 (1)'; echo 'Plan length: 1 step(s).'")
-    monkeypatch.setattr(downward, "program", lambda: search)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: search)
     result = Planner(moves=0).plan(problem_of(rooms))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert "does not work" in result.message
@@ -195,7 +194,7 @@ def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_
 )
 def test_whatever_the_search_does_has_a_name(extended, monkeypatch, tmp_path, script, outcome, words):
     search = program(tmp_path, script)
-    monkeypatch.setattr(downward, "program", lambda: search)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: search)
     result = Planner(moves=0).plan(problem_of(extended))
     assert (result.outcome, result.steps) == (outcome, ())
     assert words in result.message
@@ -235,7 +234,7 @@ def wait_until_dead(pid):
 
 
 def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "program", lambda: slow_program(tmp_path))
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow_program(tmp_path))
     for timeout_s in (0.5, 4.0, 32.0, 256.0):  # on a busy machine the engine may not begin in a short time
         result = Planner(timeout_s=timeout_s, moves=0).plan(problem_of(extended))
         assert result.outcome is Outcome.OUT_OF_TIME
@@ -247,7 +246,7 @@ def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp
 
 
 def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "program", lambda: slow_program(tmp_path))
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow_program(tmp_path))
     before = set(threading.enumerate())
     future = Planner(moves=0, timeout_s=1000.0).start(problem_of(extended))
     worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
@@ -261,7 +260,7 @@ def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_
 
 
 def test_closing_the_planner_ends_what_runs(extended, monkeypatch, tmp_path):
-    monkeypatch.setattr(downward, "program", lambda: slow_program(tmp_path))
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow_program(tmp_path))
     planner = Planner(moves=0, timeout_s=1000.0)
     future = planner.start(problem_of(extended))
     child = child_of(tmp_path)

@@ -12,9 +12,9 @@ from pddl_world import World, load_mission
 from py_trees.common import Status
 
 from rosa_pddl import Planner, Problem, initial_state
-from rosa_pddl.engines import fast_downward
+from rosa_pddl.domain import Outcome, Trouble
+from rosa_pddl.engines import fast_downward_program
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
-from rosa_pddl.outcomes import Outcome, Trouble
 
 
 def run(script, **settings):
@@ -138,14 +138,14 @@ def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(m
     count, search = tmp_path / "count", tmp_path / "downward"
     search.write_text(
         f"#!/bin/sh\necho x >> {count}\n"
-        f'[ $(wc -l < {count}) -gt 2 ] && exec {fast_downward.program()} "$@"\n{TROUBLES[trouble]}\n'
+        f'[ $(wc -l < {count}) -gt 2 ] && exec {fast_downward_program()} "$@"\n{TROUBLES[trouble]}\n'
     )
     search.chmod(0o755)
     extended = load_mission("suave_extended")
     planner = Planner(cached=0, moves=0, timeout_s=30.0, budgets_s={"warm": 1.0, "cold": 29.0}, memory_mb=512)
     planner.plan(Problem(extended, initial_state(extended)))
     before, threads = files(), threading.active_count()
-    monkeypatch.setattr(fast_downward, "program", lambda: search)
+    monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: search)
     count.write_text("")
     world = World(extended, planner, delay_s=None)
     for _ in range(12_000):

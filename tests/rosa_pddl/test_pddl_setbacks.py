@@ -24,8 +24,8 @@ from rosa_pddl import (
     initial_state,
     parse_domain,
 )
+from rosa_pddl.domain import Trouble
 from rosa_pddl.engines.processes import ProcessHandle
-from rosa_pddl.outcomes import Trouble
 
 WAYS = """(define (domain ways) (:requirements :typing :action-costs) (:types action place)
   (:predicates (action_feasible ?a - action) (swim_action ?a - action) (at ?p - place) (there) (key) (damp) (noise)
