@@ -35,6 +35,8 @@ from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, start
 _MOST_DOMAINS = 8
 # At most this many sensed things with unknown names are reported.
 _MOST_PASSED_OVER = 100
+# How far ahead forecasts look [s].
+_AHEAD_S = 300.0
 
 Sense = Callable[[], Mapping[str, bool | float]]
 """Returns the percepts by their text: whether a fact such as `(lit room)` holds, the value of a number such as
@@ -224,12 +226,10 @@ class LastingFeasibility:
     Args:
         kb: the knowledge base.
         domain: what `load_domain` returned.
-        horizon_s: how far ahead forecasts look [s].
     """
 
-    def __init__(self, kb: KnowledgeBase, domain: Domain, horizon_s: float = 300.0) -> None:
-        actions = domain.rosa_actions if domain.tracks_feasibility else ()
-        self._kb, self._atoms, self._horizon_s = kb, {one: domain.feasible_atom(one) for one in actions}, horizon_s
+    def __init__(self, kb: KnowledgeBase, domain: Domain) -> None:
+        self._kb, self._actions = kb, domain.feasibility
         self._known: tuple[object, dict[str, FeasibleUntil]] = (None, {})
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # whatever a knowledge base offers
@@ -239,8 +239,8 @@ class LastingFeasibility:
         """Return the forecast for each action that is feasible now, by its fact `(action_feasible ...)`."""
         now = self._kb.now, self._kb.log.last
         if self._known[0] != now:
-            feasible = [(atom, one) for one, atom in self._atoms.items() if self._kb.is_feasible(one)]
-            self._known = now, {atom: self._kb.feasible_until(one, self._horizon_s) for atom, one in feasible}
+            feasible = [(atom, one) for atom, one in self._actions.items() if self._kb.is_feasible(one)]
+            self._known = now, {atom: self._kb.feasible_until(one, _AHEAD_S) for atom, one in feasible}
         return self._known[1]
 
 
@@ -333,7 +333,7 @@ class ExpectedEffects:
         schema = self._domain.schema_of[step.schema]
         effects = schema.start_effects + schema.end_effects
         _, made = changes(self._domain, effects, binding_of(self._domain, step), state)
-        known = {self._domain.feasible_atom(one): one for one in self._domain.rosa_actions}
+        known = self._domain.feasibility
         yield from (known[atom] for atom in sorted(made & known.keys()))
 
     def _made(self, unmet: frozenset[tuple[Step, str]]) -> Domain:

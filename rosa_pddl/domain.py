@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from fractions import Fraction
+from functools import cached_property
 from itertools import product
 from math import inf
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -261,7 +262,7 @@ class Domain:
         Raises:
             PddlError: an action is unknown; the message points at its object and names the nearest actions.
         """
-        if self.rosa_actions and not self.tracks_feasibility:
+        if self.rosa_actions and not self.feasibility:
             text = f"there are objects of type action but no predicate ({FEASIBLE} ?a - action) to ask for"
             raise PddlError(text, self.file, 1)
         for action in self.rosa_actions:
@@ -313,10 +314,11 @@ class Domain:
         """Return the atom that says that a ROSA action is feasible."""
         return f"({self.spelling('predicate', FEASIBLE, FEASIBLE)} {action})"
 
-    @property
-    def tracks_feasibility(self) -> bool:
-        """Whether the domain has the predicate `action_feasible` at all."""
-        return ("predicate", FEASIBLE) in self.inside
+    @cached_property
+    def feasibility(self) -> Mapping[str, str]:
+        """Each ROSA action by the atom that says that it is feasible; empty if the domain lacks the predicate."""
+        actions = self.rosa_actions if ("predicate", FEASIBLE) in self.inside else ()
+        return {self.feasible_atom(action): action for action in actions}
 
     @property
     def numeric(self) -> frozenset[str]:

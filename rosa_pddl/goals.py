@@ -156,8 +156,8 @@ class Relevance:
                     used.update(known if of_others else [one for one in known if domain.may_do(schema, one)])
         self._names = frozenset(domain.outside[fluent.name] for fluent in needed)
         in_goals = any(domain.is_feasibility(goal.text) or FEASIBLE in goal.text.lower() for goal in self._goals)
-        if domain.tracks_feasibility:
-            self._feasible = frozenset(map(domain.feasible_atom, known if in_goals else used))
+        relevant = known if in_goals else used
+        self._feasible = frozenset(atom for atom, action in domain.feasibility.items() if action in relevant)
 
 
 class SoftGoals:

@@ -477,9 +477,8 @@ def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
 def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Callable[[int], None]) -> Grounded:
     """Ground a domain for a state, the base of the task before, the named atoms and all feasibility facts."""
     domain = problem.domain
-    feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
     base = before.base if before else frozenset[str]()
-    may_hold = base.union(feasible, named, (atom for atom in problem.state if not atom.startswith("(= ")))
+    may_hold = base.union(domain.feasibility, named, (atom for atom in problem.state if not atom.startswith("(= ")))
     return Grounded(domain, may_hold, problem.state, go_on)
 
 

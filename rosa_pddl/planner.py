@@ -79,10 +79,9 @@ class Certificate:
         If none works, actions that are forecast to become unfeasible count as unfeasible already.
         """
         domain, state, until = problem.domain, problem.state, problem.until
-        atoms = {domain.feasible_atom(one): one for one in domain.rosa_actions}
         left_out = {step for step, times in problem.weights.items() if not times}
         for lasting in (state, state - until.keys()) if until else (state,):
-            actions = tuple(one for atom, one in atoms.items() if atom not in lasting)
+            actions = tuple(one for atom, one in domain.feasibility.items() if atom not in lasting)
             found = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED))
             for count in range(1, 1 + len(found.steps)):
                 rest = found.steps[-count:]

@@ -70,7 +70,7 @@ class Problem:
                 raise UnknownNameError(f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}")
         if costs.keys() != self.costs.keys():
             object.__setattr__(self, "costs", costs)  # in the spelling of the files
-        feasible = set(map(self.domain.feasible_atom, self.domain.rosa_actions)) if self.until else set()
+        feasible = self.domain.feasibility
         for text, left_s in self.until.items():
             if text not in feasible:
                 raise UnknownNameError(f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}")
@@ -198,9 +198,7 @@ def initial_state(domain: Domain) -> State:
 
 def feasible_atoms(domain: Domain, kb: Feasibility) -> State:
     """Return the facts `(action_feasible ?a)` that are true now by the knowledge base."""
-    if not domain.tracks_feasibility:
-        return frozenset()
-    return frozenset(domain.feasible_atom(action) for action in domain.rosa_actions if kb.is_feasible(action))
+    return frozenset(atom for atom, action in domain.feasibility.items() if kb.is_feasible(action))
 
 
 def without_feasibility(domain: Domain, state: State) -> State:

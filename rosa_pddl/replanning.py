@@ -271,11 +271,10 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
     found = [f"out of reach: {', '.join(missed)}"] if missed else []
     if all(outcome.is_solved for outcome in outcomes):
         found.append("each goal can be reached alone, but not all together")
-    feasible = {one: domain.feasible_atom(one) for one in domain.rosa_actions if domain.tracks_feasibility}
-    if out := {name: atom for name, atom in feasible.items() if atom not in problem.state}:
-        outcome = (yield replace(problem, state=problem.state.union(out.values()))).outcome
+    if out := {atom: one for atom, one in domain.feasibility.items() if atom not in problem.state}:
+        outcome = (yield replace(problem, state=problem.state.union(out))).outcome
         if outcome.is_solved:
-            found.append(f"unfeasible now: {', '.join(out)}; there would be a plan if they were feasible")
+            found.append(f"unfeasible now: {', '.join(out.values())}; there would be a plan if they were feasible")
         elif outcome.is_unsolvable:
             found.append("there would be no plan even if every action were feasible")
     others = dict[str, Problem]()

@@ -61,9 +61,8 @@ class Question:
 
     def supposing(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which exactly these ROSA actions are unfeasible."""
-        domain, left_out, state = self.domain, set(unfeasible), self.state
-        if domain.tracks_feasibility:
-            state |= {domain.feasible_atom(action) for action in domain.rosa_actions if action not in left_out}
+        domain, left_out = self.domain, set(unfeasible)
+        state = self.state | {atom for atom, action in domain.feasibility.items() if action not in left_out}
         return Problem(domain, state, tuple(goal.expression for goal in self.goals), self.numbers)
 
 
@@ -169,7 +168,7 @@ def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Iterable[str] | 
         stated = [atom for atom in initial_state(domain) if domain.is_feasibility(atom)]
         if has_model or not stated:
             return
-        feasible = {action for action in domain.rosa_actions if domain.feasible_atom(action) in stated}
+        feasible = {domain.feasibility[atom] for atom in stated}
         reason = "the problem file does not state that it is feasible"
     for action in domain.rosa_actions:
         if kb.is_feasible(action) != (action in feasible):

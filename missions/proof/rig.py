@@ -115,8 +115,7 @@ def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
 
 def _steps(domain: Domain) -> list[Step]:
     """Return all steps that are reachable from the initial state, whatever becomes feasible."""
-    feasible = map(domain.feasible_atom, domain.rosa_actions if domain.tracks_feasibility else ())
-    first = initial_state(domain).union(feasible)
+    first = initial_state(domain).union(domain.feasibility)
     task = Grounded(domain, first, first, lambda instances: None)
     return [task.step(number) for number in range(task.size)]
 

@@ -177,3 +177,13 @@ def test_where_a_limit_is_not_known_no_certified_plan_is_taken_and_it_is_told(tm
     world.facts = {"(left)": 2}
     assert world.run() is Status.SUCCESS
     assert world.executor.plans[-1].engine == "certificate"
+
+
+def test_domain_that_asks_for_no_feasibility_has_a_certificate_too():
+    domain = parse_domain(
+        "(define (domain d) (:types action) (:predicates (done)) (:action go :parameters (?a - action) :effect (done)))",
+        "(define (problem p) (:domain d) (:objects walk - action) (:goal (done)))",
+    )
+    problem = Problem(domain, initial_state(domain))
+    planner = Planner(certificate=Certificate({(): Planner().plan(problem)}))
+    assert [str(step) for step in planner.start(problem).result().steps] == ["go(walk)"]
