@@ -1,9 +1,10 @@
 """Builds the problem for a planner from what the knowledge base says and the mission senses."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from itertools import product
 from math import floor, isfinite
 from numbers import Real
 from threading import RLock
@@ -19,6 +20,7 @@ from rosa_pddl.domain import (
     UpThing,
     atoms_in,
     exact,
+    fluents_in,
     head_of,
     lineage_of,
     number_fact,
@@ -255,14 +257,14 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
 
 
 def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
-    """Build an action whose conditions and effects are those of a step that nothing else happens beside."""
+    """Build an action whose conditions and effects are those of a step beside which nothing else happens."""
     from unified_planning.exceptions import UPException
     from unified_planning.model import InstantaneousAction
 
-    made, after = _made(InstantaneousAction, schema, domain), _after(schema.start_effects, domain)
-    for condition in (*schema.start, *map(after, (*schema.over_all, *schema.end))):
+    made, after = _made(InstantaneousAction, schema, domain), _After(schema.start_effects)
+    for condition in (*schema.start, *map(after.formula, (*schema.over_all, *schema.end))):
         made.add_precondition(condition)
-    ends = [_effect_like(one, after(one.condition), after(one.value)) for one in schema.end_effects]
+    ends = [each for one in schema.end_effects for each in after.effects(one)]
     lasting = (kept for one in schema.start_effects for kept in _not_overwritten(one, ends))
     try:
         _add_effects(made, (*lasting, *ends))
@@ -276,35 +278,59 @@ def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     return made
 
 
-def _after(effects: Sequence[UpThing], domain: Domain) -> Callable[[UpThing], UpThing]:
-    """Return a function that says what a condition or a number is after effects, in terms of the state before them.
+class _After:
+    """Says what is so after effects, in terms of the state before them; derived predicates are left as they are."""
 
-    Two things are left as they are: derived predicates, and numbers that are changed under a condition.
-    """
-    from unified_planning.model.walkers.identitydag import IdentityDagWalker
+    def __init__(self, effects: Sequence[UpThing]) -> None:
+        self._effects = sorted(effects, key=lambda one: bool(one.value.is_true()))  # as true wins
+        self._changed = fluents_in(one.fluent for one in effects)
 
-    changed, environment = {one.fluent.fluent() for one in effects}, domain.up_problem.environment
-    manager, in_order = environment.expression_manager, sorted(effects, key=lambda one: bool(one.value.is_true()))
-
-    class After(IdentityDagWalker):  # type: ignore[misc]  # unified-planning ships no types
-        def walk_fluent_exp(self, expression: UpThing, args: UpThing, **kwargs: UpThing) -> UpThing:
-            value = expression
-            for one in in_order:  # what becomes true comes last, as true wins
-                hit = _hit(one, expression)
-                if expression.fluent().type.is_bool_type():
-                    value = manager.Or(value, hit) if one.value.is_true() else manager.And(value, manager.Not(hit))
-                elif hit.is_true() and one.is_assignment():
-                    value = one.value
-                elif hit.is_true():
-                    value = (manager.Plus if one.is_increase() else manager.Minus)(value, one.value)
-            return value
-
-    def after(formula: UpThing) -> UpThing:
-        if changed.isdisjoint(atom.fluent() for atom in atoms_in([formula])):
+    def formula(self, formula: UpThing) -> UpThing:
+        """Return the condition before the effects on which a condition holds after them."""
+        if self._changed.isdisjoint(fluents_in([formula])):
             return formula
-        return After(environment).walk(formula).simplify()
+        manager = formula.environment.expression_manager
+        if formula.is_fluent_exp():
+            held = formula
+            for one in self._effects:
+                hit = _hit(one, formula)
+                held = manager.Or(held, hit) if one.value.is_true() else manager.And(held, manager.Not(hit))
+        elif formula.is_le() or formula.is_lt() or formula.is_equals():
+            held = manager.Or([manager.And(*case) for case in self._cases(formula)])
+        elif formula.is_exists() or formula.is_forall():
+            quantifier = manager.Exists if formula.is_exists() else manager.Forall
+            held = quantifier(self.formula(formula.arg(0)), *formula.variables())
+        else:
+            held = manager.create_node(formula.node_type, tuple(map(self.formula, formula.args)))
+        return held.simplify()
 
-    return after
+    def effects(self, effect: UpThing) -> Iterator[UpThing]:
+        """Yield a later effect, with an effect for each case of its value."""
+        for given, value in self._cases(effect.value):
+            condition = effect.environment.expression_manager.And(self.formula(effect.condition), given).simplify()
+            if not condition.is_false():
+                yield _effect_like(effect, condition, value)
+
+    def _cases(self, expression: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
+        """Yield the cases of an expression with numbers: the condition for each, and the expression then."""
+        manager = expression.environment.expression_manager
+        cases = [(manager.TRUE(), {atom: atom for atom in atoms_in([expression])})]
+        for one, atom in product(self._effects, cases[0][1]):
+            hit = _hit(one, atom)
+            missed = [(manager.And(given, manager.Not(hit)), values) for given, values in cases if not hit.is_true()]
+            changed = [
+                (manager.And(given, hit), {**values, atom: _changed(one, values[atom])}) for given, values in cases
+            ]
+            cases = missed + (changed if not hit.is_false() else [])
+        for given, values in cases:
+            yield given, expression.substitute(values)
+
+
+def _changed(effect: UpThing, number: UpThing) -> UpThing:
+    manager = number.environment.expression_manager
+    if effect.is_assignment():
+        return effect.value
+    return (manager.Plus if effect.is_increase() else manager.Minus)(number, effect.value)
 
 
 def _hit(effect: UpThing, atom: UpThing) -> UpThing:

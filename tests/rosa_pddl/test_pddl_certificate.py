@@ -21,6 +21,7 @@ from rosa_pddl import (
     Problem,
     certificate,
     initial_state,
+    parse_domain,
 )
 from rosa_pddl.problem import without_feasibility
 from rosa_pddl.validate import flaw
@@ -181,7 +182,8 @@ def test_where_a_limit_is_not_known_no_certified_plan_is_taken_and_it_is_told(tm
 
 def test_domain_that_asks_for_no_feasibility_has_a_certificate_too():
     domain = parse_domain(
-        "(define (domain d) (:types action) (:predicates (done)) (:action go :parameters (?a - action) :effect (done)))",
+        """(define (domain d) (:types action) (:predicates (done))
+          (:action go :parameters (?a - action) :effect (done)))""",
         "(define (problem p) (:domain d) (:objects walk - action) (:goal (done)))",
     )
     problem = Problem(domain, initial_state(domain))

@@ -105,15 +105,29 @@ def test_step_that_does_nothing_for_some_objects_is_left_out_for_fast_downward()
         ("(at start (q a))", "(at start (not (q a))) (when (at end (q a)) (at end (s)))", None),
         ("(at start (q a)) (over all (q ?x))", "(at start (not (q a))) (at end (s))", None),
         ("", "(at start (p ?x)) (at end (not (p ?y))) (when (at end (p a)) (at end (s)))", 1.0),
+        ("(at end (>= (f ?y) 2))", "(at start (increase (f ?x) 2)) (at end (s))", 1.0),
+        ("(over all (< (f a) 1))", "(when (at start (q a)) (at start (assign (f ?x) 2))) (at end (s))", None),
     ],
 )
 def test_conditions_of_a_step_are_those_after_its_start(conditions, effects, cost):
     domain = parse_domain(
-        f"""(define (domain d) (:types t) (:predicates (p ?x - t) (q ?x - t) (s))
+        f"""(define (domain d) (:types t) (:predicates (p ?x - t) (q ?x - t) (s)) (:functions (f ?x - t) (g))
           (:durative-action one :parameters (?x ?y - t) :duration (= ?duration 1)
             :condition (and {conditions}) :effect (and {effects})))""",
-        "(define (problem p) (:domain d) (:objects a - t) (:init (q a)) (:goal (s)))",
+        "(define (problem p) (:domain d) (:objects a - t) (:init (q a) (= (f a) 0) (= (g) 0)) (:goal (s)))",
     )
     start = initial_state(domain) - ({"(q a)"} if "when (at end (q ?y))" in effects else set())
     result = Planner().plan(Problem(domain, start))
     assert (result.cost, result.outcome.is_trouble) == (cost, False)
+
+
+def test_what_the_end_of_a_step_changes_numbers_by_is_what_it_is_after_its_start():
+    domain = parse_domain(
+        """(define (domain d) (:types t) (:functions (f ?x - t) (g))
+          (:durative-action one :parameters (?x ?y - t) :duration (= ?duration 1)
+            :effect (and (at start (increase (f ?x) 2)) (at end (increase (g) (f ?y))))))""",
+        """(define (problem p) (:domain d) (:objects a b - t) (:init (= (f a) 0) (= (f b) 1) (= (g) 0))
+          (:goal (>= (g) 3)))""",
+    )
+    result = Planner().plan(Problem(domain, initial_state(domain)))
+    assert [str(step) for step in result.steps] == ["one(b, b)"]
