@@ -145,9 +145,9 @@ class Outcome(Enum):
 
 
 class Trouble(Exception):
-    """Raised if there is no answer; it carries the outcome to the planner, which reports it."""
+    """Raised where planning ends without a plan; it carries the outcome to the planner, which reports it."""
 
-    def __init__(self, outcome: Outcome, message: str) -> None:
+    def __init__(self, outcome: Outcome, message: str = "") -> None:
         super().__init__(message)
         self.outcome = outcome
 
@@ -432,8 +432,7 @@ def numbers_in(facts: Iterable[str]) -> dict[str, Exact]:
 
 def head_of(atom: str) -> str:
     """Return the predicate of an atom, or the name in a numeric fact: `lit` for `(lit room)`."""
-    inside = atom[4:] if atom.startswith("(= (") else atom[1:-1]
-    return inside.split(" ", 1)[0].rstrip(")")
+    return subject_of(atom)[1:-1].split(" ", 1)[0]
 
 
 def atoms_in(formulas: Iterable[UpThing]) -> Iterator[UpThing]:

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 
 from rosa_pddl.domain import Domain, Exact, Outcome, State, Step, Trouble, UpThing, exact, head_of, numbers_in
 from rosa_pddl.engines.processes import ProcessHandle
-from rosa_pddl.exceptions import RosaPddlError, UnsupportedPddlError
+from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.instances import (
     ActionPattern,
     Node,
@@ -47,14 +47,6 @@ _TRUTHS = ("add", "delete")
 _ALWAYS, _NO_STATE = Condition(), SearchState(frozenset())
 _FOR_EVER: Any = math.inf  # a float, but it is only compared with exact numbers
 _LOOKS_S = 0.05
-
-
-class NotRepresentableError(RosaPddlError):
-    """A task does not fit an engine; the message says why."""
-
-
-class UnreachableGoalError(RosaPddlError):
-    """The goal cannot become true from any state that the task covers; the message says why."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +95,8 @@ class _Rules:
 class Grounded:
     """A grounded task. Facts that no operator changes are frozen: they are checked before the search.
 
-    It covers all states whose atoms are reachable from the base, see `covers`. UnreachableGoalError is raised if the
-    goal cannot become true, UnsupportedPddlError if an amount has no value or an unsupported one.
+    It covers all states whose atoms are reachable from the base, see `covers`. Trouble is raised if the goal cannot
+    become true or the task does not fit an engine, UnsupportedPddlError if an amount has no value that is supported.
 
     Args:
         base: the atoms that may be true initially, in any of the states to cover.
@@ -189,7 +181,9 @@ class Grounded:
         """
         steps, first = [self.step(one.number) for one in task.operations], len(task.start.numbers)
         if any(not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one))) for one in steps):
-            raise NotRepresentableError("how long steps take changes, which is not planned with what is forecast")
+            raise Trouble(
+                Outcome.UNSUPPORTED, "how long steps take changes, which is not planned with what is forecast"
+            )
         takes = [self._usage.takes_s(step, numbers) for step in steps]
         shares = [1 - exact(problem.shares[step]) if step in problem.shares else 0 for step in steps]
         saved = map(mul, takes, shares)
@@ -219,7 +213,7 @@ class Grounded:
         """
         start, goal, made, frozen = self._fitted(problem)
         if self._is_numeric or any(one.tests for one in (goal, *(rule.condition for rule in made))):
-            raise NotRepresentableError("Fast Downward plans without numbers that rise and fall")
+            raise Trouble(Outcome.UNSUPPORTED, "Fast Downward plans without numbers that rise and fall")
         ready = self._weighed(frozen, problem.weights)
         exact = self._values_of([one.cost for one in ready], "costs", numbers)
         costs, _ = whole(exact)
@@ -353,11 +347,11 @@ class Grounded:
         state, known = problem.state, numbers_in(problem.state)
         wanted = self._bound(self._wanted(problem.wanted), (), state)
         if wanted is False:
-            raise UnreachableGoalError("nothing that can be done makes the goal so")
+            raise Trouble(Outcome.UNSOLVABLE_PROVEN)
         rules = _Rules(self._layers, "goal", partial(self._number, known=known))
         goal = rules.taken(wanted)
         if goal.needs & goal.denies:
-            raise UnreachableGoalError("facts of the goal exclude one another")
+            raise Trouble(Outcome.UNSOLVABLE_PROVEN)
         start = SearchState(state & self._changing, tuple([known.get(text) for text in self._numbers]))
         return start, goal, tuple(rules.rules), state & self._frozen_atoms
 

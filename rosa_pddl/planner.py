@@ -24,12 +24,7 @@ from rosa_pddl.exceptions import (
     UnsupportedPddlError,
     nearest,
 )
-from rosa_pddl.grounding import (
-    Grounded,
-    Groundings,
-    NotRepresentableError,
-    UnreachableGoalError,
-)
+from rosa_pddl.grounding import Grounded, Groundings
 from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.problem import Problem, lock_of
 from rosa_pddl.resource_usage import Numbers, usage_of
@@ -416,10 +411,6 @@ class _Portfolio:
         except search.NegativeCostError:
             message = "a step costs less than nothing in some state; costs are 0 or more"
             raise Trouble(Outcome.UNSUPPORTED, message) from None
-        except UnreachableGoalError:
-            return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
-        except NotRepresentableError as error:
-            raise Trouble(Outcome.UNSUPPORTED, str(error)) from error
 
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
         # putting numbers into many operators may take longer than starting another program
@@ -437,7 +428,8 @@ class _Portfolio:
         """Search in a separate process, which delays no tick and can be killed; forecasts are left out."""
         _, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
         if task.start.numbers or task.goal.tests:
-            raise NotRepresentableError(f"with numbers that rise and fall it looks at {self._planner.moves} moves only")
+            message = f"with numbers that rise and fall it looks at {self._planner.moves} moves only"
+            raise Trouble(Outcome.UNSUPPORTED, message)
         command = [sys.executable, "-I", "-S", search.__file__]
         ended = self.process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import partial
 from itertools import product
 from math import floor, isfinite
 from numbers import Real
@@ -122,7 +123,7 @@ class Problem:
         actions = dict[UpThing, UpThing]()
         for one in domain.schema_of.values():
             is_timed = overlapping and one.duration is not None
-            actions[_durative(one, domain, problem) if is_timed else _instantaneous(one, domain)] = one.cost
+            actions[_durative(one, domain, problem) if is_timed else _instantaneous(one, domain, problem)] = one.cost
         problem.add_actions(actions)
         if domain.metric == "cost":
             costs = {action: cost for action, cost in actions.items() if cost is not None}
@@ -256,18 +257,24 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     return made
 
 
-def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
+def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     """Build an action whose conditions and effects are those of a step beside which nothing else happens."""
     from unified_planning.exceptions import UPException
-    from unified_planning.model import InstantaneousAction
+    from unified_planning.model import Effect, InstantaneousAction
 
-    made, after = _made(InstantaneousAction, schema, domain), _After(schema.start_effects)
-    for condition in (*schema.start, *map(after.formula, (*schema.over_all, *schema.end))):
+    made, manager = _made(InstantaneousAction, schema, domain), problem.environment.expression_manager
+    starts = sorted(schema.start_effects, key=lambda one: bool(one.value.is_true()))  # what becomes true wins
+    after = partial(_after, starts, problem)
+    for condition in (*schema.start, *map(after, (*schema.over_all, *schema.end))):
         made.add_precondition(condition)
-    ends = [each for one in schema.end_effects for each in after.effects(one)]
-    lasting = (kept for one in schema.start_effects for kept in _not_overwritten(one, ends))
+    ends = list[UpThing]()
+    for one in schema.end_effects:
+        for given, value in _cases(starts, problem, one.value):
+            condition = manager.And(after(one.condition), given).simplify()
+            ends.append(Effect(one.fluent, value, condition, one.kind, one.forall))
+    lasting = (kept for one in starts for kept in _not_overwritten(one, ends))
     try:
-        _add_effects(made, (*lasting, *ends))
+        _add_effects(made, (one for one in (*lasting, *ends) if not one.condition.is_false()))
     except UPException as error:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
@@ -278,59 +285,44 @@ def _instantaneous(schema: Schema, domain: Domain) -> UpThing:
     return made
 
 
-class _After:
-    """Says what is so after effects, in terms of the state before them; derived predicates are left as they are."""
-
-    def __init__(self, effects: Sequence[UpThing]) -> None:
-        self._effects = sorted(effects, key=lambda one: bool(one.value.is_true()))  # as true wins
-        self._changed = fluents_in(one.fluent for one in effects)
-
-    def formula(self, formula: UpThing) -> UpThing:
-        """Return the condition before the effects on which a condition holds after them."""
-        if self._changed.isdisjoint(fluents_in([formula])):
-            return formula
-        manager = formula.environment.expression_manager
-        if formula.is_fluent_exp():
-            held = formula
-            for one in self._effects:
-                hit = _hit(one, formula)
-                held = manager.Or(held, hit) if one.value.is_true() else manager.And(held, manager.Not(hit))
-        elif formula.is_le() or formula.is_lt() or formula.is_equals():
-            held = manager.Or([manager.And(*case) for case in self._cases(formula)])
-        elif formula.is_exists() or formula.is_forall():
-            quantifier = manager.Exists if formula.is_exists() else manager.Forall
-            held = quantifier(self.formula(formula.arg(0)), *formula.variables())
-        else:
-            held = manager.create_node(formula.node_type, tuple(map(self.formula, formula.args)))
-        return held.simplify()
-
-    def effects(self, effect: UpThing) -> Iterator[UpThing]:
-        """Yield a later effect, with an effect for each case of its value."""
-        for given, value in self._cases(effect.value):
-            condition = effect.environment.expression_manager.And(self.formula(effect.condition), given).simplify()
-            if not condition.is_false():
-                yield _effect_like(effect, condition, value)
-
-    def _cases(self, expression: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
-        """Yield the cases of an expression with numbers: the condition for each, and the expression then."""
-        manager = expression.environment.expression_manager
-        cases = [(manager.TRUE(), {atom: atom for atom in atoms_in([expression])})]
-        for one, atom in product(self._effects, cases[0][1]):
-            hit = _hit(one, atom)
-            missed = [(manager.And(given, manager.Not(hit)), values) for given, values in cases if not hit.is_true()]
-            changed = [
-                (manager.And(given, hit), {**values, atom: _changed(one, values[atom])}) for given, values in cases
-            ]
-            cases = missed + (changed if not hit.is_false() else [])
-        for given, values in cases:
-            yield given, expression.substitute(values)
+def _after(effects: Sequence[UpThing], problem: UpThing, formula: UpThing) -> UpThing:
+    """Return the condition on which a condition holds after effects."""
+    manager = problem.environment.expression_manager
+    return manager.Or([manager.And(*case) for case in _cases(effects, problem, formula)]).simplify()
 
 
-def _changed(effect: UpThing, number: UpThing) -> UpThing:
-    manager = number.environment.expression_manager
-    if effect.is_assignment():
-        return effect.value
-    return (manager.Plus if effect.is_increase() else manager.Minus)(number, effect.value)
+def _cases(effects: Sequence[UpThing], problem: UpThing, formula: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
+    """Yield what a formula is after effects, in terms of the state before them: the condition for each case first.
+
+    Derived predicates are left as they are.
+    """
+    manager = problem.environment.expression_manager
+    changed = fluents_in(one.fluent for one in effects)
+    plain = formula if changed.isdisjoint(fluents_in([formula])) else _without_quantifiers(formula, problem)
+    cases: list[tuple[UpThing, dict[UpThing, UpThing]]] = [(manager.TRUE(), {})]
+    for atom, one in product(dict.fromkeys(atoms_in([plain])), effects):
+        hit = _hit(one, atom)
+        if not hit.is_false():
+            cases = [found for given, values in cases for found in _split(one, atom, hit, given, values)]
+    for given, values in cases:
+        yield given, plain.substitute(values)
+
+
+def _split(
+    effect: UpThing, atom: UpThing, hit: UpThing, given: UpThing, values: dict[UpThing, UpThing]
+) -> Iterator[tuple[UpThing, dict[UpThing, UpThing]]]:
+    """Yield the cases into which an effect that may change an atom or a number splits a case."""
+    manager, before = atom.environment.expression_manager, values.get(atom, atom)
+    if atom.fluent().type.is_bool_type():
+        held = manager.Or(before, hit) if effect.value.is_true() else manager.And(before, manager.Not(hit))
+        yield given, {**values, atom: held}
+        return
+    if not hit.is_true():
+        yield manager.And(given, manager.Not(hit)), values
+    now = effect.value
+    if not effect.is_assignment():
+        now = (manager.Plus if effect.is_increase() else manager.Minus)(before, now)
+    yield manager.And(given, hit), {**values, atom: now}
 
 
 def _hit(effect: UpThing, atom: UpThing) -> UpThing:
@@ -350,6 +342,8 @@ def _hit(effect: UpThing, atom: UpThing) -> UpThing:
 
 def _not_overwritten(effect: UpThing, later: Iterable[UpThing]) -> Iterator[UpThing]:
     """Yield an effect at the start of a step as far as the effects at its end leave it; true wins in any case."""
+    from unified_planning.model import Effect
+
     manager, condition = effect.environment.expression_manager, effect.condition
     for other in (one for one in later if one.is_assignment()):
         hit = _hit(other, effect.fluent)
@@ -357,11 +351,4 @@ def _not_overwritten(effect: UpThing, later: Iterable[UpThing]) -> Iterator[UpTh
             return
         if effect.value.is_true() and other.value.is_false():
             condition = manager.And(condition, manager.Not(hit)).simplify()
-    yield _effect_like(effect, condition, effect.value)
-
-
-def _effect_like(effect: UpThing, condition: UpThing, value: UpThing) -> UpThing:
-    made = effect.clone()
-    made.set_condition(condition)
-    made.set_value(value)
-    return made
+    yield Effect(effect.fluent, effect.value, condition, effect.kind, effect.forall)
