@@ -251,11 +251,6 @@ class PlanExecutor(Behaviour):
         """The steps that run, in the order in which they started."""
         return tuple(running.step for running in self._running)
 
-    @property
-    def remaining_steps(self) -> tuple[Step, ...]:
-        """The steps of the plan that have not started."""
-        return () if self._plan is None else tuple(self._plan.steps[number] for number in self._plan.remaining)
-
     def catch_up(self) -> None:
         """Wait for the planner's answer if it is due by now; for lock-step simulation, called before the tick.
 

@@ -468,14 +468,6 @@ def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
         return *patterns_of(domain, Problem(domain, frozenset()).build().actions), *axioms_of(domain)
 
 
-def _grown(before: Grounded | None, problem: Problem, named: State, go_on: Callable[[int], None]) -> Grounded:
-    """Ground a domain for a state, the base of the task before, the named atoms and all feasibility facts."""
-    domain = problem.domain
-    base = before.base if before else frozenset[str]()
-    may_hold = base.union(domain.feasibility, named, (atom for atom in problem.state if not atom.startswith("(= ")))
-    return Grounded(domain, may_hold, problem.state, go_on)
-
-
 class Groundings:
     """The grounded task of each domain, made on the first request, and made again when it must cover more states.
 
@@ -511,7 +503,8 @@ class Groundings:
         try:
             named, known = frozenset(changing), self._made.get(domain)
             if known is None or not known.covers(problem.state) or not named <= known.base:
-                known = _grown(known, problem, named, go_on)
+                base, atoms = known.base if known else State(), [one for one in problem.state if one[:3] != "(= "]
+                known = Grounded(domain, base.union(domain.feasibility, named, atoms), problem.state, go_on)
             self._made.pop(domain, None)
             if len(self._made) >= _MOST_DOMAINS:
                 self._made.pop(next(iter(self._made)))

@@ -88,7 +88,7 @@ class Problem:
 
     def build(self, *, overlapping: bool = False) -> UpThing:
         """Build the problem for unified-planning; every action is instantaneous unless steps may overlap."""
-        from unified_planning.model import GlobalStartTiming
+        from unified_planning.model import EndTiming, GlobalStartTiming
         from unified_planning.model import Problem as UpProblem
         from unified_planning.model.metrics import MinimizeActionCosts, MinimizeMakespan
 
@@ -123,7 +123,10 @@ class Problem:
         actions = dict[UpThing, UpThing]()
         for one in domain.schema_of.values():
             is_timed = overlapping and one.duration is not None
-            actions[_durative(one, domain, problem) if is_timed else _instantaneous(one, domain, problem)] = one.cost
+            made = (_durative if is_timed else _instantaneous)(one, domain, problem)
+            for name in (each for each in domain.limited if each in one.uses):
+                made.add_increase_effect(*[EndTiming()] * is_timed, domain.expression(f"({name})"), one.uses[name])
+            actions[made] = one.cost
         problem.add_actions(actions)
         if domain.metric == "cost":
             costs = {action: cost for action, cost in actions.items() if cost is not None}
@@ -251,9 +254,6 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     for when, effects in ((start, schema.start_effects), (end, schema.end_effects)):
         always = (one for one in effects if one.condition.is_true() or not domain.makes_feasible(one))
         _add_effects(made, always, when)
-    for name in domain.limited:
-        if name in schema.uses:
-            made.add_increase_effect(end, domain.expression(f"({name})"), schema.uses[name])
     return made
 
 
@@ -279,9 +279,6 @@ def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
         message = f"the effects of {schema.name} contradict one another when it is made instantaneous: {error}"
         file, line = domain.places.get(("action", schema.name), (domain.file, None))
         raise UnsupportedPddlError(message, file, line) from error
-    for name in domain.limited:
-        if name in schema.uses:
-            made.add_increase_effect(domain.expression(f"({name})"), schema.uses[name])
     return made
 
 

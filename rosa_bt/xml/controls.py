@@ -26,8 +26,6 @@ from rosa_bt.xml.nodes import (
 )
 from rosa_bt.xml.scripts import parse_script
 
-# ---------------------------------------------------------------- controls
-
 
 class _InOrder(Control):
     """Ticks one child after the other; `current_child` is the next one to tick, None the first.

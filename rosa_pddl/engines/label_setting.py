@@ -3,14 +3,13 @@
 This module is imported late, as unified-planning is slow to import.
 """
 
-from dataclasses import replace
 from typing import IO, Any
 
 from unified_planning import engines
 from unified_planning.engines.mixins import OneshotPlannerMixin
 from unified_planning.exceptions import UPException
 from unified_planning.model import ProblemKind
-from unified_planning.plans import ActionInstance, SequentialPlan
+from unified_planning.plans import SequentialPlan
 
 from rosa_pddl.domain import Domain, Outcome, PlanningResult, Schema, UpThing, conjuncts, lineage_of
 from rosa_pddl.engines import LABEL_SETTING, OUTCOMES
@@ -69,19 +68,11 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         except (PddlError, UPException) as error:
             result = PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         status = _STATUS.get(result.outcome, engines.PlanGenerationResultStatus.INTERNAL_ERROR)
-        plan = _plan(problem, result) if result.outcome.is_solved else None
+        steps = [problem.action(one.schema)(*map(problem.object, one.arguments)) for one in result.steps]
+        plan = SequentialPlan(steps, problem.environment) if result.outcome.is_solved else None
         level = engines.LogLevel.ERROR if result.outcome.is_trouble else engines.LogLevel.INFO
         logs = [engines.LogMessage(level, result.message)] if result.message else []
         return engines.PlanGenerationResult(status, plan, self.name, log_messages=logs)
-
-
-def _plan(problem: UpThing, result: PlanningResult) -> SequentialPlan:
-    manager = problem.environment.expression_manager
-    instances = []
-    for step in result.steps:
-        arguments = tuple(manager.ObjectExp(problem.object(name)) for name in step.arguments)
-        instances.append(ActionInstance(problem.action(step.schema), arguments))
-    return SequentialPlan(instances, problem.environment)
 
 
 def _domain_of(problem: UpThing) -> Domain:
@@ -101,22 +92,22 @@ def _domain_of(problem: UpThing) -> Domain:
         if not NAME.fullmatch(name) or inside[kind, name.lower()] != name:
             message = f"found the {kind} {name!r}, expected a name of letters, digits, '_' and '-'"
             raise PddlError(f"{message}, and of no other in other capitals", where)
-    outside = {"object": "object", **{name: name for _, name in names}}
-    draft = Domain(
-        name="d",
-        file=where,
-        problem_file=where,
-        up_problem=stated,
-        schema_of={},
-        outside=outside,
-        inside=inside,
-        types={one.name: lineage_of(one.type, outside) for one in problem.all_objects},
-        computed=frozenset(one.name for one in problem.fluents if not one.type.is_bool_type()),
-    )
     costs = next((one for one in problem.quality_metrics if one.is_minimize_action_costs()), None)
     schemas = {}
     for one in problem.actions:
         parameters = tuple((each.name, each.type.name) for each in one.parameters)
         needs, cost = tuple(conjuncts(one.preconditions)), costs and costs.get_action_cost(one)
         schemas[one.name] = Schema(one.name, parameters, needs, (), (), (), tuple(one.effects), None, cost=cost)
-    return replace(draft, schema_of=schemas, metric="" if costs is None else "cost")
+    outside = {"object": "object", **{name: name for _, name in names}}
+    return Domain(
+        name="d",
+        file=where,
+        problem_file=where,
+        up_problem=stated,
+        schema_of=schemas,
+        outside=outside,
+        inside=inside,
+        types={one.name: lineage_of(one.type, outside) for one in problem.all_objects},
+        computed=frozenset(one.name for one in problem.fluents if not one.type.is_bool_type()),
+        metric="" if costs is None else "cost",
+    )

@@ -671,7 +671,7 @@ def seen_of_a_plan(rig):
     tables = (rig.kb.actions, rig.kb.designs, rig.kb.components)
     statuses = [(name, str(one.status)) for table in tables for name, one in table.items()]
     running = sorted(one.action for one in rig.doing if one.status.name == "RUNNING")
-    plan = (executor.current_steps, executor.remaining_steps, executor.state)
+    plan = (executor.current_steps, executor.state)
     return rig.root.status, plan, rig.required, rig.unfeasible, running, statuses
 
 
