@@ -60,9 +60,12 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         timeout: float | None = None,
         output_stream: IO[str] | None = None,
     ) -> engines.PlanGenerationResult:
-        timeout_s = _LONG_S if timeout is None else timeout
-        planner = Planner(LABEL_SETTING, timeout_s, warm=False, cached=0)
+        planner = Planner(LABEL_SETTING, _LONG_S if timeout is None else timeout, warm=False, cached=0)
         try:
+            # unified-planning itself may only warn
+            unsupported = ", ".join(sorted(problem.kind.features - self.supported_kind().features)).lower()
+            if unsupported:
+                raise UPException(f"{LABEL_SETTING} does not support {unsupported}")
             domain = _domain_of(problem)
             result = planner.plan(Problem(domain, initial_state(domain)))
         except (PddlError, UPException) as error:
@@ -80,13 +83,9 @@ def _domain_of(problem: UpThing) -> Domain:
     where, stated = f"problem {problem.name or 'without a name'}", problem.clone()
     for one, value in problem.initial_values.items():
         stated.set_initial_value(one, value)
-    things = {
-        "type": problem.user_types,
-        "object": problem.all_objects,
-        "predicate": problem.fluents,
-        "action": problem.actions,
-    }
-    names = [(kind, one.name) for kind, ones in things.items() for one in ones]
+    kinds = ("type", "object", "predicate", "action")
+    things = problem.user_types, problem.all_objects, problem.fluents, problem.actions
+    names = [(kind, one.name) for kind, ones in zip(kinds, things, strict=True) for one in ones]
     inside = {("type", "object"): "object", **{(kind, name.lower()): name for kind, name in names}}
     for kind, name in names:
         if not NAME.fullmatch(name) or inside[kind, name.lower()] != name:

@@ -126,3 +126,15 @@ def test_several_uses_of_one_action_add_up(trip):
     assert [str(step) for step in trip.solved().plan.actions] == ["go(Home, Dock)"]
     trip.problem.add_goal(up.LT(trip.used, Fraction(7, 4)))
     assert trip.solved().status.name == "UNSOLVABLE_PROVEN"
+
+
+@pytest.mark.filterwarnings("ignore:.*cannot.*")  # unified-planning warns, and asks all the same
+def test_what_it_does_not_know_is_refused_rather_than_passed_over(trip):
+    battery = up.Fluent("battery", up.IntType(0, 3))
+    trip.problem.add_fluent(battery, default_initial_value=0)
+    trip.go.add_increase_effect(battery, 2)
+    assert "bounded_types" in trip.refusal()
+    other = Trip()
+    other.problem.clear_quality_metrics()
+    other.problem.add_quality_metric(up.MaximizeExpressionOnFinalState(other.used()))
+    assert other.refusal() == "label-setting does not support final_value"
