@@ -4,31 +4,31 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from typing import Any
 
+from kb import owl
 from kb.elements import CHECKS, Changeable, Constraint, Estimation
 from kb.model import Model
-from kb.owl import individuals
 
 Amendment = Sequence[Any]
 """How elements were amended and which: "declared" or "changed" as `plain_json` writes them, "removed" by id."""
 
 
-def amendment(how: str, changed: Sequence[Changeable], serials: individuals.Serials) -> Amendment:
+def amendment(how: str, changed: Sequence[Changeable], serials: owl.Serials) -> Amendment:
     if how == "removed":
-        return how, individuals.element_id(changed[0], serials)
-    return how, individuals.plain_json(made for one in changed for made in individuals.individual(one, serials))
+        return how, owl.element_id(changed[0], serials)
+    return how, owl.plain_json(made for one in changed for made in owl.individual(one, serials))
 
 
-def amend(model: Model, serials: individuals.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+def amend(model: Model, serials: owl.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
     """Change a model as it was changed before; see `Amendment`."""
     is_id = how == "removed"
     if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
-    known = {individuals.element_id(one, serials): one for table in model.tables.values() for one in table.values()}
+    known = {owl.element_id(one, serials): one for table in model.tables.values() for one in table.values()}
     if is_id:
         model.remove(known[written])
         return
-    given = individuals.from_json(written)
-    declarer = individuals.Declarer(model, known)
+    given = owl.from_json(written)
+    declarer = owl.Declarer(model, known)
     if how == "declared":
         with model.at_once():
             declarer.declare(given)
@@ -45,24 +45,24 @@ def amend(model: Model, serials: individuals.Serials, how: str, written: Any) ->
     )
 
 
-def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, individuals.Serials]:
+def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, owl.Serials]:
     """Return the model of a declaration (in `plain_json`) and later amendments, and the numbers of its elements."""
-    given = individuals.from_json(declared)
-    names = [str(value) for one in given if one.kind == individuals.MODEL for value in one.values["name"]]
+    given = owl.from_json(declared)
+    names = [str(value) for one in given if one.kind == owl.MODEL for value in one.values["name"]]
     then = Model(names[0])
-    individuals.Declarer(then).declare(given)
-    numbers = individuals.Serials.of(then)
+    owl.Declarer(then).declare(given)
+    numbers = owl.Serials.of(then)
     for one in amendments:
         amend(then, numbers, *one)
     return then, numbers
 
 
-def amended_alike(then: Model, numbers: individuals.Serials, model: Model) -> individuals.Serials | None:
+def amended_alike(then: Model, numbers: owl.Serials, model: Model) -> owl.Serials | None:
     """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
     if then != model:
         return None
-    pairs = zip(individuals.unnamed(then), individuals.unnamed(model), strict=True)
-    return individuals.Serials((now, numbers[before]) for before, now in pairs)
+    pairs = zip(owl.unnamed(then), owl.unnamed(model), strict=True)
+    return owl.Serials((now, numbers[before]) for before, now in pairs)
 
 
 def differences(then: Model, now: Model) -> list[str]:
@@ -79,8 +79,8 @@ def differences(then: Model, now: Model) -> list[str]:
 def _statements(model: Model) -> dict[str, None]:
     """Return all that a model says; what has no name is known by what is said of it alone."""
     statements: dict[str, None] = {}
-    for one in individuals.individuals(model):
-        given = {name: " and ".join(map(individuals.shown, each)) for name, each in one.values.items()}
+    for one in owl.individuals(model):
+        given = {name: " and ".join(map(owl.shown, each)) for name, each in one.values.items()}
         said = (f"{name} {shown}" for name, shown in given.items() if name != "position")
         own = one.kind if one.id.rpartition(".")[2].isdigit() else one.id
         statements[f"{own} ({', '.join(said)})"] = None

@@ -25,7 +25,7 @@ from kb.explanation.choice import note_nothing
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref
-from kb.owl.individuals import Serials
+from kb.owl import Serials
 from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
 from kb.state import FACTS, History, Reason, State, unset

@@ -23,7 +23,7 @@ from kb.forecasts import Forecaster, feasible_until
 from kb.knowledge import Knowledge
 from kb.model import Model
 from kb.network import Node
-from kb.owl.world import Answer, answers
+from kb.owl.world import Answer, World
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
@@ -146,7 +146,7 @@ class KnowledgeBase:
         known.heard = self._publisher.deliver
         self._held = _holding(known, self._lock)
         self.forecast = Forecaster(self, known)
-        self._keep, self._is_closed = keep, False
+        self._world, self._is_closed = World(known, self.store, keep), False
         self.log: Log = known.log
         self.log.settle = partial(_settle, model, self._held)
         self.history = HistoryView(known.records, self.reading)
@@ -268,7 +268,7 @@ class KnowledgeBase:
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
-        return answers(sparql, timeout, self._knowledge, self.store, self._keep, self._held)
+        return self._world.ask(sparql, timeout, self.reading)
 
     # ---------------------------------------------------------------- told: what is so
 
@@ -632,6 +632,7 @@ class KnowledgeBase:
         """Save all events and close the store; you can still ask what is held in memory, but tell nothing more."""
         with self._lock:
             self._is_closed = self.store is not None
+        self._world.close()
         if self.store is not None:
             self.store.close()
 

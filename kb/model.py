@@ -62,7 +62,7 @@ from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.files import SUFFIXES, ModelFileError, write_text
-from kb.owl.individuals import individuals, plain_json
+from kb.owl import individuals, plain_json
 from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)

@@ -24,7 +24,7 @@ from kb.exceptions import InvalidValue
 from kb.files import sync_folder
 from kb.knowledge import Knowledge
 from kb.model import Model
-from kb.owl.individuals import Serials, individuals, plain_json
+from kb.owl import Serials, individuals, plain_json
 
 KEPT: Final = 10_000  # how many measurements of each attribute are kept: the newest ones
 _EXCESS: Final = """

@@ -4,6 +4,7 @@ A file holds the classes and properties of `rosa.owl` and the individuals of the
 understands it without a second file. This module is imported late.
 """
 
+import json
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -13,12 +14,12 @@ from pathlib import Path
 from typing import Final, TypeVar
 from xml.parsers import expat
 
-from pyoxigraph import Literal, NamedNode, RdfFormat, Triple, parse, serialize
+from pyoxigraph import Literal, NamedNode, RdfFormat, parse, serialize
 
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
-from kb.owl.individuals import (
+from kb.owl import (
     BASE,
     CLASSES,
     GENERAL,
@@ -31,9 +32,11 @@ from kb.owl.individuals import (
     Value,
     individuals,
 )
-from kb.owl.queries import METAMODEL, PREFIXES, ROSA, answer_of, value_of
+from kb.owl.queries import METAMODEL, PREFIXES, ROSA, XSD, answer_of, value_of
 
-_TYPE, _LABEL = NamedNode(f"{PREFIXES['rdf']}type"), NamedNode(f"{PREFIXES['rdfs']}label")
+_TYPE, _LABEL = f"{PREFIXES['rdf']}type", f"{PREFIXES['rdfs']}label"
+_NAMED: Final = f"{PREFIXES['owl']}NamedIndividual"
+_QUOTED: Final = json.JSONEncoder(ensure_ascii=False)  # texts are escaped in JSON as in N-Triples
 _ONTOLOGY: Final = re.compile(r"  <owl:Ontology.*?</owl:Ontology>\n", re.DOTALL)
 _UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})")
 _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
@@ -42,19 +45,19 @@ _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
 _RELATIVE: Final = "http://rosa-taca/file"  # the base of relative names in a file
 
 ModelT = TypeVar("ModelT", bound=Contents)
-Term = NamedNode | Literal
 
 
 def owl_text(model: Contents) -> str:
     """Write a model as an ontology; see `Model.save`."""
     own, *others = individuals(model)
-    base, triples = f"{BASE}{own.id}", list[Triple]()
+    base = f"{BASE}{own.id}"
+    lines = []
     for one in (own, *others):
-        subject = NamedNode(f"{base}#{one.id}")
-        triples.append(Triple(subject, _TYPE, NamedNode(f"{PREFIXES['owl']}NamedIndividual")))
-        triples += [Triple(subject, *terms) for terms in terms_of(one, base, _fit)]
-        triples += [Triple(subject, _LABEL, Literal(_fit(str(name)))) for name in one.values.get("name", ())]
-    written = (serialize(triples, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
+        lines += [f"<{base}#{one.id}> <{_TYPE}> <{_NAMED}> .\n", triples(one, base, _fit)]
+        names = (_term(str(name), base, _fit) for name in one.values.get("name", ()))
+        lines += [f"<{base}#{one.id}> <{_LABEL}> {name} .\n" for name in names]
+    stated = parse("".join(lines), format=RdfFormat.N_TRIPLES)
+    written = (serialize(stated, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
     label = escape(_fit(model.name), quote=False)
     head = (
         f'  <owl:Ontology rdf:about="{base}">\n    <rdfs:label>{label}</rdfs:label>\n'
@@ -66,20 +69,29 @@ def owl_text(model: Contents) -> str:
     return words.replace("</rdf:RDF>", f"  <!-- the model -->\n\n{individuals_of_it}")
 
 
-def terms_of(one: Individual, base: str, text: Callable[[str], str]) -> Iterator[tuple[NamedNode, Term]]:
-    """Yield the properties of an individual and their values; `text` escapes texts."""
-    for kind in dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ():
-        yield _TYPE, NamedNode(f"{ROSA}{kind}")
-    order = "; ".join(
-        " ".join((name, *(value.id for value in values if isinstance(value, Ref))))
-        for name, values in one.values.items()
-        if len(values) > 1
-    )
-    for name, values in {**one.values, "order": (order,) if order else ()}.items():
-        word = NamedNode(f"{ROSA}{name}")
-        for value in dict.fromkeys(values):
-            said = text(value) if isinstance(value, str) else value
-            yield word, NamedNode(f"{base}#{said.id}") if isinstance(said, Ref) else Literal(said)
+def triples(one: Individual, base: str, fit: Callable[[str], str]) -> str:
+    """Write what an individual is as N-Triples; `base` and `#` stand before each id, `fit` escapes texts."""
+    subject = f"<{base}#{one.id}>"
+    kinds = dict.fromkeys((GENERAL.get(one.kind, one.kind), one.kind)) if one.kind else ()
+    lines = [f"{subject} <{_TYPE}> <{ROSA}{kind}> .\n" for kind in kinds]
+    order = []
+    for name, values in one.values.items():
+        lines += [f"{subject} <{ROSA}{name}> {_term(value, base, fit)} .\n" for value in dict.fromkeys(values)]
+        if len(values) > 1:
+            order.append(" ".join((name, *(value.id for value in values if isinstance(value, Ref)))))
+    if order:
+        lines.append(f'{subject} <{ROSA}order> "{"; ".join(order)}" .\n')
+    return "".join(lines)
+
+
+def _term(value: Value, base: str, fit: Callable[[str], str]) -> str:
+    if isinstance(value, str):
+        return _QUOTED.encode(fit(value))
+    if isinstance(value, float):
+        return f'"{repr(value).removesuffix(".0")}"^^<{XSD}double>'
+    if isinstance(value, Ref):
+        return f"<{base}#{value.id}>"
+    return f'"{str(value).lower()}"^^<{XSD}{"boolean" if isinstance(value, bool) else "integer"}>'
 
 
 def _fit(text: str) -> str:
@@ -96,7 +108,7 @@ def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | No
     said_of: dict[str, dict[str, list[Value]]] = {}
     for path in paths:
         read = list(_triples(path))
-        if not any(predicate == _TYPE.value and _local(value) for _, predicate, value in read):
+        if not any(predicate == _TYPE and _local(value) for _, predicate, value in read):
             raise ModelFileError(f"nothing in it is described in the words of {ROSA}", str(path))
         for subject, predicate, value in read:
             said_of.setdefault(subject, {}).setdefault(predicate, []).append(value)
@@ -130,7 +142,7 @@ def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
 
 
 def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual | None:
-    types = [_local(one) for one in said.get(_TYPE.value, ())]
+    types = [_local(one) for one in said.get(_TYPE, ())]
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
         return None
@@ -139,7 +151,7 @@ def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
     if kinds[0] not in _KINDS:
         raise ModelError(f"{subject}: {UnknownName('class', kinds[0], sorted(_KINDS))}")
-    values = {_local(Ref(name)): tuple(each) for name, each in said.items() if name != _TYPE.value}
+    values = {_local(Ref(name)): tuple(each) for name, each in said.items() if name != _TYPE}
     listed = [part.split() for part in str(*values.pop("order", ("",))).split(";") if part.strip()]
     places = {name: players for name, *players in listed}
     ordered = {name: _ordered(each, places.get(name, [])) for name, each in values.items() if name}

@@ -1,18 +1,21 @@
-"""The program that answers one query in SPARQL 1.1 with pyoxigraph; and RDF terms as plain values.
+"""The program that answers queries in SPARQL 1.1 with pyoxigraph; and RDF terms as plain values.
 
 pyoxigraph cannot be interrupted, so this runs as a process of its own, which is killed at the time-out. It imports
-nothing of ours. It reads a line of JSON, `[query, timeout]`, and then the world as N-Triples. It writes lines of JSON,
-each a list of rows, and a last line: null, or `{"error": class, "given": arguments}`.
+nothing of ours: `python queries.py PARENT`, with the pid of the program that asks. It reads the world as N-Triples up
+to an empty line, and then a query in each line, as JSON. For each it writes lines of JSON, each a list of rows, and a
+last line: null, or `{"error": class, "given": arguments}`.
 """
 
 import json
+import os
 import re
 import resource
-import signal
 import sys
+import time
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
+from threading import Thread
 from typing import Final
 
 from pyoxigraph import BlankNode, Literal, NamedNode, QueryBoolean, RdfFormat, Store, Triple
@@ -28,6 +31,8 @@ PREFIXES: Final = {
 }
 _MEMORY: Final = 4 << 30  # the most that the process may use [bytes]
 _MOST_ROWS: Final = 1_000_000
+_LOOK: Final = 1.0  # how often it is looked whether the asking program is still there [s]
+_LOADED: Final = 5000  # triples that are loaded at once
 _AT_ONCE: Final = 500  # rows in a line; reading a longer one would stop the other threads of the asking program
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
 _QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
@@ -42,20 +47,30 @@ class _Refused(Exception):
     """A query that is refused, with the name of the class of the error and its arguments."""
 
 
-def main() -> None:
+def main(parent: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    query, timeout = json.loads(sys.stdin.buffer.readline())
-    signal.setitimer(signal.ITIMER_REAL, 2.0 * timeout + 5.0)  # in case the asking program is no more
-    world, end = Store(), None
+    Thread(target=_end_with, args=(parent,), daemon=True).start()
+    lines, world = sys.stdin.buffer, Store()
     world.load(path=METAMODEL, format=RdfFormat.RDF_XML)
-    world.load(sys.stdin.buffer, format=RdfFormat.N_TRIPLES)
-    try:
-        rows = _rows(world, query)
-        while some := list(islice(rows, _AT_ONCE)):
-            print(json.dumps(some))
-    except _Refused as refused:
-        end = {"error": refused.args[0], "given": refused.args[1:]}
-    print(json.dumps(end))
+    told = iter(lines.readline, b"\n")
+    while some := b"".join(islice(told, _LOADED)):  # while the asking program writes more
+        world.load(some, format=RdfFormat.N_TRIPLES, lenient=True)
+    for query in map(json.loads, lines):
+        end = None
+        try:
+            rows = _rows(world, query)
+            while part := list(islice(rows, _AT_ONCE)):
+                print(json.dumps(part))
+        except _Refused as refused:
+            end = {"error": refused.args[0], "given": refused.args[1:]}
+        print(json.dumps(end), flush=True)
+
+
+def _end_with(parent: int) -> None:
+    """End this process at once when the asking program is no more, even during a query."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK)
+    os._exit(1)
 
 
 def _rows(world: Store, query: str) -> Iterator[list[str | bool | int | float | None]]:
@@ -124,4 +139,4 @@ def value_of(literal: Literal) -> str | bool | int | float:
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]))

@@ -1,11 +1,13 @@
 """Answers SPARQL queries: describes the state and the log of a knowledge base as individuals in a process of its own.
 
-The description is made anew for each query, from copies, so a query does not delay `measure` and the like. Something
-that holds for a time, such as a failure, is one individual with a start, and with an end once it is over.
+The description is made from copies, so a query does not delay `measure` and the like, and the process is kept until an
+event is told. Something that holds for a time, such as a failure, is one individual with a start, and with an end once
+it is over.
 """
 
 import json
 import os
+import socket
 import subprocess
 import sys
 import time
@@ -14,17 +16,17 @@ from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import fields
 from functools import partial
-from io import BytesIO
-from itertools import chain, count
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any, Final
+from weakref import finalize
 
 from kb.elements import KINDS, Attribute, Changeable
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.facts import ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
-from kb.owl.individuals import (
+from kb.owl import (
     BASE,
     CLASSES,
     STATED,
@@ -76,38 +78,94 @@ _UNSAID: Final = frozenset({"plan", "plain", "cause", "serial"})
 """The fields of records that are not described."""
 _LONGEST: Final = 1_000_000  # query [characters]
 _LONGEST_WAIT: Final = 1_000_000.0  # for an answer [s]; the system takes no longer time-outs
-_SLICE: Final = 1000  # number of events that are read from the store at once
+_SLICE: Final = 1000  # number of events that are read from the store, and of individuals that are sent, at once
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName, KnowledgeBaseError)}
 _ENDED: Final = "the process that answers the query has ended; if it needed more than 4 GB of memory, ask for less"
 
 
-def answers(
-    sparql: str,
-    timeout: float,
-    known: Knowledge,
-    store: Store | None,
-    keep: int,
-    reading: AbstractContextManager[State],
-) -> list[tuple[Answer, ...]]:
-    """Answer a query over all that is known, with the newest `keep` measurements; see `KnowledgeBase.query`."""
-    if not isinstance(sparql, str) or len(sparql) > _LONGEST:
-        what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
-        raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
-    timeout = min(timeout, _LONGEST_WAIT)
-    left, world = partial(_left, time.monotonic() + timeout), BytesIO()
-    world.write(json.dumps([sparql, timeout]).encode() + b"\n")
-    try:
-        for line in _triples(_individuals(known, store, keep, reading, left)):
+class World:
+    """All that a knowledge base knows, with the newest `keep` measurements, to be asked in SPARQL."""
+
+    def __init__(self, known: Knowledge, store: Store | None, keep: int) -> None:
+        self._known, self._store, self._keep = known, store, keep
+        self._kept: dict[int, _Process] = {}  # by the last event it knows; while it answers it is taken out
+        self._is_closed = False
+        finalize(self, _end, self._kept)
+
+    def ask(
+        self, sparql: str, timeout: float, reading: Callable[[], AbstractContextManager[State]]
+    ) -> list[tuple[Answer, ...]]:
+        """Answer a query; see `KnowledgeBase.query`."""
+        if not isinstance(sparql, str) or len(sparql) > _LONGEST:
+            what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
+            raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
+        timeout = min(timeout, _LONGEST_WAIT)
+        left, process = partial(_left, time.monotonic() + timeout), None
+        try:
+            process = self._taken(reading) or _Process()
+            if process.last < 0:
+                process.tell(self._individuals(process, reading, left), left)
+            *parts, end = process.answers(sparql, left)
+        except BaseException as error:
+            if process is not None:
+                process.end()
+            if isinstance(error, TimeoutError):
+                much = "ask for less, or allow it a longer timeout"
+                raise KnowledgeBaseError(f"the query was stopped after {timeout:g} s; {much}") from None
+            if isinstance(error, ConnectionError | EOFError):
+                raise KnowledgeBaseError(_ENDED) from None
+            raise
+        if self._is_closed or self._kept.setdefault(process.last, process) is not process:
+            process.end()
+        if end is not None:
+            raise _ERRORS[end["error"]](*end["given"])
+        return [tuple(row) for rows in parts for row in rows]
+
+    def close(self) -> None:
+        """Keep no process any more; who asks later waits for a new one each time."""
+        self._is_closed = True
+        _end(self._kept)
+
+    def _taken(self, reading: Callable[[], AbstractContextManager[State]]) -> "_Process | None":
+        """Take the process that is kept, if no event was told since; end others."""
+        with reading():
+            last = self._known.log.last
+        process = self._kept.pop(last, None)
+        _end(self._kept)
+        if process is None or process.is_usable:
+            return process
+        process.end()
+        return None
+
+    def _individuals(
+        self, process: "_Process", reading: Callable[[], AbstractContextManager[State]], left: Callable[[], float]
+    ) -> Iterator[Individual]:
+        """Yield the model, the inferred statuses, and what was told; older events come from the store."""
+        known, past = self._known, list[Event]()
+        while self._store is not None and known.log.begins > (after := past[-1].number if past else 0) + 1:
             left()
-            world.write(line)
-        *parts, end = _answered(world, left())
-    except (TimeoutError, subprocess.TimeoutExpired):
-        much = "ask for less, or allow it a longer timeout"
-        raise KnowledgeBaseError(f"the query was stopped after {timeout:g} s; {much}") from None
-    if end is not None:
-        raise _ERRORS[end["error"]](*end["given"])
-    return [tuple(row) for rows in parts for row in rows]
+            if not (some := self._store.events(after, _SLICE, measurements=False)):
+                break
+            past += some
+        chronicle = _Chronicle(known)
+        with reading() as state:
+            process.last = known.log.last
+            past += known.log.since(past[-1].number if past else 0, measurements=False)
+            histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
+            measured = [(name, history.samples(self._keep)) for name, history in histories if history is not None]
+            model = individuals(known.model, known.serials)
+            inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
+        yield (own := next(model))
+        yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
+        yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
+        if past:
+            yield Individual("", own.id, {"historyBegins": (float(past[0].time),)})
+        for name, samples in measured:
+            yield from (chronicle.measurement(name, *sample) for sample in samples)
+        yield from chain.from_iterable(map(chronicle.of_event, past))
+        yield from chronicle.of_records(records)
+        yield from chronicle.older(present)
 
 
 def _left(deadline: float) -> float:
@@ -116,67 +174,77 @@ def _left(deadline: float) -> float:
     return seconds
 
 
-def _answered(world: BytesIO, timeout: float) -> list[Any]:
-    """Run the process on a query and the world after it; return lists of rows, and last None or the error."""
-    done = subprocess.run(
-        [sys.executable, "-PS", Path(__file__).with_name("queries.py")],
-        input=world.getbuffer(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
-        timeout=timeout,
-        start_new_session=True,
-    )
-    if done.returncode:
-        raise KnowledgeBaseError(_ENDED)
-    return [json.loads(line) for line in BytesIO(done.stdout)]
+def _end(kept: "dict[int, _Process]") -> None:
+    for last in list(kept):
+        if (process := kept.pop(last, None)) is not None:  # else another thread has it
+            process.end()
 
 
-def _triples(given: Iterable[Individual]) -> Iterator[bytes]:
-    """Yield individuals as N-Triples, one at a time; the first individual is the model."""
-    from kb.owl.files import terms_of  # slow to import
+class _Process:
+    """A process that is told individuals, once, and then answers queries, one after the other; see `queries`.
 
-    base = ""
-    for one in given:
-        base = base or f"{BASE}{one.id}"
-        said = (f"<{base}#{one.id}> {word} {value} .\n" for word, value in terms_of(one, base, _whole))
-        yield "".join(said).encode()
+    It ends when nobody can ask it any more: when its socket is closed, or the program that started it is no more.
+
+    Attributes:
+        last: number of the last event it knows; -1 before it is told anything.
+    """
+
+    def __init__(self) -> None:
+        self.last, self._owner = -1, os.getpid()
+        self._socket, theirs = socket.socketpair()
+        self._lines = self._socket.makefile("rb")
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-PS", str(Path(__file__).with_name("queries.py")), str(self._owner)],
+                stdin=theirs,
+                stdout=theirs,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                start_new_session=True,
+            )
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it is alive and this program, not one that this was forked from, has started it."""
+        return self._owner == os.getpid() and self._process.poll() is None
+
+    def tell(self, given: Iterable[Individual], left: Callable[[], float]) -> None:
+        """Tell it individuals as N-Triples; the first is the model, whose id is in all names."""
+        from kb.owl.files import triples  # slow to import
+
+        every = iter(given)
+        base = f"{BASE}{(own := next(every)).id}"
+        every = chain([own], every)
+        while some := list(islice(every, _SLICE)):
+            self._send("".join(triples(one, base, _whole) for one in some), left)
+        self._send("\n", left)
+
+    def answers(self, sparql: str, left: Callable[[], float]) -> list[Any]:
+        """Return lists of rows, and last None or the error."""
+        self._send(f"{json.dumps(sparql)}\n", left)
+        found: list[Any] = []
+        while not found or isinstance(found[-1], list):
+            self._socket.settimeout(left())
+            if not (line := self._lines.readline()).endswith(b"\n"):
+                raise EOFError
+            found.append(json.loads(line))
+        return found
+
+    def _send(self, text: str, left: Callable[[], float]) -> None:
+        self._socket.settimeout(left())
+        self._socket.sendall(text.encode())
+
+    def end(self) -> None:
+        """End it at once; in a program that was forked, only forget it."""
+        self._lines.close()
+        self._socket.close()
+        self._process.kill()  # only a child of this very program
+        self._process.wait()
 
 
 def _whole(text: str) -> str:
     """Escape lone surrogates, which UTF-8 cannot write."""
     return text.encode("utf-8", "backslashreplace").decode()
-
-
-def _individuals(
-    known: Knowledge,
-    store: Store | None,
-    keep: int,
-    reading: AbstractContextManager[State],
-    left: Callable[[], float],
-) -> Iterator[Individual]:
-    """Yield the model, the inferred statuses, and what was told; older events come from the store."""
-    past: list[Event] = []
-    while store is not None and (some := store.events(past[-1].number if past else 0, _SLICE, measurements=False)):
-        left()
-        past += some
-    chronicle = _Chronicle(known)
-    with reading as state:
-        past += known.log.since(past[-1].number if past else 0, measurements=False)
-        histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
-        measured = [(name, history.samples(keep)) for name, history in histories if history is not None]
-        model = individuals(known.model, known.serials)
-        inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
-    yield (own := next(model))
-    yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
-    yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
-    if past:
-        yield Individual("", own.id, {"historyBegins": (float(past[0].time),)})
-    for name, samples in measured:
-        yield from (chronicle.measurement(name, *sample) for sample in samples)
-    yield from chain.from_iterable(map(chronicle.of_event, past))
-    yield from chronicle.of_records(records)
-    yield from chronicle.older(present)
 
 
 def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]:

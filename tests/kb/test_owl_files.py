@@ -13,8 +13,7 @@ from test_files import odd_models
 
 from kb import KnowledgeBase, Model, ModelError
 from kb.files import ModelFileError
-from kb.owl.files import owl_text, plain_text
-from kb.owl.individuals import (
+from kb.owl import (
     CLASSES,
     GENERAL,
     MODEL,
@@ -24,6 +23,7 @@ from kb.owl.individuals import (
     individuals,
     property_of,
 )
+from kb.owl.files import owl_text, plain_text
 from kb.owl.queries import METAMODEL, ROSA
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave_extended.model import suave_extended_model

@@ -1,9 +1,17 @@
 """Queries in SPARQL see the model, all that was told and what follows from it, and change nothing."""
 
+import gc
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
 import threading
+import time
+from contextlib import suppress
 from decimal import Decimal
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,8 +21,8 @@ from test_files import odd_models
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status, UnknownName
 from kb.facts import StatusFact
+from kb.owl import BASE
 from kb.owl.files import inconsistency
-from kb.owl.individuals import BASE
 from kb.owl.queries import METAMODEL, ROSA
 
 CLASSES = {
@@ -476,3 +484,142 @@ def test_what_is_so_now_is_in_the_world_however_long_ago_it_was_told():
         (plan.start,)
     ]
     assert kb.query("SELECT ?t { ?m :historyBegins ?t }") == [(2.0,)]
+
+
+def answering_for(program):
+    """Return the pids of the processes that answer queries of a program."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if (folder / "cmdline").read_bytes().endswith(f"queries.py\0{program}\0".encode()):
+                found.append(int(folder.name))
+    return found
+
+
+@pytest.fixture
+def answering():
+    """Give a function that returns the pids of those for this program, without those of other tests."""
+    others = answering_for(os.getpid())
+    return lambda: [one for one in answering_for(os.getpid()) if one not in others]
+
+
+ENDLESS = "SELECT (COUNT(?a) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l . ?m ?n ?o . ?p ?q ?r }"
+
+
+def test_process_is_kept_with_its_world_until_something_is_told(base, answering):
+    kb = base(robot(), Clock(1.0))
+    count = "SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }"
+    assert kb.query(count) == [(0,)]
+    (first,) = answering()
+    assert kb.query("ASK { ?x a :Action }") == [(True,)]
+    with pytest.raises(UnknownName):
+        kb.query("SELECT ?x { ?x a :Acton }")
+    assert answering() == [first]
+    kb.measure("load", 1.0)
+    assert kb.query(count) == [(1,)]
+    (second,) = answering()
+    assert second != first
+    os.kill(second, signal.SIGKILL)
+    time.sleep(0.1)
+    assert kb.query(count) == [(1,)]
+    start = time.monotonic()
+    with pytest.raises(KnowledgeBaseError, match="stopped after 2 s"):
+        kb.query(ENDLESS, timeout=2.0)
+    assert time.monotonic() - start < 3.0
+    assert not answering()
+
+
+def test_process_ends_with_its_base(answering):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    assert kb.query("ASK { ?x a :Action }") == [(True,)]
+    kb.close()
+    assert not answering()
+    assert kb.query("ASK { ?x a :Action }") == [(True,)]  # nothing can be told any more, but asked
+    assert not answering()
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    assert kb.query("ASK { ?x a :Action }") == [(True,)]
+    assert answering()
+    del kb
+    gc.collect()
+    assert not answering()
+
+
+def test_many_threads_may_ask_at_once(answering):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    found = []
+
+    def ask():
+        for number in range(5):
+            kb.measure("load", float(number))
+            found.append(kb.query("ASK { ?m a :Measurement }", timeout=60.0))
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert found == [[(True,)]] * 20
+    kb.query("ASK { ?m a :Measurement }")
+    assert len(answering()) == 1
+    kb.close()
+    assert not answering()
+
+
+PROGRAM = """
+import os, signal, sys, time
+sys.path.insert(0, {folder!r})
+from kept import robot
+from kb import KnowledgeBase
+kb = KnowledgeBase(robot())
+assert kb.query("ASK {{ ?x a :Action }}") == [(True,)]
+def interrupted():
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    signal.signal(signal.SIGALRM, signal.default_int_handler)
+    try:
+        kb.query({endless!r})
+    except KeyboardInterrupt:
+        assert kb.query("ASK {{ ?x a :Action }}") == [(True,)]
+    else:
+        raise AssertionError
+def forked():
+    if not (child := os.fork()):
+        kb.component_failed("camera")
+        os._exit(kb.query("ASK {{ ?f a :Failure }}") != [(True,)])
+    assert os.waitpid(child, 0)[1] == 0
+    assert kb.query("ASK {{ ?f a :Failure }}") == [(False,)]
+def killed():
+    if not os.fork():
+        time.sleep(30.0)  # and holds on to all that is open
+    print("killed", flush=True)
+    signal.setitimer(signal.ITIMER_REAL, 0.3)
+    signal.signal(signal.SIGALRM, lambda *_: os.kill(os.getpid(), signal.SIGKILL))
+    kb.query({endless!r})
+{way}()
+"""
+
+
+@pytest.mark.parametrize("way", ["interrupted", "forked", "killed", "str"])
+def test_nothing_is_left_behind_however_a_program_ends(way):
+    program = PROGRAM.format(folder=str(Path(__file__).parent), endless=ENDLESS, way=way)
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, start_new_session=True) as asking:
+        try:
+            assert asking.wait(60.0) == (-signal.SIGKILL if way == "killed" else 0)
+            deadline = time.monotonic() + 10.0
+            while left := answering_for(asking.pid):
+                assert time.monotonic() < deadline, left
+                time.sleep(0.05)
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(asking.pid, signal.SIGKILL)
+
+
+def test_what_has_lapsed_meanwhile_is_not_answered():
+    clock = Clock(1.0)
+    kb = KnowledgeBase(robot(), clock=clock)
+    kb.assert_status("rest", "unfeasible", "holiday", until=2.0)
+    status = "SELECT ?s { ?x a :Action ; :name 'rest' ; :status ?s }"
+    assert kb.query(status) == [("unfeasible",)]
+    clock.now = 3.0
+    assert kb.query(status) == [("feasible",)]
+    assert kb.query("SELECT ?e { ?a a :AssertedStatus ; :end ?e }") == [(2.0,)]
+    kb.close()
