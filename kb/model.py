@@ -274,7 +274,7 @@ class Model:
             from kb.owl.files import load_owl
 
             return load_owl(cls, files, name)
-        from kb.typeql.reader import load_typeql
+        from kb.typeql import load_typeql
 
         return load_typeql(cls, files, name)
 
@@ -284,7 +284,7 @@ class Model:
         if _suffix(file) == ".owl":
             from kb.owl.files import owl_text as written
         else:
-            from kb.typeql.writer import typeql_text as written
+            from kb.typeql import typeql_text as written
         write_text(file, written(self))
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:

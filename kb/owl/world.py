@@ -196,8 +196,8 @@ class _Process:
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-PS", str(Path(__file__).with_name("queries.py")), str(self._owner)],
-                stdin=theirs,
-                stdout=theirs,
+                stdin=theirs.fileno(),
+                stdout=theirs.fileno(),
                 stderr=subprocess.DEVNULL,
                 env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
                 start_new_session=True,

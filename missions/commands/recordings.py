@@ -13,7 +13,7 @@ from rich.table import Table
 
 from kb import Event
 from kb.files import draft
-from kb.typeql.writer import typeql_text
+from kb.typeql import typeql_text
 from missions.commands import FAILED, open_console
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import line_of, read_recording

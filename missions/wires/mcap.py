@@ -22,7 +22,7 @@ from py_trees.trees import BehaviourTree
 
 from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
-from kb.typeql.writer import typeql_text
+from kb.typeql import typeql_text
 from missions.engine.mission import Message, MissionError
 from missions.engine.registry import needs
 from missions.engine.runner import Listener

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from kb import AttributeKind, ComponentKind, Model
 from kb.facts import MeasurementFact
-from kb.typeql.writer import typeql_text
+from kb.typeql import typeql_text
 from missions.agv.model import agv_model
 from missions.engine.mission import MissionError
 from missions.experiments.effort import MODELS, count, generated_model, law
