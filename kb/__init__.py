@@ -14,8 +14,7 @@ from kb.exceptions import (
     UnknownName,
 )
 from kb.execution import StagedExecutor
-from kb.explanation import Explanation
-from kb.explanation.choice import ChoiceExplanation
+from kb.explanation import ChoiceExplanation, Explanation
 from kb.files import ModelFileError
 from kb.forecasts import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase

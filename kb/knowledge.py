@@ -20,8 +20,7 @@ from kb.amendments import amendment
 from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.exceptions import KnowledgeBaseError
-from kb.explanation import reading, staleness, why_selected
-from kb.explanation.choice import note_nothing
+from kb.explanation import note_nothing, reading, staleness, why_selected
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.network import Network, Node, Ref

@@ -12,7 +12,6 @@ from typing import Final
 from kb import explanation, views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
-from kb.explanation import choice
 from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
@@ -110,14 +109,14 @@ def why(base: Readable, element: Meant) -> str:
         return explanation.why(state, meant(base, state, element, _EXPLAINED), now)
 
 
-def explain_choice(base: Readable, element: Meant) -> choice.ChoiceExplanation:
+def explain_choice(base: Readable, element: Meant) -> explanation.ChoiceExplanation:
     """Say why a function has the design, or a component the configuration, that it has, and not another one.
 
     Of a name that both kinds share the function is meant.
     """
     now = base.now
     with base.reading() as state:
-        return choice.explain_choice(state, meant(base, state, element, ("function", "component")), now)
+        return explanation.explain_choice(state, meant(base, state, element, ("function", "component")), now)
 
 
 def outline(state: State) -> str:
