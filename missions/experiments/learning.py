@@ -15,7 +15,7 @@ from typing import Final, NamedTuple, Self
 
 from kb import Event, Model
 from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation, EstimationKind, Rate
-from kb.forecasts.extrapolation import Series, slope_of
+from kb.forecasts import Series, slope_of
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
 from missions.engine.registry import needs
 from missions.engine.runner import MissionRun, RosaRun
