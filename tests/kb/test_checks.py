@@ -329,7 +329,7 @@ def test_finding_is_one_line_that_says_what_where_and_what_to_do():
     finding = model.check()[0]
     assert str(finding) == (
         "error: function see far has no design [function-without-designs]; "
-        "declare a design with the components that realise the function, or take the function out"
+        "declare a design with the components that realise the function, or remove the function"
     )
     with pytest.raises(AttributeError):
         finding.code = "other"
