@@ -79,7 +79,7 @@ def read_text(file: Path) -> str:
         before = content[: error.start]
         column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
         likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
-        message = f"byte {content[error.start]:#04x} at offset {error.start} is no UTF-8, which is expected; "
+        message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8, which is expected; "
         message += f"the file may be {likely}: save it as UTF-8"
         raise ModelFileError(message, str(file), before.count(b"\n") + 1, column) from None
 

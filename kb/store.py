@@ -49,7 +49,7 @@ class Store:
         path: path of the file.
         is_new: whether the file has no events yet.
         saved: number of the last event that is certainly on disk.
-        error: why nothing is saved now, or any more; None while there is no error.
+        error: why nothing is saved now; None while there is no error.
         left: actions that an earlier program left required; a task layer resumes or cancels them.
         model: the model that the events are about; if none is given, the model in the file.
         time: time of the last event in the file when it was opened [s].
@@ -112,7 +112,7 @@ class Store:
         for plan in list(known.records.open_plans.values()):
             known.apply(now, "finish_plan", (plan.number, "abandoned"))
         for serial in [serial for serial, one in known.records.attempts.items() if one.end is None]:
-            known.apply(now, "finish_attempt", (serial, "abandoned", "nobody saw what came of it"))
+            known.apply(now, "finish_attempt", (serial, "abandoned", "its result is not known"))
         self.left = tuple(known.records.required)
 
     def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
@@ -215,7 +215,7 @@ class Store:
                 )
         self._end()
         if unsaved:
-            raise store_file.StoreError(f"{self.error}. {unsaved} events are lost; what is in the file is sound")
+            raise store_file.StoreError(f"{self.error}. {unsaved} events are lost; the file is sound")
 
     def _end(self) -> None:
         with self.using, suppress(sqlite3.Error):
@@ -272,7 +272,7 @@ class Store:
         if (last == self.saved and snapshot is None) or self._is_given_up:
             return
         if waiting > _MOST_WAITING or len(batch) != waiting:
-            self._fail(OSError("too much waits for room"), is_given_up=True)
+            self._fail(OSError("too many events wait to be saved"), is_given_up=True)
             return
         try:
             if batch or snapshot is not None:
@@ -287,7 +287,7 @@ class Store:
             self.saved, self.error = last, None
             self._progress.notify_all()
         if was_wrong:
-            self._say(f"{self.path}: all is saved again", logging.WARNING)
+            self._say(f"{self.path}: everything is saved again", logging.WARNING)
         if (now := time.monotonic()) - self._synced > _AGAIN:
             self._synced = now
             with suppress(OSError):
@@ -344,8 +344,8 @@ class Store:
 
     def _fail(self, error: Exception, *, is_given_up: bool) -> None:
         is_news, self._is_given_up = self.error is None, is_given_up
-        since = f"{self.path}: nothing is saved {'any more ' if is_given_up else ''}since event {self.saved}: {error}"
-        words = since if is_given_up else f"{since}; it is tried again every second"
+        since = f"{self.path}: nothing has been saved since event {self.saved}: {error}"
+        words = f"{since}; {'nothing will be saved any more' if is_given_up else 'it is tried again every second'}"
         with self._progress:
             self.error = words
             self._progress.notify_all()

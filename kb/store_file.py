@@ -46,7 +46,7 @@ class StoreError(KnowledgeBaseError):
 
 def damaged(path: Path, what: object) -> StoreError:
     repair = f"`rosa store repair {path} NEW` writes what is sound to a new file, or take a copy of it that is sound"
-    return StoreError(f"{path}: the store is damaged: {what}. It is left as it is; {repair}")
+    return StoreError(f"{path}: the store is damaged: {what}. It is left unchanged; {repair}")
 
 
 def digest(before: bytes, *values: object) -> bytes:
@@ -307,9 +307,9 @@ def _in_use(path: Path) -> StoreError:
 
 def check_format(path: Path, head: bytes) -> None:
     if not head.startswith(_MAGIC) or len(head) < HEAD:
-        raise StoreError(f"{path}: this is no store but another file; it is left as it is. Name another one")
+        raise StoreError(f"{path}: this is not a store; it is left unchanged. Name another file")
     if int.from_bytes(head[68:72], "big") != _OWNER:
-        raise StoreError(f"{path}: this is a database of something else; it is left as it is. Name another file")
+        raise StoreError(f"{path}: this is the database of another program; it is left unchanged. Name another file")
     found = int.from_bytes(head[60:64], "big")
     if found != FORMAT:
         which = "a newer version; update" if found > FORMAT else "an older version; open it with that"

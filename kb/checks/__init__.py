@@ -266,7 +266,7 @@ def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
     requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
     for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
         if attribute not in estimated.get(network.actions[action], ()):
-            message = f"action {action} is to favour {attribute}, which is estimated for nothing that it can use"
+            message = f"action {action} prefers {attribute}, which is estimated for nothing that it can use"
             yield found("missing-estimation", network.actions[action], message)
 
 

@@ -82,7 +82,7 @@ class Quarantine:
 
     def __init__(self, hold: float) -> None:
         if not is_number(hold) or not hold >= 0:
-            raise InvalidValue(f"a configuration is held back for 0 s or longer, math.inf for ever, not {hold!r}")
+            raise InvalidValue(f"a hold is 0 s or longer, math.inf for ever, not {hold!r}")
         self._hold = hold
         self.held: dict[str, str] = {}
         self._failed: set[str] = set()
@@ -154,7 +154,7 @@ class StagedExecutor:
         self._managed = managed
         by_name = timeout_by_component or {}
         if type(attempts) is not int or attempts < 1:
-            raise InvalidValue(f"a command is given a whole number of times, once at least, not {attempts!r}")
+            raise InvalidValue(f"attempts are a whole number from 1, not {attempts!r}")
         for lasts in (timeout, *by_name.values()):
             if not is_number(lasts) or not lasts > 0:
                 raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {lasts!r}")
@@ -423,20 +423,20 @@ class _Command:
             return "failed", words_of(error)
         if not ended and not is_late:
             return None
-        is_reached, doubt = None, f"{self.component} was not found so"
+        is_reached, doubt = None, f"{self.component} was not in that state"
         if self.configuration is None:  # whether parameters are in force cannot be asked
             active, trouble = look(managed, self.component)
             is_reached = None if active is None else active is (self.operation == "activate")
             if trouble:
-                is_reached, doubt = False, f"nobody could tell ({trouble})"
+                is_reached, doubt = False, f"its state could not be read ({trouble})"
         if ended and is_reached is not False:
             return "completed", ""
         if not is_late:
             return None
         if is_reached:
-            return "completed", "it never said so, but it is done"
+            return "completed", "it was never reported done, but it is"
         if ended:
-            return "failed", f"it was said to be done, but {doubt} within {self.policy.timeout:g} s"
+            return "failed", f"it was reported done, but {doubt} within {self.policy.timeout:g} s"
         self._cancel()
         return "failed", f"it was not done within {self.policy.timeout:g} s"
 

@@ -534,7 +534,7 @@ class _Choosing:
         if part not in self.possible:
             return f"it{why(self.state, part, self.now).removeprefix(part.name)}"
         if self.nothing:
-            return "no choice with it would do either"
+            return "no choice with it would work either"
         if part is self.first:
             return self._why_not_yet(part)
         if self.said:
@@ -549,7 +549,7 @@ class _Choosing:
         node, due = self.node, choice_by_priority(self.state)
         if due is not None and part.name in (due.designs.get(node.name), due.configurations.get(node.name)):
             return "it is to be selected next"
-        return f"nothing is selected anew for the {node.kind}, whose status is {self.state.status[node.index]}"
+        return f"nothing new is selected for the {node.kind}, whose status is {self.state.status[node.index]}"
 
 
 def _in_words(priority: float | None) -> str:

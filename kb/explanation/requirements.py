@@ -288,7 +288,7 @@ class Measured:
 
     def __str__(self) -> str:
         bounds = self.interval.text(self.attribute, self.unit)
-        return f"{bounds} measured anew" if self.again else f"{bounds} for longer" if self.longer else bounds
+        return f"{bounds} measured again" if self.again else f"{bounds} for longer" if self.longer else bounds
 
 
 @dataclass(frozen=True, slots=True)

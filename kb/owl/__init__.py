@@ -263,7 +263,7 @@ class Declarer:
             try:
                 return {str(one["key"][0]): json.loads(str(one["parameterValue"][0])) for one in parameters}
             except (ValueError, TypeError, LookupError) as error:
-                raise InvalidValue(f"it is not written as it should be: {error}") from None
+                raise InvalidValue(f"it is not valid: {error}") from None
         if field == "preference":
             return dict(self._weight(self._inner(one)) for one in given)
         if (of := elements.REFERENCES.get(field)) or field in ("constrained", "causer", "element"):
@@ -277,7 +277,7 @@ class Declarer:
 
     def _inner(self, value: Value) -> Individual:
         if not isinstance(value, Ref) or value.id not in self.nested:
-            raise ModelError(f"{shown(value)} is no individual that is described")
+            raise ModelError(f"{shown(value)} is not described")
         return self.nested[value.id]
 
     def _weight(self, one: Individual) -> tuple[str, Any]:

@@ -136,9 +136,9 @@ def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
             yield about, one.predicate.value, plain_text(value) if isinstance(value, str) else value
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
-        raise ModelFileError(f"this is no RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
+        raise ModelFileError(f"this is not RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
     except SyntaxError as error:
-        raise ModelFileError(f"this is no RDF/XML: {' '.join(str(error).split())}", str(path)) from None
+        raise ModelFileError(f"this is not RDF/XML: {' '.join(str(error).split())}", str(path)) from None
 
 
 def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual | None:
@@ -148,7 +148,7 @@ def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual
         return None
     kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
     if len(kinds) > 1:
-        raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be one of them")
+        raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be only one of them")
     if kinds[0] not in _KINDS:
         raise ModelError(f"{subject}: {UnknownName('class', kinds[0], sorted(_KINDS))}")
     values = {_local(Ref(name)): tuple(each) for name, each in said.items() if name != _TYPE}
@@ -188,7 +188,7 @@ def inconsistency(text: str) -> str | None:
         owlready2.sync_reasoner_hermit(world, debug=0, ignore_unsupported_datatypes=True)
         empty = sorted(one.name for one in world.inconsistent_classes())
     except owlready2.OwlReadyInconsistentOntologyError:
-        return "HermiT finds the ontology inconsistent: what it says cannot all be so"
+        return "HermiT finds the ontology inconsistent: what it says cannot all be true"
     except owlready2.OwlReadyJavaError as error:
         raise KnowledgeBaseError(f"HermiT failed: {error}") from None
     finally:

@@ -353,7 +353,7 @@ class Output:
         try:
             self._write(data)
         except OSError as error:  # e.g. a full disk, which must not stop a component
-            _log.warning("what goes to %s is lost: %s", self.path, error.strerror)
+            _log.warning("output to %s is lost: %s", self.path, error.strerror)
 
     def _write(self, data: bytes) -> None:
         if not 0 < self._size <= self._half - len(data):

@@ -176,7 +176,7 @@ class _Reading:
                 (name,) = _names(thing, "component")
                 yield thing.order, facts.ProcessFact(name, pid, **_period(thing)), thing.place
             else:
-                self.store.note(thing.place, f"this {thing.type.label} has no pid; it is passed over")
+                self.store.note(thing.place, f"this {thing.type.label} has no pid; it is ignored")
         for thing in self.store.things["reconfiguration-plan"]:
             yield thing.order, self._plan(thing), thing.place
 
@@ -232,7 +232,7 @@ class _Reading:
             elif one.thing.kind == kind:
                 names += (chosen := _names(one.thing, role))
                 if not chosen:
-                    self.store.note(one.thing.place, f"this {one.thing.type.label} names no {role}; it is passed over")
+                    self.store.note(one.thing.place, f"this {one.thing.type.label} names no {role}; it is ignored")
             elif one.thing.kind in ("component", "component-configuration") and one.role and one.role.name == kind:
                 names.append(one.thing.name)
         return tuple(names)
@@ -243,7 +243,7 @@ class _Reading:
         if own is None or not word:
             return None
         if word not in _RESULTS:
-            message = f"{own.value!r} is no result and is taken as abandoned; there are completed, failed, abandoned"
+            message = f"{own.value!r} is not a result, and is read as abandoned; there are completed, failed, abandoned"
             self.store.note(own.place, message)
         return _RESULTS.get(word, "abandoned")
 

@@ -80,7 +80,7 @@ Bindings = Mapping[str, Thing]
 
 
 class Store:
-    """All things so far, by kind in order and by name; and notes of what was passed over.
+    """All things so far, by kind in order and by name; and notes of what was ignored.
 
     Attributes:
         file: the file of the query that is being read.
@@ -101,7 +101,7 @@ class Store:
         if found is None:
             if thing.kind and label not in self.vocabulary.attributes:
                 known = [one.words[0] for one in ATTRIBUTES.get(thing.kind, ())]
-                self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; passed over")
+                self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; ignored")
             thing.owns.append(Own("", label, value, place, self.order))
             return
         own = Own(found.name, label, _checked(found, value, label, place), place, self.order)
@@ -110,7 +110,7 @@ class Store:
             if before.value != own.value:
                 if before.label == label:
                     raise place.error(f"{label} is {own.value!r} here, and {before.value!r} at {before.place}")
-                self.note(place, f"{label} is passed over: {before.label} at {before.place} says it already")
+                self.note(place, f"{label} is ignored: {before.label} at {before.place} has said it")
             return
         thing.owns.append(own)
         if found.name == "name":
@@ -144,12 +144,12 @@ class Store:
             return None
         name = statement.variable
         if name in things:
-            why = f"{name} is given a type already at {things[name].place}, {things[name].type.label}; a thing has one"
+            why = f"{name} already has the type {things[name].type.label}, at {things[name].place}; a thing has one"
             raise self._place(statement.word).error(why)
         place = self._place(statement.isa)
         thing = Thing(self.vocabulary.type(statement.isa, place), place)
         if not thing.kind:
-            self.note(place, f"{thing.type.label} is no sort of anything in ROSA; it is passed over")
+            self.note(place, f"{thing.type.label} is no kind of thing in ROSA; it is ignored")
         self.things[thing.kind].append(thing)
         if name:
             things[name] = thing

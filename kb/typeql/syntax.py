@@ -62,7 +62,7 @@ class Statement(NamedTuple):
 
 
 class Define(NamedTuple):
-    """`define ...`: each type and its parents; other clauses are passed over."""
+    """`define ...`: each type and its parents; other clauses are ignored."""
 
     definitions: tuple[tuple[Word, tuple[Word, ...]], ...]
 
@@ -133,7 +133,7 @@ def _statement(first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Pl
 def _stated(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
     for value in (has.value for one in statements for has in one.has):
         if isinstance(value, Word):  # only reading queries have such variables, and they are refused elsewhere
-            raise _Refused(value, f"`{value}` stands here; expected a value")
+            raise _Refused(value, f"unexpected `{value}`; expected a value")
     return statements
 
 
@@ -152,7 +152,7 @@ def _value(word: Word) -> Literal:
             return moment if moment.tzinfo else moment.replace(tzinfo=UTC)
         return int(text) if re.fullmatch(r"[+-]?\d+", text) else float(text)
     except ValueError as error:
-        raise _Refused(word, f"`{text:.40}` is no value: {error!s:.60}") from None
+        raise _Refused(word, f"`{text:.40}` is not a value: {error!s:.60}") from None
 
 
 def _unescaped(found: re.Match[str]) -> str:
@@ -201,8 +201,8 @@ def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) 
         given = f"`{error.token if len(error.token) <= 40 else f'{error.token[:37]}...'}`"
     else:
         character = text[error.pos_in_stream or 0]
-        given = "a text without a closing quote" if character in "'\"" else f"{character!r}"
-    return ModelFileError(f"{given} stands here; expected {wanted}", file, error.line, error.column)
+        given = "text without a closing quote" if character in "'\"" else f"{character!r}"
+    return ModelFileError(f"unexpected {given}; expected {wanted}", file, error.line, error.column)
 
 
 def _wanted(error: UnexpectedToken | UnexpectedCharacters) -> str:

@@ -166,9 +166,9 @@ class Vocabulary:
             return known
         parent, place = self._parents[label]
         if label in below:
-            raise place.error(f"{label} is declared a sort of itself: {' sub '.join([*below, label])}")
+            raise place.error(f"{label} is declared a subtype of itself: {' sub '.join([*below, label])}")
         if len(below) > MAX_DEPTH:
-            raise place.error(f"more than {MAX_DEPTH} types follow one another; declare {parent} before {label}")
+            raise place.error(f"more than {MAX_DEPTH} types are below one another; declare {parent} before {label}")
         above = None if parent in _ROOTS else self._link(parent, [*below, label])
         is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in ATTRIBUTES)
         if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):

@@ -9,7 +9,7 @@ from clocks import Clock
 from kb import KnowledgeBase, Model, PriorityPlanner
 
 KEPT = 50
-LOST = "nobody saw what came of it"
+LOST = "its result is not known"
 
 
 def answers(kb, *, ended=False):

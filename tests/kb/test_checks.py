@@ -202,7 +202,7 @@ def configuration_without_the_estimation_of_its_rival(model):
     model.designs["by sonar"].estimate("light", 0.0)
 
 
-@specimen("missing-estimation", "action explore", "is to favour light, which is estimated for nothing")
+@specimen("missing-estimation", "action explore", "prefers light, which is estimated for nothing")
 def preferred_attribute_that_nothing_estimates(model):
     model.add_fact(RequiredActionFact("explore", {"light": 1.0}))
 

@@ -114,7 +114,7 @@ def test_a_system_that_says_done_when_it_is_not_or_never_answers_is_found_out(li
     assert managed.running == {"lidar"}
     assert not kb.components["camera"].is_active
     assert kb.components["camera"].status is Status.FAILURE
-    reason = "it was said to be done, but camera was not found so within 3 s" if lie is LIE else "not done within 3 s"
+    reason = "reported done, but camera was not in that state within 3 s" if lie is LIE else "not done within 3 s"
     assert reason in kb.history.attempts[1].reason
 
 
@@ -136,7 +136,7 @@ def test_what_is_done_counts_though_the_system_never_says_so():
     come_to_rest(manager, kb, clock)
     assert kb.actions["explore"].status is Status.SOLVED
     (switched,) = [one for one in kb.history.attempts if one.operation == "activate"]
-    assert (switched.result, switched.reason) == ("completed", "it never said so, but it is done")
+    assert (switched.result, switched.reason) == ("completed", "it was never reported done, but it is")
 
 
 @pytest.mark.parametrize("answer", [Broken("no idea"), None])
@@ -151,7 +151,7 @@ def test_a_look_that_fails_never_raises(answer):
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     if isinstance(answer, Exception):
-        assert "nobody could tell (no idea)" in kb.history.attempts[1].reason
+        assert "its state could not be read (no idea)" in kb.history.attempts[1].reason
         assert kb.actions["explore"].status is Status.UNFEASIBLE
     else:
         assert managed.running == {"camera"}

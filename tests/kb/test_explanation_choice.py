@@ -91,9 +91,7 @@ def test_a_component_is_chosen_for_after_the_designs_are():
     kb.measure("charge", 0)
     told = kb.explain_choice(kb.components["arm"])
     assert "it was possible before" in told.reason
-    assert reasons(told) == {
-        "coarse": "nothing is selected anew for the component, whose status is configuration error"
-    }
+    assert reasons(told) == {"coarse": "nothing new is selected for the component, whose status is configuration error"}
     PriorityPlanner().plan(kb)
     assert kb.components["arm"].selected_configuration != "coarse"
 
@@ -166,7 +164,7 @@ def test_what_works_is_kept_unless_it_is_to_be_improved(kb, camera, model):
     explained = choice_of(kb, camera)
     assert (explained.chosen, explained.is_selected) == ("dusk", True)
     assert explained.reason == "it was preferred before"
-    assert reasons(explained)["day"] == "nothing is selected anew for the component, whose status is solved"
+    assert reasons(explained)["day"] == "nothing new is selected for the component, whose status is solved"
     model.change(model.components["camera"], always_improve=True)
     assert reasons(choice_of(kb, camera))["day"] == "it is to be selected next"
 

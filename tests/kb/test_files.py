@@ -306,5 +306,5 @@ def test_text_beside_the_elements_of_an_owl_file_is_refused(tmp_path):
     for stray in (f"  and stop\n{line}", f"{line} and stop"):
         path.write_text(written.replace(line, stray))
         assert path.read_text() != written
-        with pytest.raises(ModelFileError, match=r"m.owl: .*no RDF/XML: Unexpected text event: .*and stop"):
+        with pytest.raises(ModelFileError, match=r"m.owl: .*not RDF/XML: Unexpected text event: .*and stop"):
             Model.load(path)

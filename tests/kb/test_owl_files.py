@@ -235,10 +235,10 @@ NAMED = f'{HEAD}<Action rdf:about="http://x#a"><name>go</name>{{}}</Action></rdf
     ("text", "message", "line"),
     [
         ("", "the file is empty", None),
-        ("insert $a isa Action;", "this is no RDF/XML: syntax error", 1),
-        (HALF, "this is no RDF/XML: no element found", HALF.count("\n") + 1),
-        (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "this is no RDF/XML: mismatched tag", 3),
-        ("<html><body/></html>", "this is no RDF/XML: XML namespaces are required", None),
+        ("insert $a isa Action;", "this is not RDF/XML: syntax error", 1),
+        (HALF, "this is not RDF/XML: no element found", HALF.count("\n") + 1),
+        (f"{HEAD}\n<Action>\n</Function></rdf:RDF>", "this is not RDF/XML: mismatched tag", 3),
+        ("<html><body/></html>", "this is not RDF/XML: XML namespaces are required", None),
         (METAMODEL.read_text(encoding="utf-8"), "nothing in it is described in the words", None),
         (
             NAMED.format('<priorty rdf:datatype="x">1</priorty>'),
@@ -250,7 +250,11 @@ NAMED = f'{HEAD}<Action rdf:about="http://x#a"><name>go</name>{{}}</Action></rdf
         (NAMED.replace("Action", "Acton").format(""), "unknown class 'Acton'; did you mean 'Action'", None),
         (NAMED.replace("<name>go</name>", "").format(""), "it has no name", None),
         (NAMED.replace("Action", "Attribute").format(""), "a QualityAttribute or an EnvironmentalAttribute", None),
-        (NAMED.format(f'<rdf:type rdf:resource="{ROSA}Function"/>'), "is Action and Function; it can be one", None),
+        (
+            NAMED.format(f'<rdf:type rdf:resource="{ROSA}Function"/>'),
+            "is Action and Function; it can be only one",
+            None,
+        ),
     ],
 )
 def test_file_that_is_no_model_is_an_error_that_says_where(text, message, line, tmp_path, capfd):

@@ -253,7 +253,7 @@ def test_a_stale_measurement_that_counts_as_violated_has_to_be_taken_again(model
     clock.now += 12.0
     assert str(kb.explain("look")) == (
         "look is unfeasible because light 0.3 is stale: measured 12.0 s ago, at most 5 s; "
-        "it would be feasible with light >= 0.2 measured anew"
+        "it would be feasible with light >= 0.2 measured again"
     )
 
 

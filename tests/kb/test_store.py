@@ -262,9 +262,9 @@ def damaged(path):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path: path.write_text("my diary, no database at all" * 9), "this is no store but another file"),
-        (lambda path: path.write_bytes(b"SQLite format 3\0"), "this is no store but another file"),
-        (sqlite_of_something_else, "a database of something else"),
+        (lambda path: path.write_text("my diary, no database at all" * 9), "this is not a store"),
+        (lambda path: path.write_bytes(b"SQLite format 3\0"), "this is not a store"),
+        (sqlite_of_something_else, "the database of another program"),
         (newer, f"has format {FORMAT + 1}, of a newer version"),
         (damaged, "damaged|malformed|no such|opened"),
         (lambda path: path.mkdir(), "cannot be read|another file"),
@@ -403,8 +403,8 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
             fill(kb)
             assert kb.query(failures) == [(5.0,), (5.0,)]
             assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
-            assert "nothing is saved since event" in kb.store.error
-            assert soon(lambda: any("nothing is saved since event" in text for text in told))  # the writer tells it
+            assert "nothing has been saved since event" in kb.store.error
+            assert soon(lambda: any("nothing has been saved" in text for text in told))  # the writer tells it
             assert "it is tried again every second" in caplog.text
             kb.component_recovered("camera")
             assert kb.request_action("explore")
@@ -440,7 +440,7 @@ def test_all_that_waited_is_saved_in_order_once_the_disk_has_room_again(tmp_path
         untroubled.assert_required("see", True)
         untroubled.component_failed("camera", "rain")
         assert soon(lambda: kb.store.error is None and kb.flush(1.0))
-        assert soon(lambda: any(text.endswith("all is saved again") for text in told))
+        assert soon(lambda: any(text.endswith("everything is saved again") for text in told))
         kb.component_recovered("lidar")
         untroubled.component_recovered("lidar")
         assert kb.flush(120.0)
@@ -461,9 +461,9 @@ def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch)
             assert soon(lambda: "any more" in kb.store.error)
         kb.measure("load", 5000.0)
         assert not kb.flush(1.5)
-        assert "nothing is saved any more" in kb.store.error
+        assert "nothing will be saved any more" in kb.store.error
         assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(5000.0,)]
-        with pytest.raises(StoreError, match=r"\d+ events are lost; what is in the file is sound"):
+        with pytest.raises(StoreError, match=r"\d+ events are lost; the file is sound"):
             kb.close()
 
 
