@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from decimal import Decimal
 from typing import NamedTuple
 
-from kb.elements import ComponentKind, Configuration, finite_number, is_number
+from kb.elements import ComponentKind, Configuration, finite_number, is_number, whole
 from kb.exceptions import InvalidValue, ProtocolError
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
@@ -153,8 +153,7 @@ class StagedExecutor:
         check_methods("a managed system", managed, ManagedSystem, ("is_active(component)",))
         self._managed = managed
         by_name = timeout_by_component or {}
-        if type(attempts) is not int or attempts < 1:
-            raise InvalidValue(f"attempts are a whole number from 1, not {attempts!r}")
+        whole("the number of attempts", attempts)
         for lasts in (timeout, *by_name.values()):
             if not is_number(lasts) or not lasts > 0:
                 raise InvalidValue(f"a time-out is more than 0 s, math.inf for none, not {lasts!r}")

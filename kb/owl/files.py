@@ -19,19 +19,7 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, parse, serialize
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
-from kb.owl import (
-    BASE,
-    CLASSES,
-    GENERAL,
-    MODEL,
-    PARAMETER,
-    PREFERENCE,
-    Declarer,
-    Individual,
-    Ref,
-    Value,
-    individuals,
-)
+from kb.owl import BASE, CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Declarer, Individual, Ref, Value, individuals
 from kb.owl.queries import METAMODEL, PREFIXES, ROSA, XSD, answer_of, value_of
 
 _TYPE, _LABEL = f"{PREFIXES['rdf']}type", f"{PREFIXES['rdfs']}label"

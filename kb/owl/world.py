@@ -26,18 +26,7 @@ from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.facts import ActiveFact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
-from kb.owl import (
-    BASE,
-    CLASSES,
-    STATED,
-    Individual,
-    Ref,
-    Values,
-    described,
-    element_id,
-    individuals,
-    named_id,
-)
+from kb.owl import BASE, CLASSES, STATED, Individual, Ref, Values, described, element_id, individuals, named_id
 from kb.records import Records
 from kb.state import State
 from kb.store import Store
@@ -142,20 +131,15 @@ class World:
         self, process: "_Process", reading: Callable[[], AbstractContextManager[State]], left: Callable[[], float]
     ) -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
-        known, past = self._known, list[Event]()
-        while self._store is not None and known.log.begins > (after := past[-1].number if past else 0) + 1:
-            left()
-            if not (some := self._store.events(after, _SLICE, measurements=False)):
-                break
-            past += some
-        chronicle = _Chronicle(known)
+        known, chronicle = self._known, _Chronicle(self._known)
         with reading() as state:
-            process.last = known.log.last
-            past += known.log.since(past[-1].number if past else 0, measurements=False)
+            process.last, begins = known.log.last, known.log.begins
+            held = list(known.log.since(0, measurements=False))
             histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
             measured = [(name, history.samples(self._keep)) for name, history in histories if history is not None]
             model = individuals(known.model, known.serials)
             inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
+        past = [*self._older(held[0].number if held else process.last + 1, left), *held] if begins > 1 else held
         yield (own := next(model))
         yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
         yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
@@ -166,6 +150,15 @@ class World:
         yield from chain.from_iterable(map(chronicle.of_event, past))
         yield from chronicle.of_records(records)
         yield from chronicle.older(present)
+
+    def _older(self, number: int, left: Callable[[], float]) -> Iterator[Event]:
+        """Yield the events of the store before one."""
+        after = 0
+        while self._store is not None and (some := self._store.events(after, _SLICE, measurements=False)):
+            left()
+            yield from (event for event in some if event.number < number)
+            if (after := some[-1].number) >= number:
+                return
 
 
 def _left(deadline: float) -> float:

@@ -24,7 +24,7 @@ from types import MappingProxyType
 from typing import IO, Any, Final
 from urllib.parse import quote
 
-from kb.elements import Parameters, is_number
+from kb.elements import Parameters, is_number, whole
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.knowledge_base import KnowledgeBase
 from kb.processes import guardian
@@ -81,8 +81,7 @@ class Program:
         for text in (*self.arguments, *self.environment, *self.environment.values()):
             if not isinstance(text, str) or "\0" in text:
                 raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
-        if type(self.restarts) is not int or self.restarts < 0:
-            raise InvalidValue(f"restarts are a whole number from 0, not {self.restarts!r}")
+        whole("the number of restarts", self.restarts, 0)
         for what in ("grace", "back_off"):
             value = getattr(self, what)
             if not is_number(value) or not 0 <= value < math.inf:

@@ -127,7 +127,7 @@ class _Reading:
                 names = _names(thing, role.name)
                 given[role.field] = names[0] if role.most == 1 else names
         if cls in (Attribute, Component):
-            kinds = [_KINDS[one.label] for one in thing.type.lineage() if one.label in _KINDS]
+            kinds = [_KINDS[label] for label in thing.type.lineage if label in _KINDS]
             given |= {"kind": kinds[0]} if kinds else {}
         if cls is Configuration:
             given["parameters"] = _parameters(thing)

@@ -189,7 +189,7 @@ class Store:
     def _extended(self, known: Bindings, one: Statement) -> Iterator[Bindings]:
         wanted = self._type(one)
         for thing in self._candidates(known, one):
-            if (wanted is None or wanted in thing.type.lineage()) and all(_has(thing, has) for has in one.has):
+            if (wanted is None or wanted.label in thing.type.lineage) and all(_has(thing, has) for has in one.has):
                 yield from self._relating({**known, one.variable: thing} if one.variable else known, thing, one.players)
 
     def _candidates(self, known: Bindings, one: Statement) -> Iterable[Thing]:

@@ -4,7 +4,7 @@ The kind of a thing is the ROSA type that its type is or descends from, as `voca
 """
 
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime, timedelta
 from functools import cache
 from importlib.resources import files
@@ -86,18 +86,11 @@ CLASSES: Final[Mapping[type, str]] = {
 
 
 class Type(NamedTuple):
-    """A type of thing; its kind is empty if ROSA does not know it."""
+    """A type of thing, with its label and those above it; the kind is empty if ROSA does not know it."""
 
     label: str
     kind: str
-    parent: "Type | None" = None
-
-    def lineage(self) -> Iterator["Type"]:
-        """Yield this type, its parent, and so on."""
-        one: Type | None = self
-        while one is not None:
-            yield one
-            one = one.parent
+    lineage: tuple[str, ...]
 
 
 class Vocabulary:
@@ -111,10 +104,10 @@ class Vocabulary:
     """
 
     def __init__(self, defined: Iterable[tuple[str, Define]] = ()) -> None:
-        self._types: dict[str, Type] = {_plain(kind): Type(kind, kind) for kind in ROLES}
+        self._types: dict[str, Type] = {_plain(kind): Type(kind, kind, (kind,)) for kind in ROLES}
         for label, above in _WORDS["entities"].items():
-            parent = self._types.get(_plain(above)) if above[0].isupper() else None
-            self._types[_plain(label)] = Type(label, parent.kind if parent else above, parent)
+            parent = self._types[_plain(above)] if above[0].isupper() else Type("", above, ())
+            self._types[_plain(label)] = Type(label, parent.kind, (label, *parent.lineage))
         for alias, label in _WORDS["aliases"].items():
             self._types[_plain(alias)] = self._types[_plain(label)]
         self._parents: dict[str, tuple[str, Place]] = {}
@@ -176,8 +169,8 @@ class Vocabulary:
             return None
         if above is None and parent not in _ROOTS:
             self.type(parent, place)
-        own = self._types[_plain(label)] = Type(label, above.kind if above else "", above)
-        return own
+        above = above or Type("", "", ())
+        return self._types.setdefault(_plain(label), Type(label, above.kind, (label, *above.lineage)))
 
 
 def seconds(moment: datetime) -> float:

@@ -613,6 +613,28 @@ def test_nothing_is_left_behind_however_a_program_ends(way):
                 os.killpg(asking.pid, signal.SIGKILL)
 
 
+def test_no_event_is_missing_if_memory_forgets_it_while_the_store_is_read(tmp_path, monkeypatch):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0), store=tmp_path / "m.sqlite3", memory=Memory(events=100))
+
+    def fail(times):
+        for number in range(times):
+            kb.component_failed("camera")
+            kb.component_recovered("camera")
+            assert number % 20 or kb.flush(60.0)
+
+    def events(*args, **kwargs):
+        found = stored(*args, **kwargs)
+        fail(80)
+        return found
+
+    stored = kb.store.events
+    fail(300)
+    assert kb.log.begins > 1, "else the store is not read"
+    monkeypatch.setattr(kb.store, "events", events)
+    assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=60.0) == [(300,)]
+    kb.close()
+
+
 def test_what_has_lapsed_meanwhile_is_not_answered():
     clock = Clock(1.0)
     kb = KnowledgeBase(robot(), clock=clock)
