@@ -132,14 +132,16 @@ class World:
     ) -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
         known, chronicle = self._known, _Chronicle(self._known)
-        with reading() as state:
-            process.last, begins = known.log.last, known.log.begins
-            held = list(known.log.since(0, measurements=False))
+        held = list(known.log.since(0, measurements=False))
+        with reading() as state:  # only what is new is read while those who tell wait
+            process.last = known.log.last
+            held += known.log.since(held[-1].number if held else 0, measurements=False)
             histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
             measured = [(name, history.samples(self._keep)) for name, history in histories if history is not None]
             model = individuals(known.model, known.serials)
             inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
-        past = [*self._older(held[0].number if held else process.last + 1, left), *held] if begins > 1 else held
+        begins = held[0].number if held else process.last + 1
+        past = [*self._older(begins, left), *held] if known.log.begins > 1 else held
         yield (own := next(model))
         yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
         yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
