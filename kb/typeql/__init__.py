@@ -1,9 +1,8 @@
 """Reads and writes models as TypeQL 2 files, in the words of ROSA; imported late, for it needs lark.
 
-A file is read in steps: `syntax` (text to statements, by `grammar.lark`), `store` (statements to things that play
-roles, in the types and spellings of `vocabulary`), and here things to a model: first the elements, in order, then the
-facts from the start. A model is written as one `insert`, after a `define` of the attributes that ROSA's schema does not
-have.
+A file is read in steps: `syntax` (text to statements, by `grammar.lark`), `things` (statements to things of types that
+play roles), and here things to a model: first the elements, in order, then the facts from the start. A model is written
+as one `insert`, after a `define` of the attributes that ROSA's schema does not have.
 """
 
 import ast
@@ -23,9 +22,8 @@ from kb.exceptions import ModelError, UnknownName
 from kb.facts import Contents, Fact
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.store import Own, Store, Thing, shown
 from kb.typeql.syntax import Define, Literal, parse
-from kb.typeql.vocabulary import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, Vocabulary, seconds
+from kb.typeql.things import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, Own, Store, Thing, seconds, shown
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Stated = tuple[int, Fact, Place]
@@ -50,7 +48,7 @@ _RESULTS: Final[Mapping[str, str]] = {
 def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
     """Read one model from files; each may add to those before it. See `Model.load`."""
     parsed = [(str(file), query) for file in files for query in parse(read_text(file), str(file))]
-    store = Store(Vocabulary((file, query) for file, query in parsed if isinstance(query, Define)))
+    store = Store((file, query) for file, query in parsed if isinstance(query, Define))
     for file, query in parsed:
         if not isinstance(query, Define):
             store.read(query, file)

@@ -10,7 +10,7 @@ from kb import Model
 from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
 from kb.files import ModelFileError
 from kb.typeql import quoted, written_time
-from kb.typeql.vocabulary import ATTRIBUTES, ROLES, Vocabulary, field_of, seconds
+from kb.typeql.things import ATTRIBUTES, ROLES, Vocabulary, field_of, seconds
 
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
