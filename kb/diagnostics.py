@@ -40,7 +40,10 @@ class DiagnosticProblem(NamedTuple):
 def read_diagnostics(array: object) -> Iterator[Reading | DiagnosticProblem]:
     """Yield the fact or problem of each key/value in an array; skip statuses with other messages than those above."""
     try:
-        for status in _items(array, "status"):
+        found = _part(array, "status", array)
+        if isinstance(found, Mapping | str | bytes) or not isinstance(found, Iterable):
+            found = (found,)  # a single status
+        for status in found:
             yield from _read_status(status)
     except Exception as error:  # an iterator of the caller may raise anything
         yield DiagnosticProblem("diagnostics", type(array).__name__, f"no more can be read: {error}")
@@ -74,13 +77,6 @@ def _reported(key: str, value: str) -> Reading | DiagnosticProblem:
 
 def _part(whole: object, name: str, default: object) -> object:
     return whole.get(name, default) if isinstance(whole, dict | Mapping) else getattr(whole, name, default)
-
-
-def _items(whole: object, name: str) -> Iterable[object]:
-    items = _part(whole, name, whole)
-    if not isinstance(items, list) and (isinstance(items, Mapping | str | bytes) or not isinstance(items, Iterable)):
-        return (items,)  # a single status
-    return items
 
 
 def _pairs(values: object) -> Iterator[tuple[str, str]]:

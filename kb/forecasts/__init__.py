@@ -82,11 +82,6 @@ class Series(NamedTuple):
         return [Series(*zip(*part, strict=True)) for is_inside, part in parts if is_inside]
 
 
-def constant(series: Series, _: float) -> Curve | None:
-    """Stay as measured last."""
-    return straight(series.times[-1], series.values[-1], 0.0)
-
-
 def straight(time: float, value: float, slope: float, words: str = "") -> Curve:
     """Go on from a point with a slope [1/s]."""
     way = f"{'rises' if slope > 0 else 'falls'} by {abs(slope):.3g}{{}}/s" if slope else "stays as it is"
@@ -173,7 +168,11 @@ def by_function(function: Callable[[Sequence[tuple[float, float]], float], float
     return Curve(value, "goes on as a function of the model's says")
 
 
-WAYS: Final = {"constant": constant, "trend": trend, "periodic": periodic}
+WAYS: Final[Mapping[str, Callable[[Series, float], Curve | None]]] = {
+    "constant": lambda series, _: straight(series.times[-1], series.values[-1], 0.0),
+    "trend": trend,
+    "periodic": periodic,
+}
 
 
 class Outlook:

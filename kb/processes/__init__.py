@@ -13,7 +13,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from io import FileIO
 from pathlib import Path
@@ -120,7 +120,7 @@ def _placed(text: str, parameters: Parameters) -> str:
     return _PLACE.sub(put, text)
 
 
-class ProcessComponents:
+class ProcessComponents(AbstractContextManager["ProcessComponents"]):
     """A managed system, and a monitor, of components that are processes.
 
     Each process runs in a process group of its own, without a shell. It is asked to end with SIGTERM; after its grace
@@ -246,9 +246,6 @@ class ProcessComponents:
                     kb.component_active(name, False, f"the process of {name} was ended with all others")
         except KnowledgeBaseError as error:
             _log.warning("the knowledge base was not told that the processes have ended: %s", error)
-
-    def __enter__(self) -> "ProcessComponents":
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
