@@ -146,7 +146,7 @@ class KnowledgeBase:
         known.heard = self._publisher.deliver
         self._held = _holding(known, self._lock)
         self.forecast = Forecaster(self, known)
-        self._world, self._is_closed = World(known, self.store, keep), False
+        self._world, self._is_closed = World(known, self.store, keep, self.reading), False
         self.log: Log = known.log
         self.log.settle = partial(_settle, model, self._held)
         self.history = HistoryView(known.records, self.reading)
@@ -268,7 +268,7 @@ class KnowledgeBase:
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
-        return self._world.ask(sparql, timeout, self.reading)
+        return self._world.ask(sparql, timeout)
 
     # ---------------------------------------------------------------- told: what is so
 

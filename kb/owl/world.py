@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import fields
-from functools import partial
 from itertools import chain, count, islice
 from pathlib import Path
 from typing import Any, Final
@@ -76,26 +75,26 @@ _ENDED: Final = "the process that answers the query has ended; if it needed more
 class World:
     """All that a knowledge base knows, with the newest `keep` measurements, to be asked in SPARQL."""
 
-    def __init__(self, known: Knowledge, store: Store | None, keep: int) -> None:
-        self._known, self._store, self._keep = known, store, keep
+    def __init__(
+        self, known: Knowledge, store: Store | None, keep: int, reading: Callable[[], AbstractContextManager[State]]
+    ) -> None:
+        self._known, self._store, self._keep, self._reading = known, store, keep, reading
         self._kept: dict[int, _Process] = {}  # by the last event it knows; while it answers it is taken out
         self._is_closed = False
         finalize(self, _end, self._kept)
 
-    def ask(
-        self, sparql: str, timeout: float, reading: Callable[[], AbstractContextManager[State]]
-    ) -> list[tuple[Answer, ...]]:
+    def ask(self, sparql: str, timeout: float) -> list[tuple[Answer, ...]]:
         """Answer a query; see `KnowledgeBase.query`."""
         if not isinstance(sparql, str) or len(sparql) > _LONGEST:
             what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
             raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
-        timeout = min(timeout, _LONGEST_WAIT)
-        left, process = partial(_left, time.monotonic() + timeout), None
+        process, deadline = None, time.monotonic() + min(timeout, _LONGEST_WAIT)
         try:
-            process = self._taken(reading) or _Process()
+            process = self._taken()
+            process.deadline = deadline
             if process.last < 0:
-                process.tell(self._individuals(process, reading, left), left)
-            *parts, end = process.answers(sparql, left)
+                process.tell(self._individuals(process))
+            *parts, end = process.answers(sparql)
         except BaseException as error:
             if process is not None:
                 process.end()
@@ -116,32 +115,28 @@ class World:
         self._is_closed = True
         _end(self._kept)
 
-    def _taken(self, reading: Callable[[], AbstractContextManager[State]]) -> "_Process | None":
-        """Take the process that is kept, if no event was told since; end others."""
-        with reading():
-            last = self._known.log.last
-        process = self._kept.pop(last, None)
+    def _taken(self) -> "_Process":
+        """Take the process that is kept, if no event was told since, else a new one; end all others."""
+        with self._reading():
+            process = self._kept.pop(self._known.log.last, None)
         _end(self._kept)
-        if process is None or process.is_usable:
-            return process
-        process.end()
-        return None
+        if process is not None and not process.is_usable:
+            process.end()
+            process = None
+        return process or _Process()
 
-    def _individuals(
-        self, process: "_Process", reading: Callable[[], AbstractContextManager[State]], left: Callable[[], float]
-    ) -> Iterator[Individual]:
+    def _individuals(self, process: "_Process") -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
         known, chronicle = self._known, _Chronicle(self._known)
         held = list(known.log.since(0, measurements=False))
-        with reading() as state:  # only what is new is read while those who tell wait
+        with self._reading() as state:  # only what is new is read while those who tell wait
             process.last = known.log.last
             held += known.log.since(held[-1].number if held else 0, measurements=False)
             histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
             measured = [(name, history.samples(self._keep)) for name, history in histories if history is not None]
             model = individuals(known.model, known.serials)
             inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
-        begins = held[0].number if held else process.last + 1
-        past = [*self._older(begins, left), *held] if known.log.begins > 1 else held
+        past = [*self._older(held[0].number if held else process.last + 1, process), *held]
         yield (own := next(model))
         yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
         yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
@@ -153,20 +148,14 @@ class World:
         yield from chronicle.of_records(records)
         yield from chronicle.older(present)
 
-    def _older(self, number: int, left: Callable[[], float]) -> Iterator[Event]:
-        """Yield the events of the store before one."""
-        after = 0
-        while self._store is not None and (some := self._store.events(after, _SLICE, measurements=False)):
-            left()
+    def _older(self, number: int, process: "_Process") -> Iterator[Event]:
+        """Yield the events before one that only the store has."""
+        after = 0 if self._known.log.begins > 1 else number
+        while self._store is not None and after < number:
+            process.limit()
+            some = self._store.events(after, _SLICE, measurements=False)
             yield from (event for event in some if event.number < number)
-            if (after := some[-1].number) >= number:
-                return
-
-
-def _left(deadline: float) -> float:
-    if (seconds := deadline - time.monotonic()) <= 0.0:
-        raise TimeoutError
-    return seconds
+            after = some[-1].number if some else number
 
 
 def _end(kept: "dict[int, _Process]") -> None:
@@ -182,10 +171,11 @@ class _Process:
 
     Attributes:
         last: number of the last event it knows; -1 before it is told anything.
+        deadline: when what is under way has to be done [s, monotonic].
     """
 
     def __init__(self) -> None:
-        self.last, self._owner = -1, os.getpid()
+        self.last, self.deadline, self._owner = -1, 0.0, os.getpid()
         self._socket, theirs = socket.socketpair()
         self._lines = self._socket.makefile("rb")
         with theirs:
@@ -203,30 +193,35 @@ class _Process:
         """Whether it is alive and this program, not one that this was forked from, has started it."""
         return self._owner == os.getpid() and self._process.poll() is None
 
-    def tell(self, given: Iterable[Individual], left: Callable[[], float]) -> None:
+    def tell(self, given: Iterator[Individual]) -> None:
         """Tell it individuals as N-Triples; the first is the model, whose id is in all names."""
         from kb.owl.files import triples  # slow to import
 
-        every = iter(given)
-        base = f"{BASE}{(own := next(every)).id}"
-        every = chain([own], every)
+        own = next(given)
+        every = chain([own], given)
         while some := list(islice(every, _SLICE)):
-            self._send("".join(triples(one, base, _whole) for one in some), left)
-        self._send("\n", left)
+            self._send("".join(triples(one, f"{BASE}{own.id}", _whole) for one in some))
+        self._send("\n")
 
-    def answers(self, sparql: str, left: Callable[[], float]) -> list[Any]:
+    def answers(self, sparql: str) -> list[Any]:
         """Return lists of rows, and last None or the error."""
-        self._send(f"{json.dumps(sparql)}\n", left)
+        self._send(f"{json.dumps(sparql)}\n")
         found: list[Any] = []
         while not found or isinstance(found[-1], list):
-            self._socket.settimeout(left())
+            self.limit()
             if not (line := self._lines.readline()).endswith(b"\n"):
                 raise EOFError
             found.append(json.loads(line))
         return found
 
-    def _send(self, text: str, left: Callable[[], float]) -> None:
-        self._socket.settimeout(left())
+    def limit(self) -> None:
+        """Raise TimeoutError after the deadline, and let the socket wait no longer than until then."""
+        if (left := self.deadline - time.monotonic()) <= 0.0:
+            raise TimeoutError
+        self._socket.settimeout(left)
+
+    def _send(self, text: str) -> None:
+        self.limit()
         self._socket.sendall(text.encode())
 
     def end(self) -> None:

@@ -189,7 +189,7 @@ def test_migration_tells_what_changed_and_takes_over_the_rest(path, tmp_path):
 def test_what_is_no_store_is_an_error(tmp_path):
     (tmp_path / "diary").write_text("my diary" * 50)
     for command in ("info", "check"):
-        with pytest.raises(StoreError, match="no store but another file"):
+        with pytest.raises(StoreError, match="this is not a store"):
             store(command, tmp_path / "diary")
         with pytest.raises(StoreError, match=r"cannot be read: No such file or directory$"):
             store(command, tmp_path / "nowhere")
