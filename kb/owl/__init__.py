@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields
-from functools import cache
+from functools import cache, lru_cache
 from itertools import chain
 from typing import Any, Final, NamedTuple, Self
 from urllib.parse import quote
@@ -204,6 +204,7 @@ def named_id(cls: type, name: str) -> str:
     return f"{CLASSES[cls]}.{_escaped(name)}"
 
 
+@lru_cache(4096)
 def _escaped(name: str) -> str:
     """Escape a name for an IRI and an id; different names stay different."""
     return _UNSAFE.sub(lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name)

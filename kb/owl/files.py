@@ -44,7 +44,7 @@ def owl_text(model: Contents) -> str:
         lines += [f"<{base}#{one.id}> <{_TYPE}> <{_NAMED}> .\n", triples(one, base, _fit)]
         names = (_term(str(name), base, _fit) for name in one.values.get("name", ()))
         lines += [f"<{base}#{one.id}> <{_LABEL}> {name} .\n" for name in names]
-    stated = parse("".join(lines), format=RdfFormat.N_TRIPLES)
+    stated = dict.fromkeys(parse("".join(lines), format=RdfFormat.N_TRIPLES))
     written = (serialize(stated, format=RdfFormat.RDF_XML, prefixes=PREFIXES) or b"").decode()
     label = escape(_fit(model.name), quote=False)
     head = (
@@ -64,7 +64,7 @@ def triples(one: Individual, base: str, fit: Callable[[str], str]) -> str:
     lines = [f"{subject} <{_TYPE}> <{ROSA}{kind}> .\n" for kind in kinds]
     order = []
     for name, values in one.values.items():
-        lines += [f"{subject} <{ROSA}{name}> {_term(value, base, fit)} .\n" for value in dict.fromkeys(values)]
+        lines += [f"{subject} <{ROSA}{name}> {_term(value, base, fit)} .\n" for value in values]
         if len(values) > 1:
             order.append(" ".join((name, *(value.id for value in values if isinstance(value, Ref)))))
     if order:

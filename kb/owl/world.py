@@ -234,7 +234,7 @@ class _Process:
 
 def _whole(text: str) -> str:
     """Escape lone surrogates, which UTF-8 cannot write."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
 
 def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]:
