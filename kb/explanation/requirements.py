@@ -300,15 +300,11 @@ class Remedy:
     def __str__(self) -> str:
         return " and ".join(str(fact) for fact in self.facts)
 
-    @property
-    def subjects(self) -> frozenset[str | Repair]:
-        """The attributes and repairs that have to change, without the values."""
-        return frozenset(fact.attribute if isinstance(fact, Measured) else fact for fact in self.facts)
-
     def covers(self, other: "Remedy") -> bool:
         """Return whether the other remedy asks for more: further facts, or the same facts in narrower intervals."""
-        if self.subjects != other.subjects:
-            return self.subjects < other.subjects
+        own, its = ({getattr(one, "attribute", one) for one in each.facts} for each in (self, other))  # without values
+        if own != its:
+            return own < its
         mine, theirs = ([one.interval for one in each.facts if isinstance(one, Measured)] for each in (self, other))
         return all(one.covers(its) for one, its in zip(mine, theirs, strict=True))
 

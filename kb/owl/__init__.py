@@ -259,14 +259,8 @@ class Declarer:
         return found
 
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
-        if cls is elements.Configuration and field == "parameters":
-            parameters = [self._inner(one).values for one in given]
-            try:
-                return {str(one["key"][0]): json.loads(str(one["parameterValue"][0])) for one in parameters}
-            except (ValueError, TypeError, LookupError) as error:
-                raise InvalidValue(f"it is not valid: {error}") from None
-        if field == "preference":
-            return dict(self._weight(self._inner(one)) for one in given)
+        if field == "preference" or (cls is elements.Configuration and field == "parameters"):
+            return dict(self._pair(field, one) for one in given)
         if (of := elements.REFERENCES.get(field)) or field in ("constrained", "causer", "element"):
             players = [self._element(one, of or object) for one in given]
             found = tuple(one.name for one in players) if of else tuple(players)
@@ -276,14 +270,18 @@ class Declarer:
             raise ModelError(f"{field} is a value, not {value.id}")
         return value
 
-    def _inner(self, value: Value) -> Individual:
+    def _pair(self, field: str, value: Value) -> tuple[str, Any]:
+        """Return a preferred attribute and its weight, or a parameter and its value."""
         if not isinstance(value, Ref) or value.id not in self.nested:
             raise ModelError(f"{shown(value)} is not described")
-        return self.nested[value.id]
-
-    def _weight(self, one: Individual) -> tuple[str, Any]:
-        attribute = _single("prefers", one.values.get("prefers", ()))
-        return self._element(attribute, elements.Attribute).name, _single("weight", one.values.get("weight", ()))
+        said = self.nested[value.id].values
+        if field == "preference":
+            attribute = self._element(_single("prefers", said.get("prefers", ())), elements.Attribute)
+            return attribute.name, _single("weight", said.get("weight", ()))
+        try:
+            return str(said["key"][0]), json.loads(str(said["parameterValue"][0]))
+        except (ValueError, TypeError, LookupError) as error:
+            raise InvalidValue(f"it is not valid: {error}") from None
 
     def _element(self, value: Value, cls: type) -> Any:  # noqa: ANN401  # an element of the class
         found = self.known.get(value.id) if isinstance(value, Ref) else None

@@ -38,6 +38,12 @@ _FLAGS: Final[Mapping[str, Callable[[Any], Fact]]] = {
     "active": lambda component: facts.ActiveFact(component.name),
 }
 """The fact that each flag of an element states."""
+_STEPS: Final = {
+    "component-activation": ("component", "activate", Component),
+    "component-deactivation": ("component", "deactivate", Component),
+    "parameter-adaptation": ("component-configuration", "parameters", Configuration),
+}
+"""The kinds of steps of a plan: the role in each, the field of the plan, and the class of the players."""
 _RESULTS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
     **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
@@ -216,10 +222,8 @@ class _Reading:
                 yield _order(thing), fact, own.place
 
     def _plan(self, thing: Thing) -> facts.PlanFact:
-        activate = self._steps(thing, "component-activation", "component")
-        deactivate = self._steps(thing, "component-deactivation", "component")
-        parameters = self._steps(thing, "parameter-adaptation", "component-configuration")
-        return facts.PlanFact(activate, deactivate, parameters, **_period(thing), result=self._result(thing))
+        steps: dict[str, Any] = {field: self._steps(thing, kind, role) for kind, (role, field, _) in _STEPS.items()}
+        return facts.PlanFact(**steps, **_period(thing), result=self._result(thing))
 
     def _steps(self, whole: Thing, kind: str, role: str) -> tuple[str, ...]:
         """Return what a plan activates, deactivates or configures, by name: in steps of a kind, or in a role."""
@@ -352,12 +356,6 @@ def _unused(stem: str, taken: Container[str]) -> str:
 
 # -------------------------------------------------------------------- and back
 
-_STEPS: Final = {
-    "component-activation": ("component", "activate", Component),
-    "component-deactivation": ("component", "deactivate", Component),
-    "parameter-adaptation": ("component-configuration", "parameters", Configuration),
-}
-"""The kinds of steps of a plan: the role in each, the field of the plan, and the class of the players."""
 _ELEMENTS: Final = {kind: cls for cls, kind in CLASSES.items()}
 _DEFAULTS: Final = {cls: {field.name: field.default for field in fields(cls)} for cls in CLASSES}
 _FIELDS: Final = {
@@ -433,7 +431,8 @@ class _Writer:
         kind = CLASSES[type(one)]
         named = []
         for role in ROLES.get(kind, ()):
-            for player in _players(one, role.field):
+            value = getattr(one, role.field, None) or ()
+            for player in value if isinstance(value, Mapping | tuple) else (value,):
                 known = self.variables.get(player)
                 named.append((role.name, known or self._of(_ELEMENTS[role.kinds[0]], player)))
         label = kind if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
@@ -474,11 +473,6 @@ def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, gi
     head = [variable, f"({relation})" if relation else "", f"isa {label}"]
     owns = [f"has {label} {value}" for label, value in given.items() if value is not None]
     return ", ".join([" ".join(part for part in head if part), *owns]) + ";"
-
-
-def _players(one: object, field: str) -> tuple[str, ...]:
-    value = getattr(one, field) if field else None
-    return tuple(value) if isinstance(value, Mapping | tuple) else () if value is None else (value,)
 
 
 def _written(field: Field, one: object) -> str | None:

@@ -160,10 +160,6 @@ def _unescaped(found: re.Match[str]) -> str:
     return chr(int(what[1:], 16)) if len(what) > 1 else _ESCAPED.get(what, f"\\{what}")
 
 
-def _player(*words: Word) -> Player:
-    return Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1])
-
-
 _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "start": lambda *queries: list(queries),
     "define": lambda *parts: Define(tuple(filter(None, parts))),
@@ -178,7 +174,7 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "isa": lambda label: label,
     "has": lambda label, value: Has(label, _value(value)),
     "players": lambda _, *players: players,
-    "player": _player,
+    "player": lambda *words: Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1]),
 }
 """The function that makes the result of each rule of the grammar."""
 
