@@ -293,15 +293,13 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
 
 
 class Output:
-    """Keeps the newest output in FILE and older output in FILE.1; other users cannot read them.
+    """Keeps the newest output in FILE and older output in FILE.1, half of `MOST` each; other users cannot read them.
 
-    Args:
-        path: FILE; it is created anew, and never through a symbolic link.
-        most: how much is kept in both together [bytes].
+    FILE, the path, is created anew, and never through a symbolic link.
     """
 
-    def __init__(self, path: Path, most: int = MOST) -> None:
-        self.path, self._half = path, max(1, most // 2)
+    def __init__(self, path: Path) -> None:
+        self.path = path
         self._source: IO[bytes] | None = None
         self._reading = Lock()
         self._size, self._tail = 0, b""
@@ -337,7 +335,7 @@ class Output:
         with self._reading:
             left = _CHUNK
             while left > 0 and not source.closed:
-                data = source.read(min(left, self._half))
+                data = source.read(left)
                 if not data:
                     return data is None
                 left -= len(data)
@@ -352,7 +350,7 @@ class Output:
             _log.warning("output to %s is lost: %s", self.path, error.strerror)
 
     def _write(self, data: bytes) -> None:
-        if not 0 < self._size <= self._half - len(data):
+        if not 0 < self._size <= MOST // 2 - len(data):
             with suppress(FileNotFoundError):
                 self.path.replace(f"{self.path}.1")
             self._size = 0

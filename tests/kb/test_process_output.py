@@ -97,7 +97,7 @@ def test_no_link_is_followed_and_what_was_there_is_kept_beside(tmp_path):
     folder = tmp_path / "output"
     folder.mkdir()
     (folder / "camera.log").symlink_to(stranger)
-    output = Output(folder / "camera.log", 100)
+    output = Output(folder / "camera.log")
     source, sink = os.pipe()
     output.follow(os.fdopen(source, "rb", buffering=0))
     os.write(sink, b"hello\n")
