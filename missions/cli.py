@@ -14,21 +14,21 @@ __all__ = ["app", "main"]
 
 COMMANDS: Final = {
     "new": ("new:new", "Write a package with model, task logic, world and tests that runs at once."),
-    "list": ("listing:list_missions", "List the missions."),
-    "settings": ("listing:list_settings", "List what `rosa run MISSION --set NAME=VALUE` takes."),
+    "list": (":list_missions", "List the missions."),
+    "settings": (":list_settings", "List what `rosa run MISSION --set NAME=VALUE` takes."),
     "run": ("run:run", "Run a mission, say what happened and why, and exit with 0 if it did what it was for."),
-    "watch": ("watch:watch", "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."),
-    "bridge": ("bridge:bridge", "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree."),
-    "mcp": ("mcp:mcp", "Serve the questions of a robot's knowledge base to assistants (Model Context Protocol)."),
+    "watch": ("run:watch", "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."),
+    "bridge": ("robots:bridge", "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree."),
+    "mcp": ("robots:mcp", "Serve the questions of a robot's knowledge base to assistants (Model Context Protocol)."),
     "replay": ("recordings:replay", "Decide once more what was recorded; exit with 1 if that differs."),
     "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
-    "plan": ("plan:plan", "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."),
-    "verify": ("verify:verify", "Say what holds in everything that can happen; exit with 0 if all of it does."),
-    "campaign": ("campaign:campaign", "Run missions with many managers, settings and seeds."),
-    "report": ("report:report", "Say what came of a campaign; or show a run, or two side by side, as a page."),
-    "learn": ("learn:learn", "Suggest changes of a model, each with its interval; --apply writes them."),
-    "effort": ("effort:effort", "Count what it takes to write a model, beside the counts of the ROSA paper."),
+    "plan": ("check:plan", "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."),
+    "verify": ("check:verify", "Say what holds in everything that can happen; exit with 0 if all of it does."),
+    "campaign": ("experiments:campaign", "Run missions with many managers, settings and seeds."),
+    "report": ("experiments:report", "Say what came of a campaign; or show a run, or two side by side, as a page."),
+    "learn": ("experiments:learn", "Suggest changes of a model, each with its interval; --apply writes them."),
+    "effort": ("experiments:effort", "Count what it takes to write a model, beside the counts of the ROSA paper."),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }
 """The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it is called."""
@@ -40,7 +40,7 @@ class Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
         name, _, rest = super().resolve_command(ctx, args)
         module, _, attribute = COMMANDS[str(name)][0].partition(":")
-        found = getattr(import_module(f"missions.commands.{module}"), attribute)
+        found = getattr(import_module(f"missions.commands.{module}".rstrip(".")), attribute)
         if not isinstance(found, typer.Typer):
             of = typer.Typer(add_completion=False)
             of.command(name)(found)

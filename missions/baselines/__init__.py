@@ -1,9 +1,133 @@
-"""The managers of a robot in a run: ours, those that it is compared with, and your own."""
+"""The managers of a robot in a run: ours, those that it is compared with, and your own; and how to open a run."""
 
-from missions.baselines.manager import Manager, Robot
-from missions.baselines.policies import Policy
-from missions.baselines.registry import MANAGERS, POLICIES, find_manager, open_run
-from missions.engine.runner import OURS
+from collections.abc import Mapping
+from typing import Any, Final
+
+from missions.baselines.manager import BaselineRun, Manager, Robot
+from missions.baselines.policies import ByHand, Policy
+from missions.engine.mission import Mission, MissionError, split_settings
+from missions.engine.registry import load, needs
+from missions.engine.runner import OURS, Listener, MissionRun, RosaRun
 from missions.engine.settings import Setting
+from missions.engine.task_layer import TASK_KINDS, check_task
 
 __all__ = ["MANAGERS", "Manager", "OURS", "POLICIES", "Policy", "Robot", "Setting", "find_manager", "open_run"]
+
+MANAGERS: Final = {
+    "none": "missions.baselines.modes:NoManager",
+    "random": "missions.baselines.modes:RandomManager",
+    "bt": "missions.baselines.modes:TreeManager",
+    "metacontrol": "missions.baselines.modes:Metacontrol",
+    "rosa": "missions.baselines.rosa:RosaManager",
+    "ahead": "missions.baselines.rosa:AheadManager",
+}
+"""The managers of the sea's vehicle, except ours, each with its module and class."""
+
+POLICIES: Final = {
+    "none": "missions.baselines.policies:Unmanaged",
+    "random": "missions.baselines.policies:Random",
+    "fixed": "missions.baselines.policies:Fixed",
+    "bt": "missions.baselines.policies:ByHand",
+}
+"""The managers of every other mission; the sea has those that `MANAGERS` does not replace."""
+
+AnyManager = type[Manager] | type[Policy]
+
+
+def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyManager:
+    """Return the class of a manager, given by its name, by "package:Class", or as the class itself.
+
+    Raises:
+        MissionError: no such manager, or it does not go with the mission; the message lists those that exist.
+    """
+    in_sea = mission is None or _is_in_sea(mission)
+    if isinstance(name, type):
+        found: Any = name
+    else:
+        homes = POLICIES | (MANAGERS if in_sea else {})
+        where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in homes else ""
+        known = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class{where}"
+        found = load("manager", name, homes, known)
+    if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
+        shown = getattr(name, "__name__", name)
+        raise MissionError(f"{shown!r} is no subclass of missions.baselines.Policy or Manager")
+    if mission is not None and issubclass(found, Manager) and not in_sea:
+        what = f"{found.__name__} commands the sea's vehicle, and {mission.name} does not happen in the sea"
+        raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
+    if mission is not None and mission.selects:
+        raise MissionError(f"the task layer of mission {mission.name} selects configurations; run it under {OURS}")
+    return found
+
+
+def _is_in_sea(mission: Mission) -> bool:
+    from missions.suave.world import SEA  # no other mission imports that
+
+    return isinstance(mission.world, type(SEA))
+
+
+def name_of(manager: AnyManager) -> str:
+    own = f"{manager.__module__}:{manager.__qualname__}"
+    return next((name for name, home in (*MANAGERS.items(), *POLICIES.items()) if home == own), own)
+
+
+def options_of(manager: str | AnyManager, mission: Mission | None = None) -> tuple[Setting, ...]:
+    """Return the options of a manager; ours has none."""
+    return () if manager == OURS else find_manager(manager, mission).options
+
+
+def open_run(
+    mission: Mission,
+    *,
+    manager: str | AnyManager = OURS,
+    task: str | None = None,
+    seed: int = 0,
+    settings: Mapping[str, str] | None = None,
+    listeners: tuple[Listener, ...] = (),
+) -> MissionRun:
+    """Open a run; the same mission, seed and settings give the same world and chance under every manager.
+
+    Args:
+        mission: what to run.
+        manager: the name of a manager, "package:Class", or the class itself.
+        task: our task layer, "bt" or "pddl", by default the mission's; some managers bring their own.
+        seed: seed of all chance in the run.
+        settings: values that differ from the defaults, by name; a unit at the end of a name may be left out.
+        listeners: objects that are told what happens in the run.
+
+    Raises:
+        MissionError: no such manager, task layer or setting, or they do not go together.
+    """
+    import numpy
+
+    managed_by, task = check_run(mission, manager, task)
+    options = () if managed_by is None else managed_by.options
+    run_settings, world_settings, chosen = split_settings(mission, settings or {}, options)
+    rng = numpy.random.default_rng(seed)
+    with needs("sim", f"the world of {mission.name}"):
+        world = mission.world.open(world_settings, rng)
+    try:
+        if managed_by is None:
+            return RosaRun(mission, task, world, run_settings, listeners)
+        name, chance = name_of(managed_by), rng.spawn(1)[0]
+        if issubclass(managed_by, Policy):
+            policy = managed_by(mission.model(), chance, chosen)
+            mission = policy.alter(mission, world)
+            return RosaRun(mission, task, world, run_settings, listeners, name, policy, policy.hear)
+        return BaselineRun(mission, world, run_settings, listeners, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
+    except BaseException:
+        world.close()
+        raise
+
+
+def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:
+    """Return the manager (None for ours) and the task layer; MissionError unless both go with the mission."""
+    managed_by = None if manager == OURS else find_manager(manager, mission)
+    if managed_by is not None and issubclass(managed_by, ByHand) and mission.by_hand is None:
+        advice = "give it by_hand=lambda kb, percepts, managed: ..., or take another manager"
+        raise MissionError(f"mission {mission.name} has no hand-written tree; {advice}")
+    tasks = TASK_KINDS if managed_by is None else managed_by.tasks
+    task = task or tasks[-1 if mission.tree is None else 0]
+    check_task(task)
+    if task not in tasks:
+        raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
+    return managed_by, task

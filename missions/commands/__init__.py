@@ -1,7 +1,11 @@
-"""The sub-commands of `rosa`, one file each; each is imported when it is called."""
+"""The sub-commands of `rosa`, imported when they are called: what they share, and `rosa list` and `rosa settings`."""
 
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Annotated, Final
+
+import typer
+
+from missions import SUMMARIES
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -55,3 +59,28 @@ def complain(text: str) -> None:
 
     console = Console(stderr=True, soft_wrap=True, emoji=False, highlight=False)
     console.print(f"[bold red]rosa:[/] {escape(text)}")
+
+
+def list_missions() -> None:
+    """List the missions."""
+    wide = max(map(len, SUMMARIES)) + 2
+    for name, summary in SUMMARIES.items():
+        typer.echo(f"{name:<{wide}}{summary}")
+
+
+def list_settings(
+    mission: Annotated[str, typer.Argument(help=MISSION)],
+    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
+) -> None:
+    """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
+    from missions.baselines import options_of
+    from missions.engine.mission import settings_of
+    from missions.engine.registry import find_mission
+
+    found, console = find_mission(mission), open_console()
+    for setting in (*options_of(manager, found), *settings_of(found)):
+        default = found.fixed.get(setting.name, setting.default)
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+        row = f"{setting.name:<32} {shown:>9} {setting.unit:<8} {setting.allowed}"
+        console.print(row.rstrip(), style="bold", markup=False)
+        console.print(f"    {setting.meaning} [{setting.source}]", style="dim", markup=False)

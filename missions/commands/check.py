@@ -1,11 +1,12 @@
-"""`rosa check`: judges a model, from files or of a mission, together with the trees and domains that use it."""
+"""`rosa check`, `rosa plan` and `rosa verify`: judge a model, plan, and prove what holds, before a robot leaves."""
 
-import json
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import typer
 from py_trees.behaviour import Behaviour
@@ -14,10 +15,16 @@ from rich.markup import escape
 from kb import KnowledgeBase, Model
 from kb.checks import Finding, found, rules
 from kb.files import read_text
-from missions.commands import FAILED, complain, open_console, tree_builder
+from missions.commands import FAILED, UNFINISHED, complain, open_console, tree_builder
 from missions.engine.mission import Mission, MissionError, Percepts, built
+from missions.engine.question import Answer, answer, ask, certified
 from missions.engine.registry import find_mission
 from missions.engine.task_layer import declarations_of, mission_domain
+from missions.proof.exploration import Exploration
+from missions.proof.story import as_test
+from missions.proof.verification import prove, setup_of
+from missions.views.output import as_json, open_files
+from missions.views.plan import as_data, causes_of, certificate_as_data, certificate_lines, lines_of, svg_of
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
 from rosa_pddl.domain import ACTION_TYPE
@@ -28,6 +35,8 @@ COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
 Uses = list[tuple[str, str]]
 """Names of actions, each with the place that uses it; an empty name is one that a tree gets only when it runs."""
+_IMPORTS: Final = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
+"""The first lines of a test that `rosa verify --test` writes."""
 
 
 def check(
@@ -36,7 +45,7 @@ def check(
     tree: Annotated[list[str] | None, typer.Option(metavar="MODULE:CALLABLE", help="A tree that uses it.")] = None,
     pddl: Annotated[list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 for warnings too.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
     reason: Annotated[bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")] = False,
 ) -> None:
     """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
@@ -45,10 +54,10 @@ def check(
     contradictions = list(_contradictions(files or [], of)) if reason else []
     for one in contradictions:
         complain(one)
-    if as_json:
+    if json:
         counts = {f"{severity}s": len(_of(severity, findings)) for severity in COLOURS}
         shown = {"model": model, **counts, "findings": [asdict(one) for one in findings]}
-        typer.echo(json.dumps(shown, indent=2))
+        typer.echo(as_json(shown), nl=False)
     else:
         _print(model, findings)
         if reason and not contradictions:
@@ -221,3 +230,137 @@ def _is_action(name: str, parents: Mapping[str, str]) -> bool:
 
 def _place(source: Source, node: Node) -> str:
     return f"{source.file}:{node.line}:{node.column}"
+
+
+# -------------------------------------------------------------------- a plan on request
+
+
+def plan(
+    files: Annotated[list[Path] | None, typer.Argument(metavar="DOMAIN PROBLEM", help="Two PDDL files.")] = None,
+    mission: Annotated[str | None, typer.Option(help="Take domain, problem and model of a mission.")] = None,
+    model: Annotated[list[Path] | None, typer.Option(help="File of the model that says what is feasible.")] = None,
+    feasible: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these actions are feasible.")] = None,
+    situation: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=VALUE", help="Suppose battery_level=0.2, or a component: camera=failed."),
+    ] = None,
+    goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
+    svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
+    certificate: Annotated[bool, typer.Option("--certificate", help="Plan for each combination of actions.")] = False,
+    failures: Annotated[int | None, typer.Option(help="Certify at most so many failures at once.")] = None,
+    timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
+) -> None:
+    """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
+    if len(files or []) > 2 or (mission and files):
+        raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
+    of = find_mission(mission) if mission else None
+    question = ask(files or [], of, model or [], situation=situation or [], feasible=feasible, goals=goal or [])
+    paths = {"json": json, "svg": svg}
+    if certificate and svg:
+        raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")
+    if failures is not None and not certificate:
+        raise MissionError("--failures says how much to certify; add --certificate")
+    outputs = open_files(paths)
+    if certificate:
+        proven = certified(question, timeout, failures)
+        for line in certificate_lines(proven):
+            typer.echo(line)
+        for output in outputs.values():
+            output.finish(as_json(certificate_as_data(proven)))
+        raise typer.Exit(0 if proven.entries[()].outcome.is_solved else FAILED)
+    found = answer(question, timeout)
+    for line in lines_of(found):
+        typer.echo(line)
+    is_solved = found.result.outcome.is_solved
+    for name, output in outputs.items():
+        if is_solved or name == "json":
+            output.finish(_written(name, found))
+        else:
+            typer.echo(f"{paths[name]} is not written, as there is no plan")
+    if not is_solved:
+        raise typer.Exit(FAILED)
+
+
+def _written(option: str, found: Answer) -> str:
+    if option == "svg":
+        return svg_of(causes_of(found), f"plan of {found.question.domain.name}")
+    return as_json(as_data(found.result))
+
+
+# -------------------------------------------------------------------- everything that can happen
+
+
+def verify(
+    mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
+    task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
+    failures: Annotated[int, typer.Option(min=0, help="How many components may have failed at once.")] = 1,
+    at_once: Annotated[int, typer.Option(help="How many facts may change between two ticks.")] = 1,
+    slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
+    reaction: Annotated[int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")] = 1,
+    exclusive: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")] = None,
+    most: Annotated[int, typer.Option(help="Stop at this number of situations.")] = 100_000,
+    seconds: Annotated[float, typer.Option(help="Stop after this time [s].")] = 60.0,
+    cores: Annotated[int | None, typer.Option(min=1, help="How many processes explore; default: all cores.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Go on from this file if it exists; write it at the end.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
+    test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
+) -> None:
+    """Say what holds in everything that can happen; exit with 0 if all does, 1 if not, 3 if open: not finished."""
+    options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
+    setup = setup_of(find_mission(mission), task, **options)
+    groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
+    files = open_files({"json": json, "report": report, "test": test, "resume": resume})
+
+    def explore(found: Exploration) -> None:
+        if resume is not None and resume.exists():
+            try:
+                found.go_on_from(resume.read_bytes())
+            except (MissionError, OSError) as error:
+                advice = "begin anew with another file, or with none"
+                raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
+        with _interruptible(found):
+            found.explore(most, seconds, cores)
+        if resume is not None:
+            files["resume"].finish(found.as_bytes())
+
+    proof = prove(setup, explore, reaction=reaction, exclusive=groups)
+    typer.echo(f"{mission}: {proof}")
+    rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
+    rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
+    wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
+    for facts, reaches, actions in rows:
+        typer.echo(f"     {facts:{wide}}  {reaches:{long}}  {actions}".rstrip())
+    if "json" in files:
+        files["json"].finish(as_json(proof.as_data()))
+    if report is not None:
+        proof.report(report)
+    shown = proof.shown
+    if "test" in files and shown is not None and shown.trail is not None:
+        made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
+        files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown.name, shown.what, shown.trail))
+    elif "test" in files:
+        why = "no story shows what is broken" if proof.broken else "nothing is broken"
+        typer.echo(f"{why}: no test is written")
+    if proof.broken:
+        raise typer.Exit(FAILED)
+    if not proof.found.is_finished:
+        fewer = ", or look for fewer failures at once with --failures" if failures else ""
+        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}")
+        raise typer.Exit(UNFINISHED)
+
+
+@contextmanager
+def _interruptible(found: Exploration) -> Iterator[None]:
+    """Let Ctrl-C end the exploration, so that what was found is shown and kept; a second one ends the program."""
+
+    def stop(*_: object) -> None:
+        found.stop()
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -19,7 +19,7 @@ from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import line_of, read_recording
 from missions.engine.registry import MISSIONS
 from missions.engine.runner import MissionRun
-from missions.testing.recorded import replay as decide
+from missions.testing.decisions import replay as decide
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report

@@ -1,4 +1,4 @@
-"""`rosa run`: run a mission to its end, show what happens and why, and write the files asked for."""
+"""`rosa run` and `rosa watch`: run a mission, show what happens and why, and write files; or watch one that runs."""
 
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -137,3 +137,13 @@ def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     if run.tree is None:
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
     stack.callback(Groot2Publisher(run.tree, port).close)
+
+
+def watch(
+    address: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed.")],
+    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")] = "",
+) -> None:
+    """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
+    from missions.views.terminal import SocketFeed, TerminalView
+
+    TerminalView(SocketFeed(address, token)).run()

@@ -14,9 +14,9 @@ from py_trees.behaviour import Behaviour
 from kb import KnowledgeBase, Model
 from kb.files import SUFFIXES
 from missions.agv.model import agv_model
+from missions.baselines import open_run
 from missions.baselines.manager import BaselineRun
 from missions.baselines.modes import FUNCTIONS, TreeManager
-from missions.baselines.registry import open_run
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from missions.engine.registry import MISSIONS, find_mission
 from missions.suave.world import SEA

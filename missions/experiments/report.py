@@ -15,9 +15,19 @@ import numpy as np
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
 from missions.experiments.campaign import PlannedRun
-from missions.experiments.comparison import SEARCH, Comparison, Group, comparisons
+from missions.experiments.comparison import (
+    SEARCH,
+    Array,
+    Comparison,
+    Group,
+    comparisons,
+    contrast,
+    holm,
+    interval_of_mean,
+    interval_of_sd,
+    two_clusters,
+)
 from missions.experiments.results import Kept
-from missions.experiments.statistics import Array, contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 from missions.views.output import OutputFile, files_tried
 
 if TYPE_CHECKING:

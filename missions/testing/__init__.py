@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from missions.engine.components import CommandFailed
-    from missions.testing.decisions import Decisions, check_golden
-    from missions.testing.recorded import replay
+    from missions.testing.decisions import Decisions, check_golden, replay
     from missions.testing.scripted import FakeClock, LeafMock, ScriptedManaged, mock_leaf
 
 __all__ = [
@@ -28,7 +27,7 @@ def __getattr__(name: str) -> object:
     """Import a name when it is used first, because pytest imports this package at each start."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    own = (f"{__name__}.{home}" for home in ("decisions", "recorded", "scripted"))
+    own = (f"{__name__}.{home}" for home in ("decisions", "scripted"))
     homes = map(import_module, (*own, "missions.engine.components"))
     return next(getattr(home, name) for home in homes if hasattr(home, name))
 

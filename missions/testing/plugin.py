@@ -47,8 +47,8 @@ def managed(fake_clock: "FakeClock") -> "ScriptedManaged":
 
 @pytest.fixture
 def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
-    """`missions.testing.recorded.replay`; a relative path is looked for beside the file of the test."""
-    from missions.testing.recorded import replay
+    """`missions.testing.decisions.replay`; a relative path is looked for beside the file of the test."""
+    from missions.testing.decisions import replay
 
     @wraps(replay)
     def beside(source: str | Path | Iterable[Mapping[str, Any]], *given: Any, **named: Any) -> "Decisions":  # noqa: ANN401  # those of replay

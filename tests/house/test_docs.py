@@ -68,7 +68,7 @@ def few_runs():
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
 def test_document_does_what_it_says(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("missions.commands.campaign.paper_table", few_runs)
+    monkeypatch.setattr("missions.commands.experiments.paper_table", few_runs)
     shutil.copy(ROOT / "tests" / "missions" / "battery_drop.jsonl", tmp_path)
     if path.name not in ("tutorial.md", "replay_tests.md"):  # parts of files, see below; and of tests, see there
         run_python(path)

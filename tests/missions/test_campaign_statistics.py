@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missions.experiments import statistics
-from missions.experiments.statistics import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+from missions.experiments import comparison
+from missions.experiments.comparison import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
 
 NUMBERS = st.integers(-1000, 1000).map(lambda number: number / 8)
 SAMPLES = st.lists(NUMBERS, min_size=1, max_size=20)
@@ -45,7 +45,7 @@ def test_standard_deviation_knows_no_shift_and_scales(values, shift, factor):
 def test_intervals_of_many_values_are_those_of_resamples_without_any(monkeypatch, draw, interval):
     values = draw(seeded())
     resampled = interval(values, seeded())
-    monkeypatch.setattr(statistics, "MOST_RESAMPLED", 2000)
+    monkeypatch.setattr(comparison, "MOST_RESAMPLED", 2000)
     found = interval(values, None)
     assert found.estimate == resampled.estimate
     assert found[1:] == pytest.approx(resampled[1:], abs=0.06 * (resampled.high - resampled.low))

@@ -12,7 +12,7 @@ from running import text
 from typer.testing import CliRunner
 
 from missions import cli
-from missions.baselines.registry import MANAGERS, OURS, POLICIES
+from missions.baselines import MANAGERS, OURS, POLICIES
 from missions.engine.registry import MISSIONS, find_mission
 
 
@@ -238,7 +238,7 @@ def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
 
 
 def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):
-    from missions.testing.recorded import replay
+    from missions.testing.decisions import replay
 
     changed = ["tick_period_s=0.7", "duration_s=320", "activation_s=0.4", "deactivation_s=0.2", "planning_delay_s=1.3"]
     options = [part for setting in changed for part in ("--set", setting)]

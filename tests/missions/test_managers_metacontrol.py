@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from missions.baselines import open_run
-from missions.baselines.metacontrol import (
+from missions.baselines.modes import (
     ALWAYS_IMPROVED,
     DESIGNS,
     Metacontrol,

@@ -630,7 +630,7 @@ def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypat
 
 
 def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tmp_path, monkeypatch):
-    monkeypatch.setattr("missions.commands.verify.prove", None)
+    monkeypatch.setattr("missions.commands.check.prove", None)
     for option in ("--json", "--report", "--test", "--resume"):
         done = CliRunner().invoke(cli.app, ["verify", "suave", option, str(tmp_path / "nowhere" / "file")])
         assert "nowhere/file: No such file or directory" in str(done.exception)

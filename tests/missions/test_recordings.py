@@ -28,7 +28,7 @@ from kb import KnowledgeBase, Model
 from missions import cli
 from missions.engine.mission import MissionError
 from missions.engine.recording import measured, read_recording
-from missions.testing.recorded import replay
+from missions.testing.decisions import replay
 from missions.wires import mcap, ros
 from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
 from missions.wires.node import made

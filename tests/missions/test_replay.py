@@ -19,7 +19,7 @@ from missions.engine.task_layer import mission_domain
 from missions.suave.tree import suave_tree
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
-from missions.testing.recorded import replay
+from missions.testing.decisions import replay
 from rosa_bt import replay_trace
 from rosa_pddl import PlanExecutor
 
@@ -28,7 +28,7 @@ BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 BLOCKED = """
 import sys
 sys.modules["mujoco"] = None  # importing it raises from here on
-from missions.testing.recorded import replay
+from missions.testing.decisions import replay
 for task in ("bt", "pddl"):
     decisions = replay(sys.argv[1], "suave_extended", task=task)
     print([name for name, *_ in decisions.actions])

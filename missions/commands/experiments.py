@@ -1,0 +1,188 @@
+"""`rosa campaign`, `rosa report`, `rosa learn` and `rosa effort`: many runs, what came of them, and of models."""
+
+import shlex
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from time import perf_counter
+from typing import Annotated, Final
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+
+from missions.commands import FAILED, ROBOT, open_console
+from missions.engine.mission import MissionError
+from missions.engine.registry import find_robot, needs
+from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
+from missions.experiments.learning import learn as suggestions_of
+from missions.experiments.learning import read_runs
+from missions.experiments.results import Store, read_store
+from missions.experiments.workers import Cluster, Processes, Workers, conduct
+from missions.views import report as page
+from missions.views.console import CampaignProgress
+from missions.views.output import as_json, open_files
+
+KINDS: Final = ("rate", "estimation", "threshold")
+
+
+def campaign(
+    file: Annotated[Path | None, typer.Argument(metavar="FILE.toml", help="What to run.")] = None,
+    table: Annotated[bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")] = False,
+    runs: Annotated[int | None, typer.Option(help="How many of each, whatever the file says.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")] = None,
+    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with the campaign in DIR.")] = False,
+    retry: Annotated[bool, typer.Option("--retry", help="With --resume: also repeat runs that crashed.")] = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")] = None,
+) -> None:
+    """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
+    asked = _asked(file, table, runs)
+    if workers is not None and cluster is not None:
+        raise MissionError("give --workers N for this machine or --cluster ADDRESS, not both")
+    if retry and not resume:
+        raise MissionError("--retry goes with --resume")
+    if asked is None and not (resume and out):
+        raise MissionError("say what to run: FILE.toml or --paper-table, or --resume --out DIR")
+    if asked is not None:
+        check_campaign(asked)
+    folder = out or Path("campaigns") / (asked.name if asked else "")
+    console = Console(emoji=False, soft_wrap=True, highlight=False)
+    with Store(folder, asked, resume=resume) as store:
+        modules = store.campaign.own_modules
+        words = [str(file)] if modules else []  # a folder must not say what is imported
+        words += ["--runs", str(runs)] if modules and runs is not None else []
+        words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
+        again = f"rosa campaign {shlex.join(words)}"
+        open_workers = partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
+        if _conduct(console, store, folder, open_workers, retry, again):
+            raise typer.Exit(FAILED)
+
+
+def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
+    if file is not None and table:
+        raise MissionError("give either FILE.toml or --paper-table")
+    if file is None and not table:
+        if runs is not None:
+            raise MissionError("--runs goes with FILE.toml or --paper-table")
+        return None
+    campaign = paper_table() if file is None else read_campaign(file)
+    return campaign if runs is None else replace(campaign, runs=runs)
+
+
+def _conduct(
+    console: Console, store: Store, folder: Path, open_workers: Callable[[], Workers], retry: bool, again: str
+) -> int:
+    shown = CampaignProgress(console)
+    started = perf_counter()
+    try:
+        with closing(open_workers()) as workers, shown.progress:
+            console.print(f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time")
+            written = conduct(store, folder, workers, retry=retry, progress=shown)
+    except (KeyboardInterrupt, SystemExit, MissionError):
+        console.print(f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}")
+        raise
+    took = perf_counter() - started
+    console.print(
+        f"{shown.count} of {shown.total} runs done, {shown.new} of them now in {took:.1f} s"
+        f" ({shown.new / took:.2f} a second); {shown.crashed} crashed"
+    )
+    console.print(f"written: {', '.join(escape(str(path)) for path in written)}")
+    console.print(f"`rosa report {escape(str(folder))}` says what came of it")
+    return shown.crashed
+
+
+def report(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="Where to write; default: DIR/report, or the recording's name with .html."),
+    ] = None,
+    pages: Annotated[bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")] = False,
+    figures: Annotated[list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")] = None,
+) -> None:
+    """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
+
+    A run is a recording, or a page that `rosa run MISSION --report FILE.html` wrote.
+    """
+    if len(sources) > 2:
+        raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
+    if len(sources) == 1 and not sources[0].is_file() and sources[0].suffix not in (".html", ".mcap"):
+        kept = read_store(sources[0])
+        with needs("plot", "the report on a campaign"):
+            import matplotlib  # noqa: F401  # it is found out before anything is written
+            import scipy  # noqa: F401  # found out before anything is written
+        from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
+
+        for path in write_campaign(kept, out or sources[0] / "report", pages=pages, figures=figures or ()):
+            if path.stem == "report":
+                typer.echo(path)
+        return
+    target = out or sources[0].with_name(f"{'-'.join(one.stem for one in sources)}.report.html")
+    page.write_report(target, *map(_page_of, sources))
+    typer.echo(target)
+
+
+def _page_of(path: Path) -> page.Recorded:
+    if path.suffix not in (".mcap", ".jsonl"):
+        return page.read_page(path)
+    from missions.wires.mcap import read_page
+
+    return read_page(path)
+
+
+def learn(
+    runs: Annotated[list[Path], typer.Argument(help="Recordings, and folders of campaigns.")],
+    model: Annotated[str, typer.Option(help=ROBOT)],
+    apply: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the changed model here.")] = None,
+    take: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KIND", help="What to change: rate, estimation (both by default), threshold."),
+    ] = None,
+) -> None:
+    """Suggest changes of a model, each with its interval and the number of observations; --apply writes them."""
+    taken = take or ["rate", "estimation"]
+    for kind in taken:
+        if kind not in KINDS:
+            raise MissionError(f"--take is {kind!r}; what can be changed is {', '.join(KINDS)}")
+    if apply is not None and apply.exists():
+        raise MissionError(f"{apply} is there already; name a file that is not")
+    known, mission = find_robot(model)
+    console = open_console()
+    changed = 0
+    for one in suggestions_of(read_runs(runs), known, mission):
+        console.print(str(one), markup=False)
+        if apply is not None and one.apply is not None and one.kind in taken:
+            one.apply()
+            changed += 1
+    if apply is not None:
+        known.save(apply)
+        console.print(f"{changed} change{'s' * (changed != 1)}, written to {apply}", markup=False)
+
+
+def effort(
+    models: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="MISSION|FILE", help="A mission, module:NAME or model file; default: all missions."),
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all that is counted.")] = None,
+) -> None:
+    """Count what it takes to write a model, beside the counts of the ROSA paper.
+
+    Entities: actions, functions, components, attributes, and each key of each
+    configuration. Relations: functional requirements (one for each action),
+    function designs, component configurations, constraints (one that is
+    shared counts once), estimations.
+    """
+    from missions.experiments.effort import lines_of, survey  # which imports missions to count them
+
+    files = open_files({"json": json})
+    found = survey(models or ())
+    typer.echo("\n".join(lines_of(found)))
+    if "json" in files:
+        files["json"].finish(as_json(found))
