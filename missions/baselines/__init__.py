@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager, Robot
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.mission import Mission, MissionError, split_settings
+from missions.engine.mission import Mission, MissionError, World, built, split_settings
 from missions.engine.registry import load, needs
 from missions.engine.runner import OURS, Listener, MissionRun, RosaRun
 from missions.engine.settings import Setting
@@ -103,8 +103,12 @@ def open_run(
     options = () if managed_by is None else managed_by.options
     run_settings, world_settings, chosen = split_settings(mission, settings or {}, options)
     rng = numpy.random.default_rng(seed)
-    with needs("sim", f"the world of {mission.name}"):
-        world = mission.world.open(world_settings, rng)
+
+    def opened() -> object:
+        with needs("sim", f"the world of {mission.name}"):
+            return mission.world.open(world_settings, rng)
+
+    world = built(f"what open() of {type(mission.world).__name__} gives", World, opened)  # type: ignore[type-abstract]  # only for isinstance
     try:
         if managed_by is None:
             return RosaRun(mission, task, world, run_settings, listeners)

@@ -1,6 +1,7 @@
 """`rosa run` and `rosa watch`: run a mission, show what happens and why, and write files; or watch one that runs."""
 
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
@@ -16,7 +17,7 @@ from missions.engine.registry import find_mission, needs
 from missions.engine.runner import MissionRun, RosaRun
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
-from missions.views.output import as_json, open_files, summary, timing_of
+from missions.views.output import as_json, files_tried, open_files, summary, timing_of
 from missions.views.recorder import RunRecorder
 from missions.views.report import report as page_of
 
@@ -72,8 +73,8 @@ def run(
             opened.listen(narrator)
         if groot2 is not None:
             _publish(opened, groot2, stack)
-        if "record" in files:
-            LineRecorder(opened, seed, files["record"].write)
+        if lines is not None:
+            LineRecorder(opened, seed, _lines_written(lines, stack))
         is_drawn = bool(report or plot)
         if is_drawn or mcap or tui or live is not None:
             keep = None if is_drawn or live is None else KEEP
@@ -103,7 +104,7 @@ def run(
             wall_s = time.perf_counter() - start
         print_result(console, opened, verdict, wall_s, with_adaptations=not progress)
         data = summary(opened, verdict, seed, changed) | {"manager": manager}
-        texts = {"json": as_json(data), "timing": as_json(timing_of(opened, wall_s)), "record": ""}
+        texts = {"json": as_json(data), "timing": as_json(timing_of(opened, wall_s))}
         for name in texts.keys() & files.keys():
             files[name].finish(texts[name])
         if page:
@@ -116,6 +117,18 @@ def run(
             files["plot"].finish(draw(page.recorder.recorded))
     if not verdict.success:
         raise typer.Exit(FAILED)
+
+
+def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
+    """Return a function that writes a line at once, so that a program that is killed leaves what it has heard."""
+    with files_tried(f"write {path}"):
+        file = stack.enter_context(path.open("wb", buffering=0))
+
+    def write(line: str) -> None:
+        with files_tried(f"write {path}"):
+            file.write(line.encode())
+
+    return write
 
 
 def _watched(run: MissionRun, page: RunRecorder) -> Verdict:

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from inspect import Parameter, signature
+from math import inf
+from numbers import Real
 from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
@@ -29,6 +31,25 @@ T = TypeVar("T")
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
+
+
+NUMBER: Final = (float, int, Real)
+"""What counts as a number that a world gives; the usual types come first, as that is quickest."""
+_OBJECT: Final = (dict, Mapping)
+
+
+def check_message(message: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
+    """Check that this is diagnostics as they travel; MissionError if not, which names where it is from."""
+    said: Any = message if isinstance(message, _OBJECT) else {}
+    time, statuses = said.get("time"), said.get("status")
+    if not isinstance(time, NUMBER) or isinstance(time, bool) or not 0 <= float(time) < inf:
+        wanted = 'a message is an object with a number "time" [s] from 0 and a list "status"'
+        raise MissionError(f"{where}: {wanted}, not {message!r:.100}")
+    for one in statuses if isinstance(statuses, list | tuple) else (statuses,):
+        values = one.get("values") if isinstance(one, _OBJECT) else None
+        if not isinstance(values, _OBJECT) or not isinstance(one.get("message"), str):
+            wanted = 'each "status" is an object with a text "message" and an object "values"'
+            raise MissionError(f"{where}: {wanted}, not {one!r:.100}")
 
 
 MISSION_STATUS: Final = "mission status"
@@ -314,13 +335,21 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
         made = build(*given[: places.count(Parameter.empty)])
     made = made.root if isinstance(made, BehaviourTree) else made
     if not isinstance(made, kind):
-        raise MissionError(f"{title} is {made!r}, not a {'py_trees behaviour' if kind is Behaviour else kind.__name__}")
+        raise MissionError(
+            f"{title} is {made!r:.100}, not a {'py_trees behaviour' if kind is Behaviour else kind.__name__}"
+        )
     return made
 
 
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
     """Return all settings of a mission: those of the run, then those of its world."""
-    return (*declared(RunSettings), *mission.world.settings())
+    its = f"settings() of {type(mission.world).__name__}"
+    with blamed(f"{its} failed"):
+        own = tuple(mission.world.settings())
+    for one in own:
+        if not isinstance(one, Setting):
+            raise MissionError(f"{its} gives {one!r:.100}; expected is a tuple of missions.engine.settings.Setting")
+    return (*declared(RunSettings), *own)
 
 
 def split_settings(
@@ -333,10 +362,10 @@ def split_settings(
     Raises:
         MissionError: an unknown name or a value that is not allowed.
     """
-    known = (*options, *settings_of(mission))
+    of_run, known = declared(RunSettings), (*options, *settings_of(mission))
     chosen = full_names(known, mission.fixed, mission.name) | full_names(known, values, mission.name)
     run, world, own = (
         {one.name: chosen[one.name] for one in some if one.name in chosen}
-        for some in (declared(RunSettings), mission.world.settings(), options)
+        for some in (of_run, known[len(options) + len(of_run) :], options)
     )
     return RunSettings.read(run), world, {one.name: one.default for one in options} | read_values(options, own)

@@ -7,17 +7,23 @@ A short stream for a test is written by hand, in Python:
 
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from missions.engine.mission import Message, MissionError
+from missions.engine.mission import Message, MissionError, check_message
 from missions.engine.runner import Listener, MissionRun
 
 
 def line_of(message: Message) -> str:
-    return json.dumps(message, separators=(",", ":"), sort_keys=True) + "\n"
+    return json.dumps(message, separators=(",", ":"), sort_keys=True, default=_plain) + "\n"
+
+
+def _plain(value: object) -> float | str | dict[Any, Any]:
+    """Return what JSON writes for a value of no type of its own: a number of numpy, another mapping, else its text."""
+    return float(value) if isinstance(value, Real) else dict(value) if isinstance(value, Mapping) else str(value)
 
 
 def header(run: MissionRun, seed: int) -> Message:
@@ -82,7 +88,12 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
     else:
         found = ((f"message {number}", message) for number, message in enumerate(source, start=1))
     for where, message in found:
-        _check(message, where)
+        check_message(message, where)
+        run = message.get("run", {})
+        parts = [run.get(one, {}) for one in ("settings", "switching_s")] if isinstance(run, dict) else [None]
+        if not all(isinstance(one, dict) for one in parts):
+            wanted = 'an object with objects "settings" and "switching_s"'
+            raise MissionError(f'{where}: "run" says how it was run: {wanted}')
         if message["time"] < last:
             raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
         last = message["time"]
@@ -106,18 +117,3 @@ def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
         except json.JSONDecodeError as error:
             said = f"not JSON ({error.msg}); one message per line is expected"
             raise MissionError(f"{where}:{error.colno}: {said}") from None
-
-
-def _check(message: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
-    time = message.get("time") if isinstance(message, dict) else None
-    if not isinstance(time, int | float) or isinstance(time, bool) or not 0 <= time < math.inf:
-        raise MissionError(f'{where}: a message is an object with a number "time" [s] from 0 and a list "status"')
-    run = message.get("run", {})
-    if not isinstance(run, dict) or not all(isinstance(run.get(key, {}), dict) for key in ("settings", "switching_s")):
-        raise MissionError(f'{where}: "run" says how it was run: an object with objects "settings" and "switching_s"')
-    statuses = message.get("status")
-    if not isinstance(statuses, list) or not all(
-        isinstance(one, dict) and isinstance(one.get("message"), str) and isinstance(one.get("values"), dict)
-        for one in statuses
-    ):
-        raise MissionError(f'{where}: each "status" is an object with a text "message" and an object "values"')

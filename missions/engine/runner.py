@@ -3,11 +3,11 @@
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
+from functools import partial
 from math import inf, isfinite, nan
-from numbers import Real
 from time import perf_counter
-from typing import Final
+from typing import Any, Final
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -15,8 +15,10 @@ from py_trees.trees import BehaviourTree
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.engine.components import VERBS
 from missions.engine.mission import (
     NO_SUCCESS,
+    NUMBER,
     TIME_LIMIT,
     Message,
     Mission,
@@ -27,6 +29,8 @@ from missions.engine.mission import (
     Verdict,
     World,
     blamed,
+    built,
+    check_message,
 )
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import build_task
@@ -38,6 +42,54 @@ OURS: Final = "ours"
 SAMPLE_PERIOD_S: Final = 0.5
 STANDSTILL = 10_000
 """A world stands still if it is asked this often to go on and less than a millisecond passes."""
+
+_GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
+    "results": (
+        Mapping,
+        lambda one: one[1] is None or isinstance(one[1], NUMBER),
+        "a mapping of names to numbers, None for what did not happen",
+    ),
+    "reactions": (
+        Sequence,
+        lambda one: isinstance(one.uncertainty, str) and _are_numbers(one.start_s, one.end_s, one.delay_s),
+        "a sequence of reactions, each with uncertainty, start_s, end_s and delay_s",
+    ),
+    "sample": (
+        object,
+        lambda one: one is None or (len(one.position) == 3 and _are_numbers(*one.position, *one.signals.values())),
+        "None or a missions.engine.mission.Sample: a time, a position of three numbers, and signals that are numbers",
+    ),
+    "disturbances": (
+        Sequence,
+        lambda one: len(one) == 2 and _are_numbers(one[0]) and isinstance(one[1], str),
+        "a list of pairs of a time [s] and a text",
+    ),
+    "scenery": (
+        Mapping,
+        lambda one: all(len(point) == 2 and _are_numbers(*point) for point in one[1]),
+        "a mapping of names to points, each of two numbers",
+    ),
+}
+"""What methods of a world give: of which type, what is asked of each part, and in words what is wanted."""
+
+
+def _are_numbers(*values: object) -> bool:
+    return all(isinstance(one, NUMBER) for one in values)
+
+
+def _time_of(world: World) -> float:
+    now: float = world.now
+    if not isinstance(now, NUMBER):
+        raise MissionError(f"now of {type(world).__name__} is {now!r:.100}; expected is the time, a number [s]")
+    return now
+
+
+def _holds(fits: Callable[[Any], bool], part: object) -> bool:
+    """Return whether something is as it should be; it is not if asking raises, as of a part that is missing."""
+    try:
+        return fits(part)
+    except (TypeError, ValueError, AttributeError, LookupError):
+        return False
 
 
 class Listener:
@@ -87,6 +139,10 @@ class MissionRun(ABC):
 
     def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
         self.mission, self.world, self.settings = mission, world, settings
+        self._moved_s, self._turns = _time_of(world), 0
+        if any(not callable(getattr(world.managed, verb, None)) for verb in VERBS):
+            its = f"managed of {type(world).__name__} is {world.managed!r:.100}"
+            raise MissionError(f"{its}; expected is a kb.ManagedSystem, which has the methods {', '.join(VERBS)}")
         self.model = mission.model()
         self.manager, self.task = manager, task
         self.tree: BehaviourTree | None = None
@@ -101,7 +157,6 @@ class MissionRun(ABC):
         self.is_stuck = False
         self._decided_s: list[tuple[float, float]] = []
         self._sampled_at, self._plans_heard = -SAMPLE_PERIOD_S, 0
-        self._moved_s, self._turns = world.now, 0
 
     def listen(self, *listeners: Listener) -> None:
         """Add listeners."""
@@ -174,19 +229,28 @@ class MissionRun(ABC):
         """Each reaction that the world knows, with the computing time on this machine during it [s]."""
         return [
             (one, sum(took for time, took in self._decided_s if one.start_s <= time < one.end_s))
-            for one in self.world.reactions()
+            for one in self.ask("reactions")
         ]
+
+    def ask(self, method: str) -> Any:  # noqa: ANN401  # what the method gives is checked here
+        """Call a method of the world without arguments: results, reactions, sample, disturbances or scenery.
+
+        Raises:
+            MissionError: it raises, or gives something else than it is to give.
+        """
+        kind, fits, wanted = _GIVES[method]
+        its = f"{method}() of {type(self.world).__name__}"
+        with blamed(f"{its} failed after {self.world.now:.1f} s"):
+            given = getattr(self.world, method)()
+        parts = [given] if kind is object else given.items() if isinstance(given, Mapping) else given
+        wrong = [one for one in parts if not _holds(fits, one)] if isinstance(given, kind) else [given]
+        if wrong:
+            raise MissionError(f"{its} gives {wrong[0]!r:.100}; expected is {wanted}")
+        return given
 
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names, including `inputs`."""
-        figures, gives = self.world.results(), f"results() of {type(self.world).__name__} gives"
-        if not isinstance(figures, Mapping):
-            raise MissionError(f"{gives} {figures!r:.80}; expected is a mapping, empty if there are no figures")
-        for name, value in figures.items():
-            if value is not None and not isinstance(value, Real):
-                wrong = f"{gives} {name!r} as {value!r:.80}"
-                raise MissionError(f"{wrong}; expected is a number, or None for what did not happen")
-        return {**figures, **self.inputs}
+        return {**self.ask("results"), **self.inputs}
 
     def run(self) -> Verdict:
         """Run until the mission is done, stuck or out of time; nothing is left running however this ends.
@@ -195,12 +259,15 @@ class MissionRun(ABC):
             MissionError: the world lets no time pass, or code of the mission raises; the message names it.
         """
         world, duration_s = self.world, self.settings.duration_s
-        with closing(world):
+        try:
+            while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
+                self._turn()
+        finally:
             try:
-                while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
-                    self._turn()
-            finally:
                 self.end()
+            finally:
+                with blamed(f"close() of {type(world).__name__} failed"):
+                    world.close()
         if self.trouble:
             return self.trouble
         verdict = self.verdict(self.results())
@@ -238,9 +305,11 @@ class MissionRun(ABC):
         with blamed(f"{its} failed after {before:.1f} s"):
             messages = world.advance(until)
         if not isinstance(messages, list):
-            said = f"advance() of {type(world).__name__} returned {messages!r:.80}"
-            raise MissionError(f"{said}; it is to return a list of messages, empty if there are none")
-        now = world.now
+            said = f"advance() of {type(world).__name__} gives {messages!r:.100}"
+            raise MissionError(f"{said}; expected is a list of messages, empty if there are none")
+        for message in messages:
+            check_message(message, f"advance() of {type(world).__name__}")
+        now = _time_of(world)
         if not isfinite(now) or now < before:
             raise MissionError(f"{its} shows {now!r} s after {before!r} s; its time has to pass")
         self._turns += 1
@@ -265,7 +334,7 @@ class MissionRun(ABC):
             return
         self._sampled_at = now
         measured = {name: nan if value is None else value for name, value in self.measured.items()}
-        sample = self.world.sample() or Sample(now, (nan, nan, nan), measured)
+        sample = self.ask("sample") or Sample(now, (nan, nan, nan), measured)
         self.tell(lambda listener: listener.sample(sample))
 
 
@@ -374,7 +443,8 @@ class RosaRun(MissionRun):
         if is_ticked and self._kb.revision != self._answered:
             self._manage()
         if is_ticked and self.world.is_still and self._kb.pending_plan is None:
-            self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
+            with blamed(f"why_not of mission {self.mission.name} failed after {self._now():.1f} s"):
+                self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
         if is_ticked and self._may_rest:
             self._consider_resting(before)
         return is_ticked
@@ -409,7 +479,9 @@ class RosaRun(MissionRun):
             self._task.close()
 
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
-        verdict = self.mission.world.verdict(self.percepts, results, self._kb)
+        kind = self.mission.world
+        title = f"what verdict() of {type(kind).__name__} gives"
+        verdict = built(title, Verdict, partial(kind.verdict, self.percepts, results, self._kb))
         if verdict.success:
             return verdict
         plan = self.plans[-1] if self.plans and self._task.is_planned else None

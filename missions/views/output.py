@@ -102,7 +102,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             for one in run.plans
         ],
         "reactions": [_fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions],
-        "disturbances": [{"at_s": time, "what": text} for time, text in run.world.disturbances()],
+        "disturbances": [{"at_s": time, "what": text} for time, text in run.ask("disturbances")],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
     }
 

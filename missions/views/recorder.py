@@ -405,7 +405,7 @@ class RunRecorder(Listener):
         is_ours = isinstance(run, RosaRun)
         kb = run.kb if is_ours else KnowledgeBase(run.model, clock=lambda: run.world.now)
         self._own = None if is_ours else kb
-        self._sample = sample = run.world.sample()
+        self._sample = sample = run.ask("sample")
         self._measured = frozenset(kb.attributes)
         signals = dict(map(_split, sample.signals if sample else ()))
         header = {
@@ -449,11 +449,11 @@ class RunRecorder(Listener):
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        scenery = run.world.scenery()
+        scenery = run.ask("scenery")
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
-        for time, text in run.world.disturbances()[self._disturbed :]:
+        for time, text in run.ask("disturbances")[self._disturbed :]:
             self._disturbed += 1
             recorder.put("disturbance", self._disturbed, {"t": time, "words": text})
         if self._own is not None:

@@ -3,8 +3,10 @@
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from typer.testing import CliRunner
 
 from missions import cli
 from missions.baselines import MANAGERS, OURS, POLICIES
+from missions.engine.recording import read_recording
 from missions.engine.registry import MISSIONS, find_mission
 
 
@@ -235,6 +238,21 @@ def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
     text = " ".join(out.split())
     assert text.count("diagnostics not used") == 1
     assert "30 parts of diagnostics were not used, the first: battery_level='1.0'" in text
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_recording_of_a_program_that_is_killed_holds_what_was_heard_until_then(how, tmp_path):
+    path = tmp_path / "run.jsonl"
+    command = [sys.executable, "-m", "missions", "run", "suave_extended", "--record", str(path), "--speed", "20"]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as running:
+        while running.poll() is None and not (path.exists() and len(path.read_text().splitlines()) > 20):
+            time.sleep(0.05)
+        running.send_signal(how)
+        running.wait(30)
+    first, *heard = read_recording(path)
+    assert first["run"]["mission"] == "suave_extended"
+    assert len(heard) >= 20
+    assert heard[-1]["time"] < 300.0
 
 
 def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):

@@ -12,12 +12,15 @@ from running import register, rosa_run, run_mission
 from small_rover import rover_model, rover_tree
 
 from missions.agv import agv_mission
-from missions.engine.mission import Mission, MissionError, Verdict, World, WorldKind, split_settings
-from missions.engine.recording import measured, sensed
+from missions.baselines import open_run
+from missions.engine.mission import Mission, MissionError, Sample, Verdict, World, WorldKind, split_settings
+from missions.engine.recording import LineRecorder, measured, read_recording, sensed
 from missions.engine.registry import find_mission
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
 from missions.testing import FakeClock, ScriptedManaged
+from missions.views.output import summary
+from missions.views.recorder import RunRecorder
 
 
 class Field(World):
@@ -91,25 +94,103 @@ def test_world_that_does_not_let_time_pass_is_refused_by_name_and_closed(goes, w
     assert run.kb.required_actions == ()
 
 
-def test_world_that_advances_to_nothing_or_has_words_for_figures_is_told_what_to_return():
-    class Silent(Field):
-        def advance(self, until):
-            super().advance(until)
+NAN = math.nan
+STATUS = {"name": "", "message": "component status", "values": {}}
+GIVEN = [  # a method of the world, what it gives, and what the message says of it
+    ("advance", None, r"advance\(\) of Odd gives None; expected is a list of messages, empty if there are none"),
+    ("advance", ["news"], r"advance\(\) of Odd: a message is an object with a number \"time\" .*, not 'news'"),
+    ("advance", [{"status": []}], r"advance\(\) of Odd: a message is an object with a number \"time\" \[s\]"),
+    ("advance", [{"time": "1.0", "status": []}], r"with a number \"time\" .*, not {'time': '1.0'"),
+    ("advance", [{"time": NAN, "status": []}], r"with a number \"time\" .*, not {'time': nan"),
+    ("advance", [{"time": 0.0}], 'each "status" is an object with a text "message" and an object "values", not None'),
+    ("advance", [{"time": 0.0, "status": [STATUS, 3]}], 'each "status" is an object .*, not 3'),
+    ("advance", [{"time": 0.0, "status": [{**STATUS, "message": None}]}], 'a text "message" .*, not {'),
+    ("advance", [{"time": 0.0, "status": [{**STATUS, "values": [1]}]}], 'an object "values", not {'),
+    ("now", None, r"now of Odd is None; expected is the time, a number \[s\]"),
+    ("now", "soon", "now of Odd is 'soon'; expected is the time"),
+    ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has the methods activate, deact"),
+    ("results", None, r"results\(\) of Odd gives None; expected is a mapping of names to numbers"),
+    ("results", {"rooms": "many"}, r"results\(\) of Odd gives \('rooms', 'many'\); expected is a mapping of names"),
+    ("reactions", 3, r"reactions\(\) of Odd gives 3; expected is a sequence of reactions, each with uncertainty"),
+    ("reactions", [3], r"reactions\(\) of Odd gives 3; expected is a sequence of reactions"),
+    ("sample", 3, r"sample\(\) of Odd gives 3; expected is None or a missions.engine.mission.Sample"),
+    ("sample", Sample(0.0, (1.0, 2.0), {}), "expected is None or a .*Sample: a time, a position of three numbers"),
+    ("sample", Sample(0.0, (1.0, 2.0, 3.0), {"light": "dim"}), "and signals that are numbers"),
+    (
+        "disturbances",
+        None,
+        r"disturbances\(\) of Odd gives None; expected is a list of pairs of a time \[s\]",
+    ),
+    ("disturbances", [("dark", 1.0)], r"disturbances\(\) of Odd gives \('dark', 1.0\); expected is a list of pairs"),
+    ("scenery", [1], r"scenery\(\) of Odd gives \[1\]; expected is a mapping of names to points, each of two numbers"),
+    ("scenery", {"wall": [(1.0, 2.0, 3.0)]}, r"scenery\(\) of Odd gives \('wall'.*expected is a mapping"),
+]
 
-    class Wordy(Field):
-        def results(self):
-            return {"rooms": "many"}
 
-    class Empty(Field):
-        def results(self):
-            return None
+@pytest.mark.parametrize(("method", "given", "words"), GIVEN)
+def test_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+    def gives(world, *until):
+        return given
 
-    with pytest.raises(MissionError, match=r"results\(\) of Empty gives None; expected is a mapping, empty if there"):
-        run_in(Empty()).run()
-    with pytest.raises(MissionError, match=r"advance\(\) of Silent returned None; it is to return a list of messages"):
-        run_in(Silent()).run()
-    with pytest.raises(MissionError, match=r"results\(\) of Wordy gives 'rooms' as 'many'; expected is a number"):
-        run_in(Wordy()).results()
+    class Odd(Field):
+        pass
+
+    setattr(Odd, method, property(gives) if method in ("now", "managed") else gives)
+    with pytest.raises(MissionError, match=words):
+        drawn(run_in(Odd(), duration_s=0.5))
+
+
+@pytest.mark.parametrize("method", ["results", "reactions", "sample", "disturbances", "scenery", "close"])
+def test_world_that_raises_is_named_with_the_method_and_the_line(method):
+    def fails(world):
+        raise KeyError("camera")
+
+    class Odd(Field):
+        pass
+
+    setattr(Odd, method, fails)
+    with pytest.raises(
+        MissionError, match=rf"{method}\(\) of Odd failed.*KeyError: 'camera'; test_run_ends\.py, line \d+$"
+    ):
+        drawn(run_in(Odd(), duration_s=0.5))
+
+
+def drawn(run):
+    """Run to the end as `rosa run --report --json` does."""
+    page = RunRecorder(run, 0, {})
+    verdict = run.run()
+    page.end(verdict)
+    return summary(run, verdict, 0, {})
+
+
+@pytest.mark.parametrize(
+    ("method", "given", "words"),
+    [
+        ("open", None, r"what open\(\) of Odd gives is None, not a World"),
+        ("verdict", "fine", r"what verdict\(\) of Odd gives is 'fine', not a Verdict"),
+        ("settings", ("speed",), r"settings\(\) of Odd gives 'speed'; expected is a tuple of .*Setting"),
+    ],
+)
+def test_kind_of_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+    class Odd(FieldKind):
+        pass
+
+    setattr(Odd, method, lambda *_: given)
+    with pytest.raises(MissionError, match=words):
+        open_run(replace(ROVER, world=Odd()), settings={"duration_s": "0.5"}).run()
+
+
+def test_numbers_of_numpy_are_numbers_and_can_be_recorded(tmp_path):
+    light = {"time": numpy.float32(0.25), "status": [{**STATUS, "message": "attribute measurement", "values": {}}]}
+    light["status"][0]["values"] = {"light": numpy.float32(0.5), "energy": numpy.int64(1)}
+    run, lines = run_in(Field(news=[light]), duration_s=0.5), []
+    LineRecorder(run, 0, lines.append)
+    run.run()
+    assert not run.problems
+    assert run.kb.attributes["light"].value == 0.5
+    (tmp_path / "run.jsonl").write_text("".join(lines))
+    *_, read = read_recording(tmp_path / "run.jsonl")
+    assert (read["time"], read["status"][0]["values"]) == (0.25, {"light": 0.5, "energy": 1.0})
 
 
 def test_behaviour_that_has_plans_of_its_own_does_not_plan_for_the_run():
