@@ -65,14 +65,14 @@ def amended_alike(then: Model, numbers: owl.Serials, model: Model) -> owl.Serial
     return owl.Serials((now, numbers[before]) for before, now in pairs)
 
 
-def differences(then: Model, now: Model) -> list[str]:
-    """Say which statements are in only one of two models; nothing if the models are equal."""
+def differences(then: Model, now: Model, kept_in: str = "store") -> list[str]:
+    """Say which statements are in only one of two models; nothing if they are equal. `kept_in` is where `then` is."""
     if then == now:
         return []
     before, after = _statements(then), _statements(now)
     return [
-        *(f"{one} is not in the store" for one in after if one not in before),
-        *(f"{one} is in the store only" for one in before if one not in after),
+        *(f"{one} is not in the {kept_in}" for one in after if one not in before),
+        *(f"{one} is in the {kept_in} only" for one in before if one not in after),
     ] or ["the order of its elements is another"]
 
 

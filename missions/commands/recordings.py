@@ -11,9 +11,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from kb import Event
+from kb import Event, KnowledgeBaseError
+from kb.amendments import differences
 from kb.files import draft
-from kb.typeql import typeql_text
 from missions.commands import FAILED, open_console
 from missions.engine.mission import MissionError, Verdict
 from missions.engine.recording import line_of, read_recording
@@ -23,7 +23,7 @@ from missions.testing.decisions import replay as decide
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
-from missions.wires.mcap import Bag, is_bag, messages, read_bag, write_in_chunks
+from missions.wires.mcap import Bag, is_bag, messages, read_bag, recorded_model, write_in_chunks
 
 record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
 
@@ -69,9 +69,12 @@ def replay(
     console = open_console()
     if "typeql" in bag.run:
         model = decisions.kb.model
-        changed = _differences(bag.run["typeql"].splitlines(), typeql_text(model).splitlines())
-        other = f"decided with {model.name}, which is another one (-: recorded, +: now)"
+        try:
+            changed = differences(recorded_model(bag), model, "recording")
+        except KnowledgeBaseError as error:  # of another version
+            changed = [str(error)]
         if changed:
+            other = f"decided with {model.name}, which is another one:"
             console.print(f"recorded with the model {bag.run['model']}, {other}", markup=False)
         _print_differences(console, changed)
     for moment in decisions.timeline:
@@ -82,12 +85,13 @@ def replay(
         console.print(f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}")
     if not bag.events:
         return
-    differences = _differences(_decisions(bag, bag.events), _decisions(bag, decisions.events))
-    if not differences:
+    lines = unified_diff(_decisions(bag, bag.events), _decisions(bag, decisions.events), n=0, lineterm="")
+    otherwise = [f"{line[0]} {line[1:]}" for line in islice(lines, 2, None) if not line.startswith("@@")]
+    if not otherwise:
         console.print("decided as recorded")
         return
-    console.print(f"[bold]decided otherwise from {differences[0].split()[1]} s on[/] (-: recorded, +: now)")
-    _print_differences(console, differences)
+    console.print(f"[bold]decided otherwise from {otherwise[0].split()[1]} s on[/] (-: recorded, +: now)")
+    _print_differences(console, otherwise)
     raise typer.Exit(FAILED)
 
 
@@ -133,12 +137,6 @@ def _print_notes(console: Console, bag: Bag) -> None:
 def _print_differences(console: Console, lines: Sequence[str]) -> None:
     for line in [*lines[:_SHOWN], *([f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else [])]:
         console.print(line, markup=False)
-
-
-def _differences(then: Sequence[str], now: Sequence[str]) -> list[str]:
-    """Return the lines that only one of two texts has, "-" before those of the first, "+" of the second."""
-    changed = unified_diff(then, now, n=0, lineterm="")
-    return [f"{line[0]} {line[1:]}" for line in islice(changed, 2, None) if not line.startswith("@@")]
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:

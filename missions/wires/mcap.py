@@ -379,12 +379,8 @@ def read_page(path: str | Path) -> Recorded:
     bag = read_bag(path)
     if not bag.run:
         raise MissionError(f"{path} is not rosa's own; rosa replay {path} --mission NAME --report FILE.html shows it")
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / f"{Path(path).stem}.tql"
-        file.write_text(bag.run["typeql"], encoding="utf-8")
-        model = Model.load(file, name=bag.run["model"])
     now = [0.0]
-    kb = KnowledgeBase(model, clock=lambda: now[0])
+    kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
     recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)
     row = next(rows, None)
     for event in [*bag.events, None]:
@@ -398,6 +394,14 @@ def read_page(path: str | Path) -> Recorded:
             kb.tell(event)
     recorder.close()
     return replace(recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else "")
+
+
+def recorded_model(bag: Bag) -> Model:
+    """Return the model of one of our recordings; kb.ModelError if it cannot be read any more."""
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "recorded.tql"
+        file.write_text(bag.run["typeql"], encoding="utf-8")
+        return Model.load(file, name=bag.run["model"])
 
 
 def _run_of(run: object, place: str | Path) -> dict[str, Any]:
