@@ -7,7 +7,7 @@ from missions.baselines.manager import BaselineRun, Manager, Robot
 from missions.baselines.policies import ByHand, Policy
 from missions.engine.mission import Mission, MissionError, World, built, split_settings
 from missions.engine.registry import load, needs
-from missions.engine.runner import OURS, Listener, MissionRun, RosaRun
+from missions.engine.runner import OURS, MissionRun, RosaRun
 from missions.engine.settings import Setting
 from missions.engine.task_layer import TASK_KINDS, check_task
 
@@ -82,7 +82,6 @@ def open_run(
     task: str | None = None,
     seed: int = 0,
     settings: Mapping[str, str] | None = None,
-    listeners: tuple[Listener, ...] = (),
 ) -> MissionRun:
     """Open a run; the same mission, seed and settings give the same world and chance under every manager.
 
@@ -92,7 +91,6 @@ def open_run(
         task: our task layer, "bt" or "pddl", by default the mission's; some managers bring their own.
         seed: seed of all chance in the run.
         settings: values that differ from the defaults, by name; a unit at the end of a name may be left out.
-        listeners: objects that are told what happens in the run.
 
     Raises:
         MissionError: no such manager, task layer or setting, or they do not go together.
@@ -111,13 +109,13 @@ def open_run(
     world = built(f"what open() of {type(mission.world).__name__} gives", World, opened)  # type: ignore[type-abstract]  # only for isinstance
     try:
         if managed_by is None:
-            return RosaRun(mission, task, world, run_settings, listeners)
+            return RosaRun(mission, task, world, run_settings)
         name, chance = name_of(managed_by), rng.spawn(1)[0]
         if issubclass(managed_by, Policy):
             policy = managed_by(mission.model(), chance, chosen)
             mission = policy.alter(mission, world)
-            return RosaRun(mission, task, world, run_settings, listeners, name, policy, policy.hear)
-        return BaselineRun(mission, world, run_settings, listeners, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
+            return RosaRun(mission, task, world, run_settings, name, policy, policy.hear)
+        return BaselineRun(mission, world, run_settings, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
     except BaseException:
         world.close()
         raise

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from kb import DiagnosticProblem, RequiredAction
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
-from missions.engine.runner import Listener, MissionRun
+from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings, Setting
 from rosa_bt.exceptions import in_words
 
@@ -160,7 +160,6 @@ class BaselineRun(MissionRun):
         mission: Mission,
         world: "Sea",
         settings: RunSettings,
-        listeners: Sequence[Listener],
         name: str,
         manager: type[Manager],
         rng: "Generator",
@@ -181,7 +180,6 @@ class BaselineRun(MissionRun):
         self.robot.agenda.every(period_s, phases[1] * period_s, self._update)
         self._is_ticked = False
         self._tasks_reported = self._changes_reported = 0
-        self.listen(*listeners)
 
     @property
     def due(self) -> float:

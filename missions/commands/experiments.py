@@ -16,10 +16,9 @@ from rich.markup import escape
 from missions.commands import FAILED, ROBOT, open_console
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_robot, needs
-from missions.experiments.campaign import Campaign, check_campaign, paper_table, read_campaign
+from missions.experiments.campaign import Campaign, Store, check_campaign, paper_table, read_campaign, read_store
 from missions.experiments.learning import learn as suggestions_of
 from missions.experiments.learning import read_runs
-from missions.experiments.results import Store, read_store
 from missions.experiments.workers import Cluster, Processes, Workers, conduct
 from missions.views import report as page
 from missions.views.console import CampaignProgress

@@ -360,7 +360,6 @@ class RosaRun(MissionRun):
         task: str,
         world: World,
         settings: RunSettings,
-        listeners: Sequence[Listener] = (),
         manager: str = OURS,
         planner: ConfigurationPlanner | None = None,
         hears: Callable[[Message], Message] = lambda message: message,
@@ -382,7 +381,6 @@ class RosaRun(MissionRun):
         self._is_told = False
         self._answered = -1
         self._left = ""
-        self.listen(*listeners)
 
     @property
     def kb(self) -> KnowledgeBase:

@@ -1,13 +1,27 @@
-"""The definition of a campaign: read from a file, checked before it begins, and expanded into named runs."""
+"""A campaign: what is to run, read from a file and expanded into named runs, and the folder of its results.
 
+The folder has an SQLite file with a row for each run, written when it is done, and CSV tables.
+"""
+
+import csv
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import sqlite3
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing
-from dataclasses import dataclass, field
-from itertools import count, product
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from itertools import chain, count, product
 from pathlib import Path
-from typing import Any, Final
+from time import monotonic
+from typing import Any, Final, NamedTuple, Self
 
+from kb.files import draft, put
 from missions.baselines import MANAGERS, OURS, open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
@@ -222,3 +236,241 @@ def _check_once(campaign: Campaign, source: str) -> None:
     for (one, names), (other, others) in product(places, places):
         if one != other and (both := set(names) & set(others)):
             raise MissionError(f"{source}: {min(both)} is given in {one} and in {other}; give it once")
+
+
+# -------------------------------------------------------------------- the folder of results
+
+FORMAT: Final = 2
+FILE: Final = "campaign.sqlite3"
+SYNC_S: Final = 1.0
+_TABLES: Final = """
+    BEGIN;
+    CREATE TABLE about (format INTEGER, campaign TEXT, provenance TEXT);
+    CREATE TABLE runs (place INTEGER PRIMARY KEY, outcome TEXT, record TEXT, timing TEXT, traceback TEXT);
+"""
+"""`place` is `PlannedRun.place`; record, timing, campaign and provenance are JSON."""
+CRASHED = "crashed"
+"""Outcome of a run that raised an exception or killed its process."""
+
+PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
+DISTRIBUTIONS = ("rosa-taca", "mujoco", "numpy", "ortools", "py-trees", "unified-planning", "up-fast-downward")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The outcome of a run.
+
+    Attributes:
+        run: the run.
+        code: fingerprint of the code that ran it; see `provenance`.
+        record: its figures, which depend only on the name of the run and the code.
+        timing: how long it took on the machine that did it [s].
+        traceback: where it crashed, for people; empty if it did not.
+    """
+
+    run: PlannedRun
+    code: str
+    record: Mapping[str, Any]
+    timing: Mapping[str, Any] = field(default_factory=dict)
+    traceback: str = ""
+
+
+@cache
+def provenance() -> Mapping[str, str]:
+    """Return what results depend on besides the name of the run: versions, and a fingerprint of our code."""
+    digest = hashlib.sha256()
+    root = Path(__file__).parents[2]
+    for package in PACKAGES:
+        for path in sorted((root / package).rglob("*")):
+            if path.is_file() and path.suffix not in (".pyc", "") and "node_modules" not in path.parts:
+                digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    code, python = digest.hexdigest()[:12], ".".join(platform.python_version_tuple()[:2])
+    return {"code": code, "python": python, **{name: _version(name) for name in DISTRIBUTIONS}}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+class Kept(NamedTuple):
+    """The content of a campaign's file; runs are read only when asked for, as there may be a million."""
+
+    path: Path
+    campaign: Campaign
+    provenance: Mapping[str, str]
+
+    def rows(self) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+        """Yield the figures of each run that is done, and its timing, in the order of the campaign."""
+        for record, timing in self._read("SELECT record, timing FROM runs ORDER BY place"):
+            yield json.loads(record), json.loads(timing)
+
+    @property
+    def records(self) -> Iterator[dict[str, Any]]:
+        return (record for record, _ in self.rows())
+
+    @property
+    def crashed(self) -> list[dict[str, Any]]:
+        rows = self._read("SELECT record FROM runs WHERE outcome = ? ORDER BY place", CRASHED)
+        return [json.loads(record) for (record,) in rows]
+
+    def done(self, *, retry: bool = False) -> set[int]:
+        """Return the places of the runs that are done; with `retry`, without those that crashed."""
+        rows = self._read("SELECT place FROM runs WHERE outcome != ?", CRASHED if retry else "")
+        return {place for (place,) in rows}
+
+    def _read(self, query: str, *given: str) -> Iterator[tuple[Any, ...]]:
+        with files_tried(f"read {self.path}"), closing(_opened(self.path)) as file:
+            yield from file.execute(query, given)
+
+
+class Store:
+    """The folder of a campaign, locked by the program that runs it; a context manager.
+
+    Args:
+        folder: its path.
+        campaign: what to run; None, with `resume`: the campaign in the folder.
+
+    Raises:
+        MissionError: the folder holds no or another campaign, or another program runs it.
+    """
+
+    def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
+        self._folder, self._synced_s = folder, monotonic()
+        self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        if campaign is None and (own := ", ".join(self.campaign.own_modules)):
+            advice = f"if it is yours, say so by its file: rosa campaign FILE.toml --resume --out {folder}"
+            raise MissionError(
+                f"the campaign in {folder} would import {own}, because a file of results says so; {advice}"
+            )
+        with ExitStack() as stack, files_tried(f"write to {folder}"):
+            held = os.open(folder, os.O_RDONLY)
+            stack.callback(os.close, held)
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise MissionError(f"another program is running the campaign in {folder}") from error
+            self._file = stack.enter_context(closing(_opened(folder / FILE)))
+            self._file.executescript("PRAGMA journal_mode=WAL; PRAGMA synchronous=1; PRAGMA user_version=0")
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with self._stack:
+            self._sync()
+
+    def keep(self, outcome: Outcome) -> None:
+        """Write an outcome to the file at once; it is synced to disk with a later one after a second, or at the end.
+
+        Raises:
+            MissionError: it was run by other code, or the disk is full.
+        """
+        code = provenance()["code"]
+        if outcome.code != code:
+            raise MissionError(
+                f"{outcome.run.name} was run by other code ({outcome.code}) than the campaign ({code}); "
+                "install the same on every worker, then go on with --resume"
+            )
+        texts = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
+        row = outcome.run.place, outcome.record["outcome"], *texts, outcome.traceback
+        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
+            self._file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", row)
+        if monotonic() >= self._synced_s + SYNC_S:
+            self._sync()
+
+    def _sync(self) -> None:
+        """Sync to disk what was written; not after each run, as it takes longer than some runs."""
+        with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
+            self._file.execute("PRAGMA wal_checkpoint")
+        self._synced_s = monotonic()
+
+
+def _opened(path: Path, mode: str = "rw") -> sqlite3.Connection:
+    if not os.access(path.parent, os.W_OK) and not path.with_name(f"{path.name}-wal").exists():
+        mode = "ro&immutable=1"  # else SQLite would write beside the file to read it
+    return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None)
+
+
+def read_store(folder: Path) -> Kept:
+    """Read the folder of a campaign; MissionError if it holds none, or a damaged one."""
+    path = folder / FILE
+    if not folder.is_dir():
+        raise MissionError(f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one")
+    if not path.exists():
+        raise MissionError(f"{folder} holds no campaign: there is no {FILE} in it")
+    try:
+        with closing(_opened(path)) as file:
+            (made, campaign, begun_with), *_ = file.execute("SELECT * FROM about").fetchall()
+    except (sqlite3.Error, ValueError) as error:
+        raise MissionError(f"{path} is damaged: {error}") from error
+    if made != FORMAT:
+        raise MissionError(f"{path} has format {made}; this version reads format {FORMAT}")
+    return Kept(path, from_data(json.loads(campaign), str(path)), json.loads(begun_with))
+
+
+def _begun(folder: Path, campaign: Campaign) -> Campaign:
+    if (folder / FILE).exists():
+        raise MissionError(f"{folder} holds a campaign already; go on with it by --resume, or give another --out")
+    with files_tried(f"make {folder}"):
+        folder.mkdir(parents=True, exist_ok=True)
+        with closing(_opened(folder / FILE, "rwc")) as file:
+            file.executescript(_TABLES)
+            about = FORMAT, *(json.dumps(one, ensure_ascii=False) for one in (asdict(campaign), dict(provenance())))
+            file.execute("INSERT INTO about VALUES (?, ?, ?)", about)
+            file.execute("COMMIT")
+    return campaign
+
+
+def _same(folder: Path, campaign: Campaign | None) -> Campaign:
+    """Return the campaign of a folder; MissionError if another one is asked for, or the versions differ."""
+    _, kept, begun_with = read_store(folder)
+    if campaign is not None and campaign != kept:
+        mine, theirs = (json.loads(json.dumps(asdict(one))) for one in (campaign, kept))
+        key = next(key for key in mine if mine[key] != theirs[key])
+        problem = f"{folder} holds another campaign: its {key} is {theirs[key]}, not {mine[key]}"
+        raise MissionError(f"{problem}; give another --out")
+    for name, now in provenance().items():
+        if begun_with.get(name) != now:
+            raise MissionError(
+                f"{folder} was begun with {name} {begun_with.get(name)}, here is {now}: results of different "
+                "versions cannot be mixed; go on with that version, or begin anew with another --out"
+            )
+    return kept
+
+
+def run_rows(kept: Kept) -> Iterator[dict[str, Any]]:
+    """Yield a row for each run, all with the same columns; settings come last and have the prefix "set_"."""
+    figures, changed = dict[str, None](), dict[str, None]()
+    for record in kept.records:
+        figures |= dict.fromkeys(one for one in record if one not in ("reactions", "settings"))
+        changed |= dict.fromkeys(record["settings"])
+    for record in kept.records:
+        settings = {f"set_{name}": record["settings"].get(name) for name in changed}
+        yield {name: record.get(name) for name in figures} | settings
+
+
+def reaction_rows(kept: Kept) -> Iterator[dict[str, Any]]:
+    """Yield a row for each reaction to an uncertainty."""
+    same, own = ("run", "mission", "manager", "task", "seed"), ("uncertainty", "start_s", "delay_s")
+    for record in kept.records:
+        for reaction in record.get("reactions", []):
+            yield {key: record[key] for key in same} | dict(zip(own, reaction, strict=True))
+
+
+def write_tables(kept: Kept, folder: Path) -> list[Path]:
+    """Write the runs and the reactions, and return the files; raises MissionError if one cannot be written."""
+    written = []
+    for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
+        written.append(folder / f"{name}.csv")
+        with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
+            first = next(rows, None)
+            with part.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
+                writer.writeheader()
+                writer.writerows(chain([first] if first else [], rows))
+            put(part, written[-1].resolve())
+    return written

@@ -14,7 +14,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from missions.engine.mission import NO_SUCCESS
-from missions.experiments.results import CRASHED, Kept
+from missions.experiments.campaign import CRASHED, Kept
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array

@@ -19,7 +19,7 @@ from kb.forecasts import Series, slope_of
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
 from missions.engine.registry import needs
 from missions.engine.runner import MissionRun, RosaRun
-from missions.experiments.results import FILE, read_store
+from missions.experiments.campaign import FILE, read_store
 from missions.wires.mcap import read_bag
 
 LEVEL: Final = 0.95  # how often an interval holds the true value

@@ -14,7 +14,7 @@ import numpy as np
 
 from missions.baselines import OURS
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import PlannedRun
+from missions.experiments.campaign import Kept, PlannedRun
 from missions.experiments.comparison import (
     SEARCH,
     Array,
@@ -27,7 +27,6 @@ from missions.experiments.comparison import (
     interval_of_sd,
     two_clusters,
 )
-from missions.experiments.results import Kept
 from missions.views.output import OutputFile, files_tried
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from missions.engine.mission import MissionError
 from missions.engine.registry import needs
-from missions.experiments.campaign import PlannedRun
-from missions.experiments.results import CRASHED, Outcome, Store, provenance, read_store, write_tables
+from missions.experiments.campaign import CRASHED, Outcome, PlannedRun, Store, provenance, read_store, write_tables
 from missions.views.output import as_json, summary
 
 if TYPE_CHECKING:
@@ -229,7 +228,7 @@ def _probe(modules: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     def probe() -> dict[str, str]:
         from importlib import import_module
 
-        from missions.experiments.results import provenance
+        from missions.experiments.campaign import provenance
 
         for name in modules:
             import_module(name)

@@ -29,7 +29,8 @@ HOUR_S = 3600
 def flown(pages):
     """Fly a mission that so many pages look at; returns its processor time for a tick [s], its rows and the pages'."""
     steering = Steering(SPEED)
-    run = open_run(find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)}, listeners=(steering,))
+    run = open_run(find_mission("suave_extended"), settings={"duration": str(SIMULATED_S)})
+    run.listen(steering)
     recorder = RunRecorder(run, 0, {}, 100_000, what_if=False)
     view = LiveView(run.kb, port=0, recorder=recorder.recorder, steering=steering)
     looking = None

@@ -17,7 +17,7 @@ from missions.baselines import open_run
 from missions.engine.mission import MissionError
 from missions.engine.registry import find_mission
 from missions.engine.runner import Listener
-from missions.experiments.results import FILE, read_store
+from missions.experiments.campaign import FILE, read_store
 from missions.views.output import as_json, summary
 
 CAMPAIGN = """
@@ -29,8 +29,8 @@ duration_s = 40
 """
 
 
-def opened(name, task, seed=0, listeners=()):
-    return open_run(find_mission(name), task=task, seed=seed, listeners=tuple(listeners))
+def opened(name, task, seed=0):
+    return open_run(find_mission(name), task=task, seed=seed)
 
 
 @contextmanager

@@ -28,14 +28,17 @@ def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[Mis
     """Run a mission, by default watched by somebody; returns the run, the verdict and the result as data."""
     values = {key: str(value) for key, value in changed.items()}
     watching = (Watcher(),) if listeners is None else tuple(listeners)
-    run = open_run(find_mission(name), task=task, seed=seed, settings=values, listeners=watching)
+    run = open_run(find_mission(name), task=task, seed=seed, settings=values)
+    run.listen(*watching)
     verdict = run.run()
     return run, verdict, summary(run, verdict, seed, values)
 
 
 def rosa_run(mission, task, world, settings=None, listeners=()) -> MissionRun:
     """Return a run of a mission in a world that is open, with a task layer of ours, ready for `run()`."""
-    return RosaRun(mission, task, world, settings or RunSettings(), listeners)
+    run = RosaRun(mission, task, world, settings or RunSettings())
+    run.listen(*listeners)
+    return run
 
 
 @cache

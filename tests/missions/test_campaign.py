@@ -23,8 +23,17 @@ from rich.console import Console
 from missions import cli
 from missions.baselines import MANAGERS
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, PlannedRun, from_data, paper_table
-from missions.experiments.results import FILE, Outcome, Store, provenance, read_store
+from missions.experiments.campaign import (
+    FILE,
+    Campaign,
+    Outcome,
+    PlannedRun,
+    Store,
+    from_data,
+    paper_table,
+    provenance,
+    read_store,
+)
 from missions.experiments.workers import do
 from missions.views.console import CampaignProgress
 
@@ -66,9 +75,9 @@ def quick(capsys, monkeypatch):
 
 NEVER_SYNCED = """
 from missions.cli import main
-from missions.experiments import results
+from missions.experiments import campaign
 
-results.SYNC_S = float("inf")
+campaign.SYNC_S = float("inf")
 main()
 """
 """On a slow machine each run would be synced before the next, and the file beside the store would never be full."""
@@ -421,7 +430,7 @@ def test_results_of_different_code_are_never_mixed(tmp_path, quick):
 
 
 def test_what_npm_has_installed_is_no_code_of_ours(tmp_path, monkeypatch):
-    monkeypatch.setattr("missions.experiments.results.__file__", str(tmp_path / "missions" / "experiments" / "it.py"))
+    monkeypatch.setattr("missions.experiments.campaign.__file__", str(tmp_path / "missions" / "experiments" / "it.py"))
     installed = tmp_path / "missions" / "node_modules"
     installed.mkdir(parents=True)
     before = provenance.__wrapped__()
@@ -457,7 +466,7 @@ def test_folder_that_cannot_be_written_can_be_read(tmp_path, monkeypatch):
     before = lines(tmp_path / "c")
     for one in (path, path.parent):
         one.chmod(0o444 if one is path else 0o555)
-    monkeypatch.setattr("missions.experiments.results.os.access", lambda *_: False)  # as nobody's, whoever tests
+    monkeypatch.setattr("missions.experiments.campaign.os.access", lambda *_: False)  # as nobody's, whoever tests
     assert read_store(tmp_path / "c").campaign == campaign
     assert lines(tmp_path / "c") == before
     assert list(path.parent.iterdir()) == [path]
@@ -476,7 +485,7 @@ def test_damaged_run_is_told_when_it_is_read(tmp_path):
 
 def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypatch):
     synced, now = [], [0.0]
-    monkeypatch.setattr("missions.experiments.results.monotonic", lambda: now[0])
+    monkeypatch.setattr("missions.experiments.campaign.monotonic", lambda: now[0])
     opened = sqlite3.connect
 
     def watched(*given, **named):

@@ -13,7 +13,7 @@ import pytest
 from running import called
 
 from missions.engine.mission import MissionError
-from missions.experiments.results import PACKAGES, read_store
+from missions.experiments.campaign import PACKAGES, read_store
 
 ROOT = Path(__file__).parents[2]
 SMALL = """

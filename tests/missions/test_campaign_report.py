@@ -10,10 +10,9 @@ import pytest
 
 from missions import cli
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign
+from missions.experiments.campaign import Campaign, Outcome, Store, provenance, read_store, write_tables
 from missions.experiments.comparison import comparisons
 from missions.experiments.report import Document, write_report
-from missions.experiments.results import Outcome, Store, provenance, read_store, write_tables
 from missions.experiments.workers import crash
 
 TABLE = Campaign("table", ("suave",), ("none", "bt", "rosa", "ours"), runs=20)

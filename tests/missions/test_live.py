@@ -72,7 +72,8 @@ def view(rover):
 def mission(steering, **settings):
     """A mission under way in a thread, with a view of it that may steer it."""
     given = {name: str(value) for name, value in settings.items()}
-    run = open_run(find_mission("suave_extended"), settings=given, listeners=(steering,))
+    run = open_run(find_mission("suave_extended"), settings=given)
+    run.listen(steering)
     page = RunRecorder(run, 0, given, what_if=False)
     steering.begin(run)
     done = []

@@ -38,7 +38,8 @@ class Heard(Listener):
 
 def managed(manager, mission="suave", seed=0, listeners=(), **changed):
     changes = {name: str(value) for name, value in changed.items()}
-    run = open_run(find_mission(mission), manager=manager, seed=seed, settings=changes, listeners=tuple(listeners))
+    run = open_run(find_mission(mission), manager=manager, seed=seed, settings=changes)
+    run.listen(*listeners)
     return run, run.run()
 
 

@@ -86,7 +86,8 @@ def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_list
                 next(now)
 
     monkeypatch.setattr("missions.engine.runner.perf_counter", lambda: next(now))
-    run = open_run(SUAVE, seed=1, settings={"duration_s": "40"}, listeners=(Idle(),))
+    run = open_run(SUAVE, seed=1, settings={"duration_s": "40"})
+    run.listen(Idle())
     run.run()
     assert run.reactions
     assert all(0 < took_s < 1000 for _, took_s in run.reactions)
@@ -193,7 +194,8 @@ def test_nothing_is_put_off_into_the_past_or_for_ever(delay_s):
 def test_listeners_change_nothing_of_a_result():
     texts = []
     for listeners in ((), (Listener(),)):
-        run = open_run(SUAVE, manager="rosa", seed=4, settings={"duration_s": "50"}, listeners=listeners)
+        run = open_run(SUAVE, manager="rosa", seed=4, settings={"duration_s": "50"})
+        run.listen(*listeners)
         texts.append(as_json(summary(run, run.run(), 4, {})))
     assert texts[0] == texts[1]
 

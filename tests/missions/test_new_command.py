@@ -14,9 +14,8 @@ from missions.commands.new import TEMPLATE
 from missions.engine.mission import Mission, MissionError
 from missions.engine.recording import failed, measured
 from missions.engine.registry import find_mission
-from missions.experiments.campaign import Campaign, check_campaign, read_campaign
+from missions.experiments.campaign import Campaign, Store, check_campaign, read_campaign, read_store
 from missions.experiments.report import write_report
-from missions.experiments.results import Store, read_store
 from missions.experiments.workers import do
 from missions.views.output import figure_in_words
 

@@ -226,7 +226,8 @@ def test_mission_is_opened_without_the_others_and_imported_without_a_simulator_o
 def test_ticks_that_are_left_out_while_nobody_watches_change_nothing(mission, settings):
     left = []
     for listeners in ((), (Listener(),)):
-        run = open_run(find_mission(mission), seed=3, settings=settings, listeners=listeners)
+        run = open_run(find_mission(mission), seed=3, settings=settings)
+        run.listen(*listeners)
         verdict = run.run()
         left.append((as_json(summary(run, verdict, 3, settings)), run.tree.count))
     (unwatched, few), (watched, all_ticks) = left
