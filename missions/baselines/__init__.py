@@ -34,13 +34,13 @@ POLICIES: Final = {
 AnyManager = type[Manager] | type[Policy]
 
 
-def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyManager:
+def find_manager(name: str | AnyManager, mission: Mission) -> AnyManager:
     """Return the class of a manager, given by its name, by "package:Class", or as the class itself.
 
     Raises:
         MissionError: no such manager, or it does not go with the mission; the message lists those that exist.
     """
-    in_sea = mission is None or _is_in_sea(mission)
+    in_sea = _is_in_sea(mission)
     if isinstance(name, type):
         found: Any = name
     else:
@@ -51,10 +51,10 @@ def find_manager(name: str | AnyManager, mission: Mission | None = None) -> AnyM
     if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
         shown = getattr(name, "__name__", name)
         raise MissionError(f"{shown!r} is no subclass of missions.baselines.Policy or Manager")
-    if mission is not None and issubclass(found, Manager) and not in_sea:
+    if issubclass(found, Manager) and not in_sea:
         what = f"{found.__name__} commands the sea's vehicle, and {mission.name} does not happen in the sea"
         raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
-    if mission is not None and mission.selects:
+    if mission.selects:
         raise MissionError(f"the task layer of mission {mission.name} selects configurations; run it under {OURS}")
     return found
 
@@ -70,7 +70,7 @@ def name_of(manager: AnyManager) -> str:
     return next((name for name, home in (*MANAGERS.items(), *POLICIES.items()) if home == own), own)
 
 
-def options_of(manager: str | AnyManager, mission: Mission | None = None) -> tuple[Setting, ...]:
+def options_of(manager: str | AnyManager, mission: Mission) -> tuple[Setting, ...]:
     """Return the options of a manager; ours has none."""
     return () if manager == OURS else find_manager(manager, mission).options
 

@@ -59,8 +59,8 @@ def replay(
         def watch(run_anew: MissionRun) -> None:
             pages.append(RunRecorder(run_anew, run.get("seed") or 0, {}))
 
-        source, by = bag if is_bag(recording) else bag.messages, task or run.get("task", "bt")
-        decisions = decide(source, asked, task=by, strict=False, watch=watch if report else None, traced=False)
+        source, by = bag if is_bag(recording) else recording, task or run.get("task", "bt")
+        decisions = decide(source, asked, task=by, watch=watch if report else None, traced=False)
     finally:
         gc.enable()
     if report is not None:

@@ -89,14 +89,14 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
         found = ((f"message {number}", message) for number, message in enumerate(source, start=1))
     for where, message in found:
         check_message(message, where)
-        check_run(message.get("run", {}), where)
+        check_header(message.get("run", {}), where)
         if message["time"] < last:
             raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
         last = message["time"]
         yield message
 
 
-def check_run(run: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
+def check_header(run: Any, where: str) -> None:  # noqa: ANN401  # it may be anything before it is checked
     """Check what a recording says of how it was run; MissionError if it is malformed, which names the place."""
     try:
         texts, tables = ([run.get(key) for key in keys] for keys in (("mission", "task"), ("settings", "switching_s")))

@@ -26,12 +26,12 @@ from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.testing.scripted import FakeClock, ScriptedManaged
+from missions.wires.mcap import Bag, is_bag, read_bag
 from rosa_bt import Trace, TraceVisitor, read_trace
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
-    from missions.wires.mcap import Bag
     from rosa_pddl import PlanRecord
 
 SLACK_S: Final = 1e-6  # tolerance for rounding errors of summed ticks [s]
@@ -305,14 +305,13 @@ def _ended(plan: ReconfigurationPlan) -> str:
 
 
 def replay(
-    source: "str | Path | Bag | Iterable[Message]",
+    source: str | Path | Bag | Iterable[Message],
     mission: Mission | Model | Callable[[], Model] | str,
     behaviour: TaskFactory | None = None,
     *,
     task: str = "bt",
     settings: RunSettings | None = None,
     managed: ScriptedManaged | None = None,
-    strict: bool | None = None,
     watch: Callable[[MissionRun], object] | None = None,
     traced: bool = True,
 ) -> Decisions:
@@ -327,14 +326,12 @@ def replay(
         task: the kind of the mission's task layer, "bt" or "pddl".
         settings: of the run, by default those of the recording; it ends a second after the recording at the latest.
         managed: the system that takes the commands, with its clock at 0; by default one that always obeys.
-        strict: whether parts of messages that the model does not know are an error; by default only if the messages
-            themselves are given, not a file.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
         traced: whether to keep the ticks of the tree, as `Decisions.trace`.
 
     Raises:
-        MissionError: the recording cannot be read; there is no such mission, task layer or behaviour; or, if strict,
-            a part of a message cannot be used (otherwise it is in `problems`).
+        MissionError: the recording cannot be read; there is no such mission, task layer or behaviour; or a part of a
+            message cannot be used, if the messages themselves are given (of a recording it is in `problems`).
         kb.UnknownName: a script names a component that the model does not have.
     """
     messages = _messages_of(source)
@@ -347,8 +344,7 @@ def replay(
     limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch, traced=traced)
-    is_strict = not isinstance(source, str | Path) if strict is None else strict
-    if is_strict and decisions.problems:
+    if decisions.problems and not isinstance(source, str | Path | Bag):
         found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems)
         raise MissionError(f"the messages cannot be used as they are:{found}")
     return decisions
@@ -410,9 +406,7 @@ def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: Task
     return replace(wanted, tree=behaviour or wanted.tree)
 
 
-def _messages_of(source: "str | Path | Bag | Iterable[Message]") -> list[Message]:
-    from missions.wires.mcap import Bag, is_bag, read_bag
-
+def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
     if isinstance(source, str | Path) and is_bag(source):
         source = read_bag(source)
     return [source.header(), *source.messages] if isinstance(source, Bag) else list(read_recording(source))

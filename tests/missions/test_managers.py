@@ -203,7 +203,7 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
 )
 def test_manager_that_cannot_be_had_is_refused_with_those_there_are(name, message):
     with pytest.raises(MissionError) as refusal:
-        find_manager(name)
+        find_manager(name, find_mission("suave"))
     assert message in str(refusal.value)
 
 
