@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager, Robot
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.mission import Mission, MissionError, World, built, split_settings
+from missions.engine.mission import Mission, MissionError, World, blamed, built, split_settings
 from missions.engine.registry import load, needs
 from missions.engine.runner import OURS, MissionRun, RosaRun
 from missions.engine.settings import Setting
@@ -107,15 +107,17 @@ def open_run(
             return mission.world.open(world_settings, rng)
 
     world = built(f"what open() of {type(mission.world).__name__} gives", World, opened)  # type: ignore[type-abstract]  # only for isinstance
+    name = OURS if managed_by is None else name_of(managed_by)
     try:
-        if managed_by is None:
-            return RosaRun(mission, task, world, run_settings)
-        name, chance = name_of(managed_by), rng.spawn(1)[0]
-        if issubclass(managed_by, Policy):
-            policy = managed_by(mission.model(), chance, chosen)
-            mission = policy.alter(mission, world)
-            return RosaRun(mission, task, world, run_settings, name, policy, policy.hear)
-        return BaselineRun(mission, world, run_settings, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
+        with blamed(f"mission {mission.name} under manager {name}", is_authors=False):
+            if managed_by is None:
+                return RosaRun(mission, task, world, run_settings)
+            chance = rng.spawn(1)[0]
+            if issubclass(managed_by, Policy):
+                policy = managed_by(mission.model(), chance, chosen)
+                mission = policy.alter(mission, world)
+                return RosaRun(mission, task, world, run_settings, name, policy, policy.hear)
+            return BaselineRun(mission, world, run_settings, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
     except BaseException:
         world.close()
         raise

@@ -21,6 +21,7 @@ from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, declared, full_names, read_values
 from missions.engine.settings import Setting as Setting
 from rosa_bt.exceptions import in_words
+from rosa_pddl.exceptions import RosaPddlError
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -313,14 +314,20 @@ class Mission:
 
 
 @contextmanager
-def blamed(what: str) -> Iterator[None]:
-    """Turn exceptions of an author's code that are not ours into a MissionError that says what failed."""
+def blamed(what: str, *, is_authors: bool = True) -> Iterator[None]:
+    """Turn exceptions of an author's code that are not ours into a MissionError that says what failed.
+
+    With `is_authors` false, the code inside is ours and may call an author's; what raises there alone stays as it is.
+    """
     try:
         yield
-    except (MissionError, KnowledgeBaseError):
+    except (MissionError, KnowledgeBaseError, RosaPddlError):
         raise
     except Exception as error:
-        raise MissionError(f"{what}: {in_words(error, 'suave_env')}") from error
+        said = in_words(error, "suave_env")
+        if not is_authors and said == f"{type(error).__name__}: {error}":  # no line of an author led to it
+            raise
+        raise MissionError(f"{what}: {said}") from error
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:

@@ -12,7 +12,7 @@ from typing import Any, Final
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
-from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, RequiredAction
+from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, RequiredAction
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog
 from missions.engine.components import VERBS
@@ -143,7 +143,7 @@ class MissionRun(ABC):
         if any(not callable(getattr(world.managed, verb, None)) for verb in VERBS):
             its = f"managed of {type(world).__name__} is {world.managed!r:.100}"
             raise MissionError(f"{its}; expected is a kb.ManagedSystem, which has the methods {', '.join(VERBS)}")
-        self.model = mission.model()
+        self.model = built(f"the model of mission {mission.name}", Model, mission.model)
         self.manager, self.task = manager, task
         self.tree: BehaviourTree | None = None
         self.problems: list[tuple[float, DiagnosticProblem]] = []
@@ -260,8 +260,9 @@ class MissionRun(ABC):
         """
         world, duration_s = self.world, self.settings.duration_s
         try:
-            while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
-                self._turn()
+            with blamed(f"mission {self.mission.name} under manager {self.manager}", is_authors=False):
+                while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
+                    self._turn()
         finally:
             try:
                 self.end()
@@ -441,8 +442,7 @@ class RosaRun(MissionRun):
         if is_ticked and self._kb.revision != self._answered:
             self._manage()
         if is_ticked and self.world.is_still and self._kb.pending_plan is None:
-            with blamed(f"why_not of mission {self.mission.name} failed after {self._now():.1f} s"):
-                self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
+            self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
         if is_ticked and self._may_rest:
             self._consider_resting(before)
         return is_ticked

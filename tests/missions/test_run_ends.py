@@ -12,7 +12,7 @@ from running import register, rosa_run, run_mission
 from small_rover import rover_model, rover_tree
 
 from missions.agv import agv_mission
-from missions.baselines import open_run
+from missions.baselines import Policy, open_run
 from missions.engine.mission import Mission, MissionError, Sample, Verdict, World, WorldKind, split_settings
 from missions.engine.recording import LineRecorder, measured, read_recording, sensed
 from missions.engine.registry import find_mission
@@ -178,6 +178,44 @@ def test_kind_of_world_that_gives_something_else_than_it_is_to_give_is_told_what
     setattr(Odd, method, lambda *_: given)
     with pytest.raises(MissionError, match=words):
         open_run(replace(ROVER, world=Odd()), settings={"duration_s": "0.5"}).run()
+
+
+def fails(*given, **named):
+    raise KeyError("lens")
+
+
+SEA = find_mission("suave_extended")
+
+
+@pytest.mark.parametrize(
+    ("mission", "opened", "words"),
+    [
+        (replace(ROVER, model=lambda: fails()), {}, "cannot build the model of mission rover"),
+        (
+            replace(SEA, facts=lambda kb, percepts: fails()),
+            {"task": "pddl"},
+            "mission suave_extended under manager ours",
+        ),
+        (ROVER, {"manager": type("Own", (Policy,), {"pick": fails})}, "mission rover under manager .*Own"),
+        (ROVER, {"manager": type("Own", (Policy,), {"hear": fails})}, "mission rover under manager .*Own"),
+        (ROVER, {"manager": type("Own", (Policy,), {"__init__": fails})}, "mission rover under manager .*Own"),
+    ],
+)
+def test_function_of_an_author_that_raises_is_named_with_its_line(mission, opened, words):
+    class Lit(FieldKind):
+        def open(self, values, rng):
+            return Field(news=[measured(0.0, light=0.9, energy=1.0)])
+
+    mission = replace(mission, world=Lit()) if mission is not SEA else mission
+    with pytest.raises(MissionError, match=rf"{words}: KeyError: 'lens'.*; test_run_ends\.py, line \d+$"):
+        open_run(mission, settings={"duration_s": "1"}, **opened).run()
+
+
+def test_mistake_of_ours_stays_a_traceback(monkeypatch):
+    monkeypatch.setattr("missions.engine.runner.AdaptationLog.ticking", lambda log, time: next(iter(())))
+    monkeypatch.setitem(globals(), "__name__", "missions.mended")
+    with pytest.raises(StopIteration):
+        run_in(Field(), duration_s=0.5).run()
 
 
 def test_numbers_of_numpy_are_numbers_and_can_be_recorded(tmp_path):
