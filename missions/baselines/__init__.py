@@ -109,7 +109,7 @@ def open_run(
     world = built(f"what open() of {type(mission.world).__name__} gives", World, opened)  # type: ignore[type-abstract]  # only for isinstance
     name = OURS if managed_by is None else name_of(managed_by)
     try:
-        with blamed(f"mission {mission.name} under manager {name}", is_authors=False):
+        with blamed(lambda: f"mission {mission.name} under manager {name}", is_authors=False):
             if managed_by is None:
                 return RosaRun(mission, task, world, run_settings)
             chance = rng.spawn(1)[0]

@@ -3,13 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, ClassVar
 
 from kb import DiagnosticProblem, RequiredAction
 from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
 from missions.engine.runner import MissionRun
 from missions.engine.settings import RunSettings, Setting
-from rosa_bt.exceptions import in_words
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -70,22 +69,22 @@ class Robot:
         """Call a function after a delay [s]: a manager that takes time uses this, and never waits.
 
         Raises:
-            MissionError: the delay is not a finite number from 0.
+            ValueError: the delay is not a finite number from 0.
         """
         if not 0 <= delay_s < inf:
-            raise MissionError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
+            raise ValueError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
         self.agenda.at(self.now + delay_s, lambda time: what())
 
     def begin(self, task: str) -> None:
-        """Record that a task begins; whoever decides about tasks calls it. MissionError while one is under way."""
+        """Record that a task begins; whoever decides about tasks calls it. ValueError while one is under way."""
         if self.task is not None:
-            raise MissionError(f"cannot begin {task}: {self.task} is being done; end it first")
+            raise ValueError(f"cannot begin {task}: {self.task} is being done; end it first")
         self.tasks.append(RequiredAction(task, None, self.now))
 
     def end(self, result: str, reason: str = "") -> None:
-        """Record that the task has ended: "completed", "abandoned" or "failed"; MissionError if there is none."""
+        """Record that the task has ended: "completed", "abandoned" or "failed"; ValueError if there is none."""
         if self.task is None:
-            raise MissionError("no task is being done that could end; begin one first")
+            raise ValueError("no task is being done that could end; begin one first")
         self.tasks[-1] = replace(self.tasks[-1], end=self.now, result=result, reason=reason)
 
     def receive(self, message: Message) -> None:
@@ -145,8 +144,6 @@ SEARCH, INSPECT = "search_pipeline", "inspect_pipeline"
 _UNTIL = {SEARCH: "pipeline_found", INSPECT: "pipeline_inspected"}
 LOW_LEVEL = 0.25
 
-T = TypeVar("T")
-
 
 class BaselineRun(MissionRun):
     """A run in which a manager of the sea's vehicle decides; its published options are among the results.
@@ -172,7 +169,7 @@ class BaselineRun(MissionRun):
         self._changes = world.history
         phases = rng.random(2).tolist()
         self.robot = Robot(mission, world, rng, options, settings.duration_s)
-        self._manager = self._ask(manager, self.robot)
+        self._manager = manager(self.robot)
         mission_s, period_s = world.settings.mission_period_s, self._manager.period_s
         if not 0 < period_s < inf:
             raise MissionError(f"manager {name}: period_s is {period_s!r}; allowed is a number of seconds above 0")
@@ -187,7 +184,7 @@ class BaselineRun(MissionRun):
 
     @property
     def is_done(self) -> bool:
-        return self._ask(lambda: self._manager.is_done) or any(
+        return self._manager.is_done or any(
             task.action == INSPECT and task.result == "completed" for task in self.robot.tasks
         )
 
@@ -202,21 +199,21 @@ class BaselineRun(MissionRun):
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         with self.spending("manager"):
             self.robot.receive(message)
-            self._ask(self._manager.receive, message)
+            self._manager.receive(message)
         return ()
 
     def decide(self) -> bool:
         self._is_ticked = False
         with self.spending("manager"):
             while self.due <= self.world.now:
-                self._ask(self.robot.agenda.happen)
+                self.robot.agenda.happen()
         self._report()
         return self._is_ticked
 
     def end(self) -> None:
         if self.robot.task is not None:
             self.robot.end("abandoned", "the mission has ended")
-        self._ask(self._manager.close)
+        self._manager.close()
 
     def verdict(self, results: Mapping[str, float | None]) -> Verdict:
         is_low = self.robot.measured.get("battery_level", 1.0) < LOW_LEVEL
@@ -224,13 +221,6 @@ class BaselineRun(MissionRun):
         from missions.suave.world import SEA  # no other mission imports that
 
         return SEA.judge(self.robot.percepts, results, recharges)
-
-    def _ask(self, what: Callable[..., T], *args: object) -> T:
-        try:
-            return what(*args)
-        except Exception as error:
-            said = in_words(error, "suave_env")
-            raise MissionError(f"manager {self.manager} failed after {self.world.now:.2f} s: {said}") from error
 
     def _update(self, time: float) -> None:
         self._manager.update()

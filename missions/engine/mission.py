@@ -314,7 +314,7 @@ class Mission:
 
 
 @contextmanager
-def blamed(what: str, *, is_authors: bool = True) -> Iterator[None]:
+def blamed(what: Callable[[], str], *, is_authors: bool = True) -> Iterator[None]:
     """Turn exceptions of an author's code that are not ours into a MissionError that says what failed.
 
     With `is_authors` false, the code inside is ours and may call an author's; what raises there alone stays as it is.
@@ -327,7 +327,7 @@ def blamed(what: str, *, is_authors: bool = True) -> Iterator[None]:
         said = in_words(error, "suave_env")
         if not is_authors and said == f"{type(error).__name__}: {error}":  # no line of an author led to it
             raise
-        raise MissionError(f"{what}: {said}") from error
+        raise MissionError(f"{what()}: {said}") from error
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:
@@ -336,7 +336,7 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
     Raises:
         MissionError: it fails, or makes something of another type. (Of a `BehaviourTree` the root is returned.)
     """
-    with blamed(f"cannot build {title}"):
+    with blamed(lambda: f"cannot build {title}"):
         parameters = signature(build).parameters.values() if given else ()
         places = [one.default for one in parameters if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
         made = build(*given[: places.count(Parameter.empty)])
@@ -351,7 +351,7 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
 def settings_of(mission: Mission) -> tuple[Setting, ...]:
     """Return all settings of a mission: those of the run, then those of its world."""
     its = f"settings() of {type(mission.world).__name__}"
-    with blamed(f"{its} failed"):
+    with blamed(lambda: f"{its} failed"):
         own = tuple(mission.world.settings())
     for one in own:
         if not isinstance(one, Setting):

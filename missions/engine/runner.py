@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from math import inf, isfinite, nan
 from time import perf_counter
@@ -240,7 +240,7 @@ class MissionRun(ABC):
         """
         kind, fits, wanted = _GIVES[method]
         its = f"{method}() of {type(self.world).__name__}"
-        with blamed(f"{its} failed after {self.world.now:.1f} s"):
+        with blamed(lambda: f"{its} failed after {self.world.now:.1f} s"):
             given = getattr(self.world, method)()
         parts = [given] if kind is object else given.items() if isinstance(given, Mapping) else given
         wrong = [one for one in parts if not _holds(fits, one)] if isinstance(given, kind) else [given]
@@ -259,16 +259,13 @@ class MissionRun(ABC):
             MissionError: the world lets no time pass, or code of the mission raises; the message names it.
         """
         world, duration_s = self.world, self.settings.duration_s
-        try:
-            with blamed(f"mission {self.mission.name} under manager {self.manager}", is_authors=False):
+        doing = f"mission {self.mission.name} under manager {self.manager}"
+        with blamed(lambda: f"{doing} failed after {world.now:.2f} s", is_authors=False), closing(world):
+            try:
                 while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
                     self._turn()
-        finally:
-            try:
-                self.end()
             finally:
-                with blamed(f"close() of {type(world).__name__} failed"):
-                    world.close()
+                self.end()
         if self.trouble:
             return self.trouble
         verdict = self.verdict(self.results())
@@ -303,7 +300,7 @@ class MissionRun(ABC):
 
     def _advanced(self, until: float) -> Sequence[Message]:
         world, before, its = self.world, self.world.now, f"the world of mission {self.mission.name}"
-        with blamed(f"{its} failed after {before:.1f} s"):
+        with blamed(lambda: f"{its} failed after {before:.1f} s"):
             messages = world.advance(until)
         if not isinstance(messages, list):
             said = f"advance() of {type(world).__name__} gives {messages!r:.100}"

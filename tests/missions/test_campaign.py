@@ -282,7 +282,7 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(quick, tmp_path, monk
     folder = tmp_path / "c"
     crashed = {record["run"]: record["error"] for record in read_store(folder).crashed}
     divided = "ZeroDivisionError: division by zero; clumsy.py, line 10"
-    raised = f"MissionError: manager clumsy:Clumsy failed after 1.02 s: {divided}"
+    raised = f"MissionError: mission suave under manager clumsy:Clumsy failed after 1.02 s: {divided}"
     errors = {1: raised, 2: "the process that ran it died", 3: "SystemExit: enough"}
     assert crashed == {f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/1": error for y, error in errors.items()}
     assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out

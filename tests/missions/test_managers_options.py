@@ -186,7 +186,7 @@ def test_what_is_put_off_comes_in_order_of_time_then_of_asking():
 @pytest.mark.parametrize("delay_s", [-1.0, float("nan"), float("inf")])
 def test_nothing_is_put_off_into_the_past_or_for_ever(delay_s):
     run = open_run(SUAVE, manager="none")
-    with pytest.raises(MissionError, match="allowed is a number from 0"):
+    with pytest.raises(ValueError, match="allowed is a number from 0"):
         run.robot.later(delay_s, print)
     run.world.close()
 

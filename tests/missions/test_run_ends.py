@@ -140,7 +140,7 @@ def test_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is
         drawn(run_in(Odd(), duration_s=0.5))
 
 
-@pytest.mark.parametrize("method", ["results", "reactions", "sample", "disturbances", "scenery", "close"])
+@pytest.mark.parametrize("method", ["results", "reactions", "sample", "disturbances", "scenery"])
 def test_world_that_raises_is_named_with_the_method_and_the_line(method):
     def fails(world):
         raise KeyError("camera")
@@ -184,31 +184,32 @@ def fails(*given, **named):
     raise KeyError("lens")
 
 
+class Lit(FieldKind):
+    def __init__(self, **methods):
+        self.methods = methods
+
+    def open(self, values, rng):
+        return type("Odd", (Field,), self.methods)(news=[measured(0.0, light=0.9, energy=1.0)])
+
+
+LIT = replace(ROVER, world=Lit())
 SEA = find_mission("suave_extended")
 
 
 @pytest.mark.parametrize(
-    ("mission", "opened", "words"),
+    ("mission", "options", "words"),
     [
-        (replace(ROVER, model=lambda: fails()), {}, "cannot build the model of mission rover"),
-        (
-            replace(SEA, facts=lambda kb, percepts: fails()),
-            {"task": "pddl"},
-            "mission suave_extended under manager ours",
-        ),
-        (ROVER, {"manager": type("Own", (Policy,), {"pick": fails})}, "mission rover under manager .*Own"),
-        (ROVER, {"manager": type("Own", (Policy,), {"hear": fails})}, "mission rover under manager .*Own"),
-        (ROVER, {"manager": type("Own", (Policy,), {"__init__": fails})}, "mission rover under manager .*Own"),
+        (replace(LIT, model=lambda: fails()), {}, "cannot build the model of mission rover"),
+        (replace(SEA, facts=lambda kb, percepts: fails()), {"task": "pddl"}, "suave_extended under manager ours"),
+        (replace(LIT, world=Lit(close=fails)), {}, r"mission rover under manager ours failed after 1\.\d\d s"),
+        (LIT, {"manager": type("Own", (Policy,), {"pick": fails})}, "rover under manager .*Own failed after 0.00 s"),
+        (LIT, {"manager": type("Own", (Policy,), {"hear": fails})}, "rover under manager .*Own failed after 0.00 s"),
+        (LIT, {"manager": type("Own", (Policy,), {"__init__": fails})}, "rover under manager .*Own"),
     ],
 )
-def test_function_of_an_author_that_raises_is_named_with_its_line(mission, opened, words):
-    class Lit(FieldKind):
-        def open(self, values, rng):
-            return Field(news=[measured(0.0, light=0.9, energy=1.0)])
-
-    mission = replace(mission, world=Lit()) if mission is not SEA else mission
+def test_function_of_an_author_that_raises_is_named_with_its_line(mission, options, words):
     with pytest.raises(MissionError, match=rf"{words}: KeyError: 'lens'.*; test_run_ends\.py, line \d+$"):
-        open_run(mission, settings={"duration_s": "1"}, **opened).run()
+        open_run(mission, settings={"duration_s": "1"}, **options).run()
 
 
 def test_mistake_of_ours_stays_a_traceback(monkeypatch):
