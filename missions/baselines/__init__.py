@@ -1,6 +1,7 @@
 """The managers of a robot in a run: ours, those that it is compared with, and your own; and how to open a run."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager, Robot
@@ -115,7 +116,7 @@ def open_run(
             chance = rng.spawn(1)[0]
             if issubclass(managed_by, Policy):
                 policy = managed_by(mission.model(), chance, chosen)
-                mission = policy.alter(mission, world)
+                mission = built(f"what alter() of {name} gives", Mission, partial(policy.alter, mission, world))
                 return RosaRun(mission, task, world, run_settings, name, policy, policy.hear)
             return BaselineRun(mission, world, run_settings, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
     except BaseException:

@@ -67,6 +67,9 @@ class Policy:
         selected = next((one for one in parts if one.is_selected), None)
         possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
         made = self.pick(kb, sorted(possible, key=by_priority), selected)
+        if made is not None and not isinstance(made, Part):
+            said = f"pick() of {type(self).__name__} gives {made!r:.100}"
+            raise MissionError(f"{said}; expected is one of those that are possible, or None")
         if made is None or (selected is not None and made.name == selected.name):
             return selected
         chosen[whole] = made.name

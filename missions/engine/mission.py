@@ -165,7 +165,10 @@ class Verdict(NamedTuple):
 
 
 class World(ABC):
-    """Where a mission happens: a simulator, robot or recording. Only `now`, `managed` and `advance` are required."""
+    """Where a mission happens: a simulator, robot or recording. Only `now`, `managed` and `advance` are required.
+
+    A run checks what these methods give, and says which one gives something else.
+    """
 
     @property
     @abstractmethod
@@ -324,7 +327,7 @@ def blamed(what: Callable[[], str], *, is_authors: bool = True) -> Iterator[None
     except (MissionError, KnowledgeBaseError, RosaPddlError):
         raise
     except Exception as error:
-        said = in_words(error, "suave_env")
+        said = in_words(error, "suave_env", "numpy", "mujoco")
         if not is_authors and said == f"{type(error).__name__}: {error}":  # no line of an author led to it
             raise
         raise MissionError(f"{what()}: {said}") from error
@@ -342,9 +345,8 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
         made = build(*given[: places.count(Parameter.empty)])
     made = made.root if isinstance(made, BehaviourTree) else made
     if not isinstance(made, kind):
-        raise MissionError(
-            f"{title} is {made!r:.100}, not a {'py_trees behaviour' if kind is Behaviour else kind.__name__}"
-        )
+        wanted = "py_trees behaviour" if kind is Behaviour else kind.__name__
+        raise MissionError(f"{title} is {made!r:.100}, not a {wanted}")
     return made
 
 

@@ -414,7 +414,9 @@ class RosaRun(MissionRun):
         if self._rests_at is not None:
             self._log.passed_over(self._runner.put_off(self._now()))
             self._is_told = True
-        message = self._hears(message)
+        told, message = message, self._hears(message)
+        if message is not told:
+            check_message(message, f"hear() of manager {self.manager}")
         self._log.news(float(message["time"]))
         problems = self._kb.receive(message)
         for key in self.percepts.receive(message):

@@ -212,6 +212,19 @@ def test_function_of_an_author_that_raises_is_named_with_its_line(mission, optio
         open_run(mission, settings={"duration_s": "1"}, **options).run()
 
 
+@pytest.mark.parametrize(
+    ("method", "given", "words"),
+    [
+        ("pick", "fast", r"pick\(\) of Own gives 'fast'; expected is one of those that are possible, or None"),
+        ("hear", None, r"hear\(\) of manager .*Own: a message is an object with a number .*, not None"),
+        ("alter", None, r"what alter\(\) of .*Own gives is None, not a Mission"),
+    ],
+)
+def test_manager_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+    with pytest.raises(MissionError, match=words):
+        open_run(LIT, settings={"duration_s": "1"}, manager=type("Own", (Policy,), {method: lambda *_: given})).run()
+
+
 def test_mistake_of_ours_stays_a_traceback(monkeypatch):
     monkeypatch.setattr("missions.engine.runner.AdaptationLog.ticking", lambda log, time: next(iter(())))
     monkeypatch.setitem(globals(), "__name__", "missions.mended")
