@@ -49,7 +49,7 @@ def replay(
     try:
         bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
         run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
-        asked = mission or run.get("mission")
+        asked = mission or str(run.get("mission") or "")
         if not asked:
             raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
         if not mission and asked not in MISSIONS and ":" not in asked:

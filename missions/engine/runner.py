@@ -84,14 +84,6 @@ def _time_of(world: World) -> float:
     return now
 
 
-def _holds(fits: Callable[[Any], bool], part: object) -> bool:
-    """Return whether something is as it should be; it is not if asking raises, as of a part that is missing."""
-    try:
-        return fits(part)
-    except (TypeError, ValueError, AttributeError, LookupError):
-        return False
-
-
 class Listener:
     """Is notified of a run as it happens; a subclass overrides the methods that it needs."""
 
@@ -242,10 +234,13 @@ class MissionRun(ABC):
         its = f"{method}() of {type(self.world).__name__}"
         with blamed(lambda: f"{its} failed after {self.world.now:.1f} s"):
             given = getattr(self.world, method)()
-        parts = [given] if kind is object else given.items() if isinstance(given, Mapping) else given
-        wrong = [one for one in parts if not _holds(fits, one)] if isinstance(given, kind) else [given]
-        if wrong:
-            raise MissionError(f"{its} gives {wrong[0]!r:.100}; expected is {wanted}")
+        try:
+            parts = [given] if kind is object else given.items() if kind is Mapping else given
+            is_fit = isinstance(given, kind) and all(map(fits, parts))
+        except (TypeError, ValueError, AttributeError, LookupError):  # a part is missing
+            is_fit = False
+        if not is_fit:
+            raise MissionError(f"{its} gives {given!r:.100}; expected is {wanted}")
         return given
 
     def results(self) -> Mapping[str, float | None]:

@@ -20,7 +20,7 @@ from kb import DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, Reconf
 from kb.files import write_file
 from missions.engine.adaptations import Adaptation
 from missions.engine.components import VERBS
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, built
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, blamed, built
 from missions.engine.recording import read_recording
 from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun, RosaRun
@@ -337,13 +337,17 @@ def replay(
     messages = _messages_of(source)
     recorded = messages[0].get("run", {}) if messages else {}
     world = Recording(messages, managed or ScriptedManaged(FakeClock()))
-    takes_s = recorded.get("switching_s", {})
-    world.managed.follow(recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS})
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
-    as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
-    limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
+    with blamed(lambda: "what the recording says of how it was run cannot be used"):
+        takes_s = recorded.get("switching_s", {})
+        world.managed.follow(recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS})
+        as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
+        limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    decisions = _decide(_asked(mission, behaviour), "bt" if behaviour else task, world, limits, watch, traced=traced)
+    run = RosaRun(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
+    if watch is not None:
+        watch(run)
+    decisions = _decided(run, world, traced=traced)
     if decisions.problems and not isinstance(source, str | Path | Bag):
         found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems)
         raise MissionError(f"the messages cannot be used as they are:{found}")
@@ -412,18 +416,7 @@ def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
     return [source.header(), *source.messages] if isinstance(source, Bag) else list(read_recording(source))
 
 
-def _decide(
-    mission: Mission,
-    task: str,
-    world: Recording,
-    limits: RunSettings,
-    watch: Callable[[MissionRun], object] | None,
-    *,
-    traced: bool,
-) -> Decisions:
-    run = RosaRun(mission, task, world, limits)
-    if watch is not None:
-        watch(run)
+def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
     for component in world.managed.scripted:
         _ = run.kb.components[component]  # raises if there is none: the script is a mistake
     events: list[Event] = []
@@ -435,7 +428,7 @@ def _decide(
         trace = Trace(run.kb.model.name, ()) if visitor is None else visitor.trace
     moments = list(timeline(events, run.adaptations))
     if world.unheard:
-        is_late = world.now >= limits.duration_s
+        is_late = world.now >= run.settings.duration_s
         how = "aborted" if verdict.outcome == "aborted" else "time limit" if is_late else "SUCCESS"
         count = f"{len(world.unheard)} message{'s were' if len(world.unheard) > 1 else ' was'} not heard"
         moments.append(Moment(world.now, "end", f"the mission ended ({how}); {count}"))

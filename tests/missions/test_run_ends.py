@@ -110,9 +110,9 @@ GIVEN = [  # a method of the world, what it gives, and what the message says of 
     ("now", "soon", "now of Odd is 'soon'; expected is the time"),
     ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has the methods activate, deact"),
     ("results", None, r"results\(\) of Odd gives None; expected is a mapping of names to numbers"),
-    ("results", {"rooms": "many"}, r"results\(\) of Odd gives \('rooms', 'many'\); expected is a mapping of names"),
+    ("results", {"rooms": "many"}, r"results\(\) of Odd gives {'rooms': 'many'}; expected is a mapping of names"),
     ("reactions", 3, r"reactions\(\) of Odd gives 3; expected is a sequence of reactions, each with uncertainty"),
-    ("reactions", [3], r"reactions\(\) of Odd gives 3; expected is a sequence of reactions"),
+    ("reactions", [3], r"reactions\(\) of Odd gives \[3\]; expected is a sequence of reactions"),
     ("sample", 3, r"sample\(\) of Odd gives 3; expected is None or a missions.engine.mission.Sample"),
     ("sample", Sample(0.0, (1.0, 2.0), {}), "expected is None or a .*Sample: a time, a position of three numbers"),
     ("sample", Sample(0.0, (1.0, 2.0, 3.0), {"light": "dim"}), "and signals that are numbers"),
@@ -121,9 +121,13 @@ GIVEN = [  # a method of the world, what it gives, and what the message says of 
         None,
         r"disturbances\(\) of Odd gives None; expected is a list of pairs of a time \[s\]",
     ),
-    ("disturbances", [("dark", 1.0)], r"disturbances\(\) of Odd gives \('dark', 1.0\); expected is a list of pairs"),
+    (
+        "disturbances",
+        [("dark", 1.0)],
+        r"disturbances\(\) of Odd gives \[\('dark', 1.0\)\]; expected is a list of pairs",
+    ),
     ("scenery", [1], r"scenery\(\) of Odd gives \[1\]; expected is a mapping of names to points, each of two numbers"),
-    ("scenery", {"wall": [(1.0, 2.0, 3.0)]}, r"scenery\(\) of Odd gives \('wall'.*expected is a mapping"),
+    ("scenery", {"wall": [(1.0, 2.0, 3.0)]}, r"scenery\(\) of Odd gives {'wall'.*expected is a mapping"),
 ]
 
 
