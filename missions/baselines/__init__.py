@@ -6,8 +6,7 @@ from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager, Robot
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.mission import Mission, MissionError, World, blamed, built, split_settings
-from missions.engine.registry import load, needs
+from missions.engine.mission import Mission, MissionError, World, blamed, built, load, needs, split_settings
 from missions.engine.runner import OURS, MissionRun, RosaRun
 from missions.engine.settings import Setting
 from missions.engine.task_layer import TASK_KINDS, check_task

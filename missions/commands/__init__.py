@@ -44,8 +44,7 @@ def assignments(texts: Iterable[str], option: str, form: str = "NAME=VALUE") -> 
 
 def tree_builder(reference: str) -> Callable[..., object]:
     """Import a function given as module:callable; MissionError if that fails, or it is no function."""
-    from missions.engine.mission import MissionError
-    from missions.engine.registry import load
+    from missions.engine.mission import MissionError, load
 
     found: object = load("tree", reference, {}, "none by name, a tree is given as module:callable")
     if not callable(found):
@@ -74,8 +73,7 @@ def list_settings(
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
     from missions.baselines import options_of
-    from missions.engine.mission import settings_of
-    from missions.engine.registry import find_mission
+    from missions.engine.mission import find_mission, settings_of
 
     found, console = find_mission(mission), open_console()
     for setting in (*options_of(manager, found), *settings_of(found)):

@@ -16,9 +16,8 @@ from kb import KnowledgeBase, Model
 from kb.checks import Finding, found, rules
 from kb.files import read_text
 from missions.commands import FAILED, UNFINISHED, complain, open_console, tree_builder
-from missions.engine.mission import Mission, MissionError, Percepts, built
+from missions.engine.mission import Mission, MissionError, Percepts, built, find_mission
 from missions.engine.question import Answer, answer, ask, certified
-from missions.engine.registry import find_mission
 from missions.engine.task_layer import declarations_of, mission_domain
 from missions.proof.exploration import Exploration
 from missions.proof.story import as_test
@@ -35,7 +34,7 @@ COLOURS = {"error": "red", "warning": "yellow"}
 Judged = tuple[str, Sequence[Finding]]
 Uses = list[tuple[str, str]]
 """Names of actions, each with the place that uses it; an empty name is one that a tree gets only when it runs."""
-_IMPORTS: Final = "from missions.engine.registry import find_mission\nfrom missions.proof.verification import setup_of"
+_IMPORTS: Final = "from missions.engine.mission import find_mission\nfrom missions.proof.verification import setup_of"
 """The first lines of a test that `rosa verify --test` writes."""
 
 

@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from missions.commands import FAILED, ROBOT, open_console
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_robot, needs
+from missions.engine.mission import MissionError, find_robot, needs
 from missions.experiments.campaign import Campaign, Store, check_campaign, paper_table, read_campaign, read_store
 from missions.experiments.learning import learn as suggestions_of
 from missions.experiments.learning import read_runs

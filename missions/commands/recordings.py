@@ -15,9 +15,8 @@ from kb import Event, KnowledgeBaseError
 from kb.amendments import differences
 from kb.files import draft
 from missions.commands import FAILED, open_console
-from missions.engine.mission import MissionError, Verdict
+from missions.engine.mission import MISSIONS, MissionError, Verdict
 from missions.engine.recording import line_of, read_recording
-from missions.engine.registry import MISSIONS
 from missions.engine.runner import MissionRun
 from missions.testing.decisions import replay as decide
 from missions.views.output import files_tried

@@ -17,8 +17,7 @@ from py_trees.behaviours import Running
 
 from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
 from missions.commands import ROBOT, assignments, open_console, tree_builder
-from missions.engine.mission import MissionError, Percepts, built
-from missions.engine.registry import find_robot
+from missions.engine.mission import MissionError, Percepts, built, find_robot
 from missions.wires.assistant import Assistant, mcp_server, serve_http
 from missions.wires.bridge import Bridge, BridgeSettings
 from missions.wires.node import Node

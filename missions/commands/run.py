@@ -11,9 +11,8 @@ import typer
 
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
-from missions.engine.mission import MissionError, Verdict
+from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
-from missions.engine.registry import find_mission, needs
 from missions.engine.runner import MissionRun, RosaRun
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering

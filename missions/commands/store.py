@@ -40,7 +40,7 @@ from kb.store_file import (
 )
 from missions.commands import FAILED, complain
 from missions.commands.check import model_of
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 
 app: Final = typer.Typer(help="Look after the store of a knowledge base.", no_args_is_help=True, add_completion=False)
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The store.")]

@@ -23,8 +23,7 @@ from typing import Any, Final, NamedTuple, Self
 
 from kb.files import draft, put
 from missions.baselines import MANAGERS, OURS, open_run
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import MissionRun
 from missions.engine.settings import near
 from missions.engine.task_layer import check_task

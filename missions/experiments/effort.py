@@ -17,8 +17,7 @@ from missions.agv.model import agv_model
 from missions.baselines import open_run
 from missions.baselines.manager import BaselineRun
 from missions.baselines.modes import FUNCTIONS, TreeManager
-from missions.engine.mission import Mission, MissionError, Percepts, built
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, Mission, MissionError, Percepts, built, find_mission
 from missions.suave.world import SEA
 
 RULE: Final = (

@@ -16,8 +16,7 @@ from typing import Final, NamedTuple, Self
 from kb import Event, Model
 from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation, EstimationKind, Rate
 from kb.forecasts import Series, slope_of
-from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, needs
 from missions.engine.runner import MissionRun, RosaRun
 from missions.experiments.campaign import FILE, read_store
 from missions.wires.mcap import read_bag

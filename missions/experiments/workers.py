@@ -12,8 +12,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from missions.experiments.campaign import CRASHED, Outcome, PlannedRun, Store, provenance, read_store, write_tables
 from missions.views.output import as_json, summary
 

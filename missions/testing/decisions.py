@@ -20,9 +20,19 @@ from kb import DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, Reconf
 from kb.files import write_file
 from missions.engine.adaptations import Adaptation
 from missions.engine.components import VERBS
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World, WorldKind, blamed, built
+from missions.engine.mission import (
+    Message,
+    Mission,
+    MissionError,
+    Percepts,
+    Verdict,
+    World,
+    WorldKind,
+    blamed,
+    built,
+    find_mission,
+)
 from missions.engine.recording import read_recording
-from missions.engine.registry import find_mission
 from missions.engine.runner import MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.testing.scripted import FakeClock, ScriptedManaged

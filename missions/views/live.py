@@ -22,9 +22,8 @@ from urllib.parse import parse_qs, quote, urlsplit
 from kb import KnowledgeBase, KnowledgeBaseError, Model
 from kb.diagnostics import MEASUREMENTS
 from kb.elements import finite_number
-from missions.engine.mission import Message, MissionError
+from missions.engine.mission import Message, MissionError, needs
 from missions.engine.recording import failed, measured, recovered
-from missions.engine.registry import needs
 from missions.engine.runner import Listener, MissionRun
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder

@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Final
 from urllib.parse import urlsplit
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from missions.views.recorder import Recorder
 from missions.views.report import NUMBERED
 

@@ -12,8 +12,7 @@ from inspect import signature
 from typing import TYPE_CHECKING, Any, Final
 
 from kb import Event, EventKind, KnowledgeBase, KnowledgeBaseError
-from missions.engine.mission import Mission, MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import Mission, MissionError, needs
 from rosa_pddl import RosaPddlError
 
 if TYPE_CHECKING:

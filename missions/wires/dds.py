@@ -9,8 +9,7 @@ from threading import Event, Thread
 from time import monotonic
 from typing import Any, Final
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from missions.wires.node import LOOPBACK, QUEUED, Client, Field, Message, Outbox, Reader, RosError, TypedNode, made
 from missions.wires.ros import NOTHING, Types, types
 

@@ -22,8 +22,7 @@ from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from rosa_bt.xml import NumberedTree
 
 PORT: Final = 1667

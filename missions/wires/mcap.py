@@ -23,8 +23,7 @@ from py_trees.trees import BehaviourTree
 from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
 from kb.typeql import typeql_text
-from missions.engine.mission import Message, MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import Message, MissionError, needs
 from missions.engine.runner import Listener
 from missions.views.recorder import Recorder
 from missions.views.report import VERBATIM, Recorded, Row

@@ -13,8 +13,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, Final
 
 from kb import Event
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from missions.wires.node import Client, Field, Message, Reader, RosError, TypedNode, made
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from threading import Event, Lock, RLock, Thread
 from typing import Any, Final, NamedTuple, cast
 from urllib.parse import parse_qs, urlsplit
 
-from missions.engine.mission import MissionError
-from missions.engine.registry import needs
+from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
 from missions.wires.node import LOOPBACK, NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
 

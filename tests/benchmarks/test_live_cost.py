@@ -11,7 +11,7 @@ import pytest
 from figures import table
 
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.views.live import LiveView, Steering
 from missions.views.recorder import RunRecorder
 

@@ -14,7 +14,7 @@ from naive_peers import NaivePeer, facts
 
 from kb import KnowledgeBase, PriorityPlanner
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.suave_extended.model import suave_extended_model
 
 pytestmark = pytest.mark.benchmark(group="extended SUAVE")

@@ -11,7 +11,7 @@ from proof_mutants import CORRECT, FULL, MUTANTS
 from proof_replay import replayed
 from proof_twin import agree
 
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.proof import verify
 from missions.proof.exploration import Exploration
 from missions.proof.verification import setup_of

@@ -25,7 +25,7 @@ from kb.owl import (
 )
 from kb.owl.files import owl_text, plain_text
 from kb.owl.queries import METAMODEL, ROSA
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, find_mission
 from missions.suave_extended.model import suave_extended_model
 
 rdflib = pytest.importorskip("rdflib")

@@ -14,8 +14,7 @@ from running import text
 
 from kb import KnowledgeBase, Model
 from missions.baselines import open_run
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import Listener
 from missions.experiments.campaign import FILE, read_store
 from missions.views.output import as_json, summary

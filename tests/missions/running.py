@@ -6,9 +6,7 @@ from types import ModuleType
 
 from missions import cli
 from missions.baselines import open_run
-from missions.engine import registry
-from missions.engine.mission import Verdict
-from missions.engine.registry import find_mission
+from missions.engine.mission import Verdict, find_mission
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.settings import RunSettings
 from missions.views.output import as_json, summary
@@ -71,4 +69,4 @@ def register(monkeypatch, name: str, mission: object) -> None:
     home = ModuleType("registered_by_a_test")
     home.MISSION = mission
     monkeypatch.setitem(sys.modules, home.__name__, home)
-    monkeypatch.setattr(registry, "MISSIONS", {name: f"{home.__name__}:MISSION"})
+    monkeypatch.setattr("missions.engine.mission.MISSIONS", {name: f"{home.__name__}:MISSION"})

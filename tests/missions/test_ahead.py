@@ -7,7 +7,7 @@ from py_trees.decorators import FailureIsRunning
 from running import run_mission
 
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.engine.task_layer import mission_domain
 from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth
 from rosa_pddl import PlanExecutor

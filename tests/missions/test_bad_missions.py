@@ -11,8 +11,7 @@ from running import register, rosa_run, run_mission
 
 from missions import cli, suave_extended
 from missions.engine import runner
-from missions.engine.mission import MissionError, World
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, World, find_mission
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_pddl import Planner
 

@@ -12,8 +12,7 @@ from running import called, register
 from kb import Model
 from kb.checks import rules
 from missions.commands.check import judge, names_in_pddl, names_in_tree, planned_names
-from missions.engine.mission import MissionError
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, MissionError, find_mission
 from rosa_bt import IsActionFeasible
 from rosa_pddl import PddlError
 

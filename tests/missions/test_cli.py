@@ -15,8 +15,8 @@ from typer.testing import CliRunner
 
 from missions import cli
 from missions.baselines import MANAGERS, OURS, POLICIES
+from missions.engine.mission import MISSIONS, find_mission
 from missions.engine.recording import read_recording
-from missions.engine.registry import MISSIONS, find_mission
 
 
 def rosa(*arguments, environment=None):

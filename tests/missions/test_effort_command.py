@@ -12,8 +12,7 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions import suave
 from missions.baselines.modes import FUNCTIONS
-from missions.engine.mission import MissionError, Percepts
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, MissionError, Percepts, find_mission
 from missions.experiments import effort
 from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, count, count_tree, survey
 from missions.suave.model import suave_model

@@ -6,7 +6,7 @@ from running import called
 from kb import KnowledgeBase, Model
 from missions.agv.model import DRAW_W, DRIVING_W
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.experiments.learning import Experience, Spread, learn, spans_of
 
 

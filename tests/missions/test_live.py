@@ -16,8 +16,7 @@ from test_page import Rover
 from websockets.sync.client import connect
 
 from missions.baselines import open_run
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.views.live import LiveView, Steering
 from missions.views.recorder import RunRecorder
 

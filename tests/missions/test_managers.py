@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from missions.baselines import MANAGERS, Manager, find_manager, modes, open_run
 from missions.baselines.modes import SystemModes
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.engine.runner import Listener
 from missions.views.output import as_json, summary
 

@@ -17,7 +17,7 @@ from missions.baselines.modes import (
     unrealisable,
 )
 from missions.baselines.modes import FUNCTIONS as FUNCTIONS_AND_MODES
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 
 SEARCH, MOTION, FOLLOW = "f_generate_search_path", "f_maintain_motion", "f_follow_pipeline"
 FUNCTIONS = st.sampled_from([SEARCH, MOTION, FOLLOW])

@@ -10,8 +10,7 @@ from kb import ConfigurationManager, KnowledgeBase, Model
 from missions.baselines import Manager, Setting, open_run
 from missions.baselines.policies import Random
 from missions.baselines.rosa import CONFIGURING, FETCHING, INSERTING, PLANNING
-from missions.engine.mission import MissionError, split_settings
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission, split_settings
 from missions.engine.runner import Listener
 from missions.views.output import as_json, summary
 

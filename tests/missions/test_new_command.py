@@ -11,9 +11,8 @@ from running import called
 
 from missions.baselines import Policy, open_run
 from missions.commands.new import TEMPLATE
-from missions.engine.mission import Mission, MissionError
+from missions.engine.mission import Mission, MissionError, find_mission
 from missions.engine.recording import failed, measured
-from missions.engine.registry import find_mission
 from missions.experiments.campaign import Campaign, Store, check_campaign, read_campaign, read_store
 from missions.experiments.report import write_report
 from missions.experiments.workers import do

@@ -15,9 +15,8 @@ from small_rover import rover_model, rover_tree
 
 from kb import ConfigurationManager, KnowledgeBase
 from missions.baselines import open_run
-from missions.engine.mission import MissionError, Percepts
+from missions.engine.mission import MissionError, Percepts, find_mission
 from missions.engine.recording import sensed
-from missions.engine.registry import find_mission
 from missions.testing.scripted import FakeClock, ScriptedManaged
 from missions.views import recorder as recorder_module
 from missions.views.recorder import Recorder, RunRecorder

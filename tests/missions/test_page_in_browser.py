@@ -11,7 +11,7 @@ from browsing import CHROMIUM, QUIET, WAIT_MS, needs_browser
 from test_live import mission
 
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.proof.verification import prove, setup_of
 from missions.views.live import Steering
 from missions.views.recorder import RunRecorder

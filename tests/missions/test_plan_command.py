@@ -13,8 +13,7 @@ import pytest
 from running import called
 
 from missions import suave, suave_extended
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.engine.task_layer import by_schema, declarations_of, mission_domain
 from missions.suave.tree import SearchPipeline
 from rosa_pddl import ActionSchema, Planner, Problem, initial_state, load_domain

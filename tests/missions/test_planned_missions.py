@@ -10,9 +10,8 @@ from py_trees.common import Status
 from kb import KnowledgeBase, Model
 from missions.agv import agv_mission
 from missions.commands.check import planned_names
-from missions.engine.mission import Mission, Percepts
+from missions.engine.mission import Mission, Percepts, find_mission
 from missions.engine.question import answer, ask
-from missions.engine.registry import find_mission
 from missions.engine.task_layer import build_task, by_schema
 from missions.uav.world import SKY
 from missions.views.plan import lines_of

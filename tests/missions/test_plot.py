@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 from missions.baselines import open_run
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.views.picture import draw, picture
 from missions.views.recorder import RunRecorder
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, find_mission
 from missions.testing.decisions import golden_path
 
 for _name in MISSIONS:  # loaded here, so that the runs inside of a test do not load all of it a second time

@@ -13,9 +13,17 @@ from small_rover import rover_model, rover_tree
 
 from missions.agv import agv_mission
 from missions.baselines import Policy, open_run
-from missions.engine.mission import Mission, MissionError, Sample, Verdict, World, WorldKind, split_settings
+from missions.engine.mission import (
+    Mission,
+    MissionError,
+    Sample,
+    Verdict,
+    World,
+    WorldKind,
+    find_mission,
+    split_settings,
+)
 from missions.engine.recording import LineRecorder, measured, read_recording, sensed
-from missions.engine.registry import find_mission
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS
 from missions.testing import FakeClock, ScriptedManaged

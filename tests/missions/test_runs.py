@@ -14,8 +14,7 @@ from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase, Status
 from missions.baselines import open_run
-from missions.engine.mission import Percepts
-from missions.engine.registry import MISSIONS, find_mission
+from missions.engine.mission import MISSIONS, Percepts, find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS, build_task
@@ -206,7 +205,7 @@ def test_mission_that_runs_out_of_time_says_what_was_under_way_since_when(name, 
 @pytest.mark.parametrize(("name", "others"), [("suave", "agv uav"), ("agv", "suave uav"), ("uav", "agv suave")])
 def test_mission_is_opened_without_the_others_and_imported_without_a_simulator_or_a_model(name, others):
     script = (
-        "import sys, kb; from missions.baselines import open_run; from missions.engine.registry import find_mission; "
+        "import sys, kb; from missions.baselines import open_run; from missions.engine.mission import find_mission; "
         f"make, kb.Model.__init__ = kb.Model.__init__, None; mission = find_mission({name!r}); "
         "kb.Model.__init__ = make; assert 'mujoco' not in sys.modules; open_run(mission).world.close(); "
         f"assert not [one for one in {others.split()!r} if f'missions.{{one}}' in sys.modules]"

@@ -7,8 +7,7 @@ import pytest
 from textual.widgets import Static
 
 from missions.baselines import open_run
-from missions.engine.mission import MissionError
-from missions.engine.registry import find_mission
+from missions.engine.mission import MissionError, find_mission
 from missions.views.live import LiveView
 from missions.views.recorder import RunRecorder
 from missions.views.terminal import Fold, RecorderFeed, SocketFeed, TerminalView

@@ -6,7 +6,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from running import rosa_run
 
-from missions.engine.registry import find_mission
+from missions.engine.mission import find_mission
 from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS

@@ -7,8 +7,7 @@ from py_trees.common import Status
 from running import Watcher, run_mission
 
 from kb import KnowledgeBase
-from missions.engine.mission import Condition, Percepts
-from missions.engine.registry import find_mission
+from missions.engine.mission import Condition, Percepts, find_mission
 from missions.engine.task_layer import TASK_KINDS
 from missions.uav.model import uav_model
 from missions.uav.tree import AnalyseOnSite, facts, is_all_analysed

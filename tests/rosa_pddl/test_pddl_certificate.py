@@ -8,8 +8,8 @@ from faulty_worlds import Ground
 from pddl_world import World, load_mission, load_text
 from py_trees.common import Status
 
+from missions.engine.mission import find_mission
 from missions.engine.question import ask, certified
-from missions.engine.registry import find_mission
 from missions.views.output import as_json
 from missions.views.plan import certificate_as_data
 from rosa_pddl import (
