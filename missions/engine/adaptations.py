@@ -361,9 +361,8 @@ class AdaptationLog:
 
 def is_news(kb: KnowledgeBase, event: Event) -> bool:
     """Return whether an event is news from the robot, and not the effect of a plan that is being executed."""
-    is_switched = (
-        event.verb == "component_active" and not event.arguments[2]
-    )  # one that stops by itself comes with a reason
+    # a component that stops by itself comes with a reason
+    is_switched = event.verb == "component_active" and not event.arguments[2]
     return event.kind is EventKind.MONITORING_DATA and not (is_switched and kb.history.open_plans)
 
 

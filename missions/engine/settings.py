@@ -117,13 +117,13 @@ class RunSettings(Constants):
     planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
 
 
-def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: str) -> dict[str, str]:
+def full_names(settings: Iterable[Setting], values: Mapping[str, Any], mission: str = "") -> dict[str, Any]:
     """Return values by full names of settings; in the given names the unit at the end may be left out.
 
     Raises:
         MissionError: an unknown name, or a setting that is given twice, with and without its unit.
     """
-    named: dict[str, str] = {}
+    named: dict[str, Any] = {}
     rest = dict(values)
     for one in settings:
         given = [name for name in dict.fromkeys((one.short_name, one.name)) if name in rest]
@@ -134,23 +134,17 @@ def full_names(settings: Iterable[Setting], values: Mapping[str, str], mission: 
     for name in rest:
         known = [one.name for one in settings]
         close = near(name, known)
-        some = f"there are {', '.join(known)}" if len(known) < 20 else f"`rosa settings {mission}` lists them"
+        is_long = mission and len(known) >= 20
+        some = f"`rosa settings {mission}` lists them" if is_long else f"there are {', '.join(known)}"
         hint = f"did you mean {' or '.join(close)}?" if close else some
-        raise MissionError(f"unknown setting {name!r} of mission {mission}; {hint}")
+        raise MissionError(f"unknown setting {name!r}{f' of mission {mission}' if mission else ''}; {hint}")
     return named
 
 
 def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
-    """Return the values that texts mean, by full names of settings.
-
-    Raises:
-        MissionError: an unknown name, or a value that is not allowed.
-    """
+    """Return the values that texts mean, by full names; raises MissionError as `full_names` and `Setting.read` do."""
     known = {one.name: one for one in settings}
-    for name in values:
-        if name not in known:
-            raise MissionError(f"unknown setting {name!r}; near: {', '.join(near(name, known) or known)}")
-    return {name: known[name].read(text) for name, text in values.items()}
+    return {name: known[name].read(text) for name, text in full_names(known.values(), values).items()}
 
 
 def near(name: str, known: Iterable[str]) -> list[str]:

@@ -175,7 +175,7 @@ def test_dark_corridor_is_entered_with_the_lamp_on():
             "incidents cannot be 'dark in c9': there are .*; c1; .* none with --set incidents=",
         ),
         ({"capacity_j": "much"}, "capacity_j is 'much'; allowed is a number from 1"),
-        ({"reach": "1"}, "unknown setting 'reach'; near: reach_m"),
+        ({"reech": "1"}, "unknown setting 'reech'; did you mean reach_m"),
         ({"control_period_s": "0.015"}, "not a whole multiple"),
     ],
 )
