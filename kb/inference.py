@@ -26,27 +26,29 @@ from kb.status import (
 Agenda = list[dict[Node, None]]
 
 _TOP: Final = LEVELS["attribute"]
+_NEW: Final = tuple.__new__  # quicker than the constructor
 
 
 def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
     """Infer all that depends on the touched nodes, whose facts have changed; returns the changes of status."""
-    agenda: Agenda = [{} for _ in LEVELS]
+    agenda: Agenda = [{}, {}, {}, {}, {}, {}, {}]
     for node in touched:
         _touch(state, node, agenda)
     for node in agenda[_TOP]:
         agenda[0].update(dict.fromkeys(node.constraints))
     changes: list[StatusChange] = []
-    status = state.status
+    status, kept = state.status, state.kept
     for nodes in agenda[:_TOP]:
         state.visited += len(nodes)
         for node in nodes:
-            index = node.index
+            index, kind = node.index, node.kind
             old, new = status[index], infer(state, node)
             if new is old:
                 continue
-            state.put(status, index, new)
-            kind = node.kind
-            changes.append(StatusChange(kind, node.name, old, new))
+            if kept is not None:
+                kept.append((status, index, old))
+            status[index] = new
+            changes.append(_NEW(StatusChange, (kind, node.name, old, new)))
             wholes: Iterable[Node] = node.wholes
             may_be_chosen_for = kind == "function" or kind == "component"
             if may_be_chosen_for:
@@ -99,16 +101,19 @@ def _require(state: State, node: Node) -> None:
 
 def _serve(state: State, design: Node, required: bool) -> None:
     """Update how many designs of required functions each component of this design is in."""
-    state.mark(state.obsolete, design, state.selected[design.index] and not required)
-    served, put = state.served, state.put
+    selected, served, put, mark = state.selected, state.served, state.put, state.mark
+    if selected[design.index]:
+        mark(state.obsolete, design, not required)
     for component in design.parts:
         before = served[component.index]
         after = before + (1 if required else -1)
         put(served, component.index, after)
         if not before or not after:
-            _mark_component(state, component)
+            if state.active[component.index]:
+                mark(state.obsolete, component, not after)
             for configuration in component.parts:
-                _mark_configuration(state, configuration)
+                if selected[configuration.index]:
+                    mark(state.obsolete, configuration, not after)
 
 
 def _mark_component(state: State, component: Node) -> None:
@@ -138,19 +143,18 @@ def infer(state: State, node: Node) -> Status:
     if kind == "constraint":
         return _compared(state, node, node.element, node.parts[0])
     status, selected, required = state.status, state.selected, state.required[index]
-    constraints = [status[constraint.index] for constraint in node.constraints]
+    constraints = [status[one.index] for one in node.constraints] if node.constraints else ()
     if kind == "configuration":
         return configuration_status(constraints)
     parts = [status[part.index] for part in node.parts]
     if kind == "function design":
-        return design_status(constraints=constraints, components=parts, selected=selected[index])
+        return design_status(constraints, parts, selected[index])
     if kind == "action":
-        return action_status(constraints=constraints, functions=parts, required=required)
-    chosen = [status[part.index] for part in node.parts if selected[part.index]]
+        return action_status(constraints, parts, required)
+    chosen = [status[part.index] for part in node.parts if selected[part.index]] if required else ()
     if kind == "function":
-        return function_status(designs=parts, selected=chosen, required=required)
-    facts = {"failed": state.failed[index], "required": required, "active": state.active[index]}
-    return component_status(constraints=constraints, configurations=parts, selected=chosen, **facts)
+        return function_status(parts, chosen, required)
+    return component_status(state.failed[index], constraints, parts, chosen, required, state.active[index])
 
 
 def _compared(state: State, node: Node, constraint: Constraint, attribute: Node) -> Status:

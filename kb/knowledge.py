@@ -10,7 +10,6 @@ from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from functools import partial
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -30,8 +29,10 @@ from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, R
 from kb.state import FACTS, History, Reason, State, unset
 from kb.status import Status
 
-Put = Callable[[], None]
+Put = Sequence[Any]
+"""A function that updates records, histories or alarms and can be called again, and its arguments."""
 
+_NEW: Final = tuple.__new__  # quicker than the constructor of an event
 _ENDED: Final = 4
 """How many ended requests the reason of a plan names at most."""
 
@@ -98,49 +99,55 @@ class Knowledge:
         """Make the event of a measurement and apply it; written for speed, as it is the most frequent event."""
         if self.pending is not None:
             self.finish()
-        index, state, measurements = node.index, self.state, self.measurements
-        before, was_stale = state.value[index], state.stale[index]
-        thresholds = self.network.thresholds(node)
+        index, state, log, measurements = node.index, self.state, self.log, self.measurements
+        before, thresholds = state.value[index], self.network.thresholds(node)
         recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)
-        history = state.histories.get(index)
-        if history is not None and len(history.pairs) >= history.many:
+        history = state.histories.get(index) or measurements.history(node)
+        count = len(history.pairs)
+        if count >= history.many:
             history.forget()
-        count = 0 if history is None else len(history.pairs)
-        put = partial(measurements.put, node, value, time, count, recent)
+            count = len(history.pairs)
         touched: Sequence[Node] = ()
-        if before is None or was_stale:
+        if before is None or state.stale[index]:
             touched = node.constraints
         elif value != before:
             touched = thresholds.crossed(before, value)
-        is_heard = self.in_words or self.log.witnesses
-        words = f"{node.name} is {reading(value, thresholds.around(value), node)}" if is_heard else ""
-        event = tuple.__new__(  # quicker than the constructor
-            Event, (self.log.last + 1, time, "measure", (node.name, value), (), None, (), None, words)
-        )
-        if not touched and not thresholds.steady:
-            self.pending = event, (put,), False, False
-            if self.log.witnesses:
-                self.finish()
-            else:
-                put()  # as `finish` does, in fewer steps
-                self.log.append(event)
-                self.pending = None
-            return event
-        self._open()
-        state.put(state.value, index, value)
-        state.put(state.stale, index, False)
-        judged = [measurements.judge(one, value, recent, state.verdict[one.index], time) for one in thresholds.steady]
-        touched = [*self._judged(judged), *touched]
-        puts = (put, partial(measurements.put_judged, judged, time)) if judged else (put,)
-        return self._put(event, touched, *puts, words=words, matters=None)
+        words = ""
+        if self.in_words or log.witnesses:
+            words = f"{node.name} is {reading(value, thresholds.around(value), node)}"
+        puts: list[Put] = [(measurements.put, node, value, time, history, count, recent)]
+        changes: Sequence[StatusChange] = ()
+        if touched or thresholds.steady:
+            self._open()
+            state.put(state.value, index, value)
+            state.put(state.stale, index, False)
+            if thresholds.steady:
+                verdicts = [(one, state.verdict[one.index]) for one in thresholds.steady]
+                judged = [measurements.judge(one, value, recent, verdict, time) for one, verdict in verdicts]
+                touched = [*self._judged(judged), *touched]
+                puts.append((measurements.put_judged, judged, time))
+            changes = propagate(state, touched)
+        arguments = (node.name, value)
+        event = _NEW(Event, (log.last + 1, time, "measure", arguments, tuple(changes), None, (), None, words))
+        self.pending = event, puts, bool(touched), bool(changes)
+        if touched or thresholds.steady or log.witnesses:
+            self.finish()
+        else:  # as `finish` does, in fewer steps
+            measurements.put(node, value, time, history, count, recent)
+            log.append(event)
+            self.pending = None
+        return event
 
     def settle(self, now: float) -> None:
         """Complete or undo an interrupted event, then make the events that time causes until now [s]."""
-        self.refuse_in_the_midst()
-        with self.telling:
-            self.finish()
-            self.now = max(now, self.log.time)
-            if self.now >= self.measurements.alarms.next:
+        if self.telling.locked():
+            self.refuse_in_the_midst()
+        last = self.log.time
+        self.now = now if now >= last else last
+        if self.pending is not None or now >= self.measurements.alarms.next:
+            with self.telling:
+                self.finish()
+                self.now = max(now, self.log.time)
                 self.advance(self.now)
 
     def advance(self, now: float) -> None:
@@ -168,23 +175,27 @@ class Knowledge:
             self.pending = None
             return
         event, puts, changes_state, matters = pending
+        number, _, verb, arguments, changes, *_ = event
         if changes_state:
-            state.version = event.number
-        for put in puts:
-            put()
-        if event.verb == "amend":
-            event = Event(*event[:4], self._changes(), *event[5:])
-        if event.changes:
+            state.version = number
+        for put, *given in puts:
+            put(*given)
+        if verb == "amend":
+            changes = self._changes()
+            event = event._replace(changes=changes)
+        if changes:
             # not a switch by a plan; when a component stops by itself, a reason is given
-            if event.verb != "component_active" or event.arguments[2] or not self.records.open_plans:
+            if verb != "component_active" or arguments[2] or not self.records.open_plans:
+                status, changed_by = state.status, self.changed_by
                 for array, index, _ in state.kept or ():
-                    if array is state.status:
-                        self.changed_by[index] = event.number
-            if any(one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new) for one in event.changes):
-                self.feasibility = event.number
+                    if array is status:
+                        changed_by[index] = number
+            for one in changes:
+                if one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new):
+                    self.feasibility = number
         if matters:
-            self.revision = event.number
-        is_new = self.log.last < event.number
+            self.revision = number
+        is_new = self.log.last < number
         self.log.append(event)
         state.kept = self.pending = None
         for witness in self.log.witnesses if is_new else ():
@@ -216,15 +227,14 @@ class Knowledge:
     ) -> Event:
         """Infer what follows from the touched nodes, then complete the event.
 
-        Each of `puts` updates records or histories, and can be called again. `changes` are those made already; it and
-        the arguments after it are as in `Event`. `matters` is whether planners need it; None: if a status changed.
+        `changes` are those made already; it and the arguments after it are as in `Event`. `matters` is whether planners
+        need it; None: if a status changed.
         """
         if touched:
             changes = [*changes, *propagate(self.state, touched)]
         if changes or effects or plan is not None or words:
-            event = Event(*event[:4], tuple(changes), event.cause, effects, plan, words)
-        changes_state = bool(touched) if event.verb == "measure" else event.verb not in RECORDS
-        self.pending = event, puts, changes_state, bool(changes) if matters is None else matters
+            event = _NEW(Event, (*event[:4], tuple(changes), event.cause, effects, plan, words))
+        self.pending = event, puts, event.verb not in RECORDS, bool(changes) if matters is None else matters
         self.finish()
         return event
 
@@ -245,7 +255,7 @@ class Knowledge:
         node = self.network.attributes[name]
         self.state.put(self.state.stale, node.index, True)
         words = f"{name} {staleness(self.state.time[node.index], node, event.time)}"
-        put = partial(self.measurements.put_stale, node)
+        put = self.measurements.put_stale, node
         return self._put(event, node.constraints, put, words=words, matters=None)
 
     def _dwell(self, event: Event, ref: Ref) -> Event | None:
@@ -253,11 +263,12 @@ class Knowledge:
         attribute = node.parts[0].index
         value, recent = self.state.value[attribute], self.measurements.recent.get(attribute, ())
         judged = self.measurements.judge(node, value, recent, self.state.verdict[node.index], event.time)
-        put = partial(self.measurements.put_judged, [judged], event.time)
         if touched := self._judged([judged]):
             words = f"{node.name} is {judged.verdict}, after its dwell"
-            return self._put(event, touched, put, words=words, matters=None)
-        put()
+            return self._put(
+                event, touched, (self.measurements.put_judged, [judged], event.time), words=words, matters=None
+            )
+        self.measurements.put_judged([judged], event.time)
         return None
 
     def _lapse(self, event: Event, ref: Ref, status: str) -> Event:
@@ -296,7 +307,7 @@ class Knowledge:
         node, alarms = self.network.referred(ref), self.measurements.alarms
         self.state.put(self.state.asserted, node.index, status)
         self.state.give_reason("asserted", node, reason, until)
-        put = partial(alarms.clear, ~node.index) if until is None else partial(alarms.set, ~node.index, until)
+        put = (alarms.clear, ~node.index) if until is None else (alarms.set, ~node.index, until)
         return self._put(event, [node], put, words=f"{node.name} is {words}")
 
     def _assert_required(self, event: Event, ref: Ref, required: bool | None) -> Event:
@@ -321,7 +332,7 @@ class Knowledge:
         self.state.put(self.state.requested, node.index, True)
         weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
         record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
-        return self._put(event, [node], partial(self.records.put, "requests", event.number, record))
+        return self._put(event, [node], (self.records.put, "requests", event.number, record))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:
         node, record = self.network.actions[name], self.records.required[name]
@@ -329,7 +340,7 @@ class Knowledge:
         words = f"{name} is {result}: {reason}" if reason else f"{name} is {result}"
         ended = (*self.records.ended, words)[-_ENDED:] if reason else self.records.ended
         end = {"result": result, "end": event.time, "reason": reason}
-        return self._put(event, [node], partial(self.records.end_request, record, ended, event.number, **end))
+        return self._put(event, [node], (self.records.end_request, record, ended, event.number, end))
 
     def _select(
         self, event: Event, designs: Mapping[str, str], configurations: Mapping[str, str], reason: str
@@ -349,14 +360,14 @@ class Knowledge:
         if selection:
             number = next(reversed(self.records.plans), 0) + 1
             plan = planned(state, selection, why, event.time, event.cause, number)
-            put = partial(self.records.put, "plans", number, plan)
+            put = self.records.put, "plans", number, plan
             return self._put(event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False)
         if not effects and len(state.kept or ()) == before:
             return None
         return self._put(event, changes=selection.changes, effects=effects, matters=bool(effects))
 
     def _finish_plan(self, event: Event, number: int, result: str) -> Event:
-        put = partial(self.records.end_plan, self.records.plans[number], result, event.time)
+        put = self.records.end_plan, self.records.plans[number], result, event.time
         return self._put(event, (), put, matters=result != "failed")
 
     # ---------------------------------------------------------------- records
@@ -366,11 +377,11 @@ class Knowledge:
 
     def _component_started(self, event: Event, name: str, pid: int) -> Event:
         process = Process(name, pid, event.time, number=event.number)
-        return self._recorded(event, partial(self.records.put, "processes", event.number, process))
+        return self._recorded(event, (self.records.put, "processes", event.number, process))
 
     def _component_ended(self, event: Event, name: str, pid: int | None) -> Event | None:
         running = [one for one in self.records.processes.values() if one.component == name and one.end is None]
-        ended = [partial(finish, one, end=event.time) for one in running if pid in (None, one.pid)]
+        ended = [(finish, one, {"end": event.time}) for one in running if pid in (None, one.pid)]
         return self._recorded(event, *ended) if ended else None
 
     def _record_attempt(self, event: Event, plan: int, *command: Any) -> Event:  # noqa: ANN401  # see `Attempt`
@@ -378,27 +389,27 @@ class Knowledge:
         serial, made = next(reversed(self.records.attempts), 0) + 1, self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
         attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
-        return self._recorded(event, partial(self.records.put, "attempts", serial, attempt))
+        return self._recorded(event, (self.records.put, "attempts", serial, attempt))
 
     def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Event:
         attempt = self.records.attempts[serial]
-        puts = [partial(finish, attempt, result=result, reason=reason, end=event.time)]
+        puts: list[Put] = [(finish, attempt, {"result": result, "reason": reason, "end": event.time})]
         if attempt.operation == "configure" and result == "completed":
             puts.append(self._configure(attempt.component, attempt.parameters))
         return self._recorded(event, *puts)
 
     def _record_answer(self, event: Event, plan: int, is_vetoed: bool, reason: str) -> Event:
         answer = VetoAnswer(self.records.plans[plan], event.time, is_vetoed, reason)
-        return self._recorded(event, partial(self.records.put, "answers", event.number, answer))
+        return self._recorded(event, (self.records.put, "answers", event.number, answer))
 
     def _progress(self, event: Event, action: str, behaviour: str, saved: str) -> Event:
-        return self._recorded(event, partial(self.records.progress.__setitem__, (action, behaviour), saved))
+        return self._recorded(event, (self.records.progress.__setitem__, (action, behaviour), saved))
 
     def _store(self, event: Event, _: str) -> Event:
         return self._recorded(event)
 
-    def _configure(self, component: str, parameters: Parameters) -> partial[None]:
-        return partial(self.state.parameters.__setitem__, component, parameters)
+    def _configure(self, component: str, parameters: Parameters) -> Put:
+        return self.state.parameters.__setitem__, component, parameters
 
     def _recorded(self, event: Event, *puts: Put) -> Event:
         return self._put(event, (), *puts, matters=False)
@@ -469,7 +480,7 @@ class Knowledge:
         names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
         written = tuple(amendment(change.how, change.elements, self.serials))
         event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
-        self.pending = event, (partial(self._renew, change, gone),), False, True
+        self.pending = event, ((self._renew, change, gone),), False, True
         self.finish()
 
     def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:

@@ -1,11 +1,11 @@
 """The knowledge base: it takes in facts, infers statuses, and keeps the required actions and what is selected."""
 
 import logging
-import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from functools import partial, wraps
+from math import inf, isfinite
 from pathlib import Path
 from threading import RLock
 from typing import Any, Concatenate, Final, ParamSpec, TypeVar
@@ -67,15 +67,17 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
-        given = [_own(value) for value in args]
-        caused = {name: _own(value) for name, value in kwargs.items()}
-        now, log, telling = self._time(), self._knowledge.log, self._knowledge.telling
+        given = [value if type(value) is str else _own(value) for value in args]
+        caused = {name: _own(value) for name, value in kwargs.items()} if kwargs else kwargs
+        now, known = self._time.now(), self._knowledge
         with self._lock:
-            self._settle(now)
-            with telling:
-                before = log.last
+            if self.store is not None:
+                self._check_open(self.store)
+            known.settle(now)
+            with known.telling:
+                before = known.log.last
                 result = method(self, *given, **caused)  # type: ignore[arg-type]  # the same arguments
-                told = log.last
+                told = known.log.last
         if self._publisher.is_heard:
             self._publisher.deliver(told if told > before else 0)
         return result
@@ -134,12 +136,12 @@ class KnowledgeBase:
         self._time = _Time(clock, model)
         self._lock = RLock()
         self.store = None if store is None else Store(store, model, keep)
-        self._knowledge = known = Knowledge(model, self._time, self._lock, memory)
+        self._knowledge = known = Knowledge(model, self._time.now, self._lock, memory)
         self._time.known = known
-        known.now = now = self._time()
+        known.now = now = self._time.now()
         if self.store is not None and not self.store.is_new:
             self.store.restore(known, now)
-            known.log.time = -math.inf  # the clock may have started again at 0
+            known.log.time = -inf  # the clock may have started again at 0
         elif model.facts:
             known.begin(model.facts, now)
         self._publisher = Publisher(known.log, self._lock)
@@ -170,7 +172,7 @@ class KnowledgeBase:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
         known, network = self._knowledge, self._knowledge.network
         revision, visited, statuses = network.revision, known.state.visited, known.state.status
-        if self.model.pending is None and known.pending is None and known.measurements.alarms.next == math.inf:
+        if self.model.pending is None and known.pending is None and known.measurements.alarms.next == inf:
             node = network.actions.get(action)
             status = statuses[node.index] if node is not None and network.revision == revision else None
             if status is not None and (network.revision, known.state.visited) == (revision, visited):
@@ -195,7 +197,7 @@ class KnowledgeBase:
         if self.model.pending is not None:
             self.model.settle()
         due = self._knowledge.measurements.alarms.next
-        if due != math.inf and due <= self._time():
+        if due != inf and due <= self._time.now():
             self._catch_up()
         return self._held
 
@@ -219,7 +221,7 @@ class KnowledgeBase:
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
-        return self._time()
+        return self._time.now()
 
     @property
     def revision(self) -> int:
@@ -279,13 +281,16 @@ class KnowledgeBase:
             UnknownName: the model has no such attribute.
             InvalidValue: the value is not a finite number or is outside the attribute's range; nothing is told.
         """
-        node = self._knowledge.network.attributes[attribute]
+        known = self._knowledge
+        node = known.network.attributes[attribute]
         of: Any = node.element
-        is_plain = type(value) is float and math.isfinite(value) and of.low <= value <= of.high
+        is_plain = type(value) is float and isfinite(value) and of.low <= value <= of.high
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
-        known, now = self._knowledge, self._time()
+        now = self._time.now()
         with self._lock:
-            self._settle(now)
+            if self.store is not None:
+                self._check_open(self.store)
+            known.settle(now)
             with known.telling:
                 told = known.measure(node, number, known.now).number
         if self._publisher.is_heard:
@@ -348,7 +353,7 @@ class KnowledgeBase:
             until: when it lapses by itself [s, by the clock of this base], later than now; None or `math.inf`: never.
         """
         text("the reason of an asserted status", reason)
-        end = None if until is None or until == math.inf else finite_number(until)
+        end = None if until is None or until == inf else finite_number(until)
         node = self._node(element, ELEMENTS)
         wanted = status_of(node.kind, status)
         if end is not None and end <= (now := self._knowledge.now):
@@ -645,18 +650,6 @@ class KnowledgeBase:
     def _tell(self, verb: str, *arguments: Any) -> None:  # noqa: ANN401  # of the verb
         self._knowledge.apply(self._knowledge.now, verb, arguments)
 
-    def _settle(self, now: float) -> None:
-        """Make the events that time causes until now, before something is told; usually there are none."""
-        if self.store is not None:
-            self._check_open(self.store)
-        known = self._knowledge
-        if known.telling.locked():
-            known.refuse_in_the_midst()
-        last = known.log.time
-        known.now = now = now if now >= last else last
-        if known.pending is not None or now >= known.measurements.alarms.next:
-            known.settle(now)
-
     def _catch_up(self) -> None:
         self._knowledge.catch_up()
         if self._publisher.is_heard:
@@ -690,11 +683,12 @@ class _Time:
     def __init__(self, clock: Callable[[], float], model: Model) -> None:
         self.clock, self._model = clock, model
 
-    def __call__(self) -> float:
+    def now(self) -> float:
+        """The time now [s]; the clock is called, so hold no lock."""
         if self._model.pending is not None:
             self._model.settle()
         last, now = self.known.log.time, self.clock()  # in this order: another thread may tell meanwhile
-        if type(now) is float and last <= now < math.inf:
+        if type(now) is float and last <= now < inf:
             return now
         try:
             shown = finite_number(now)

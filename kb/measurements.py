@@ -81,7 +81,9 @@ class Measurements:
         """Return the measurements that count, with a new one."""
         return (*self.recent.get(attribute.index, ()), value)[-attribute.attribute.agreement[1] :]
 
-    def put(self, attribute: Node, value: float, time: float, count: int, recent: tuple[float, ...]) -> None:
+    def put(
+        self, attribute: Node, value: float, time: float, history: History, count: int, recent: tuple[float, ...]
+    ) -> None:
         """Make a measurement the latest; it may be done again."""
         index, state, element = attribute.index, self._state, attribute.element
         state.value[index], state.time[index], state.stale[index] = value, time, False
@@ -89,7 +91,7 @@ class Measurements:
             self.recent[index] = recent
         if element.max_age != math.inf:
             self._expire(attribute, time)
-        self.history(attribute).add(time, value, count)
+        history.add(time, value, count)
 
     def _expire(self, attribute: Node, measured: float) -> None:
         max_age: float = attribute.element.max_age

@@ -2,8 +2,8 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
-from operator import itemgetter
+from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any, Final
 
 from kb.elements import (
@@ -82,22 +82,20 @@ class Thresholds:
     `>` and `<=`, t is the next floating-point number above the written one.
     """
 
-    def __init__(self, constraints: Sequence[Node]) -> None:
+    def __init__(self, attribute: Node) -> None:
         # kept apart: the status of these depends on earlier measurements too
-        self.steady = [node for node in constraints if is_steady(node)]
-        self._turns = sorted(((_turn(node), node) for node in constraints if not is_steady(node)), key=_FIRST)
+        self.steady = [node for node in attribute.constraints if is_steady(node)]
+        self._nodes = sorted((node for node in attribute.constraints if not is_steady(node)), key=_turn)
+        self._turns = [_turn(node) for node in self._nodes]
 
     def crossed(self, old: float, new: float) -> list[Node]:
         """Return the constraints whose status differs between the old and the new value."""
-        low, high = sorted((bisect_right(self._turns, old, key=_FIRST), bisect_right(self._turns, new, key=_FIRST)))
-        return [node for _, node in self._turns[low:high]]
+        before, after = bisect_right(self._turns, old), bisect_right(self._turns, new)
+        return self._nodes[before:after] if before < after else self._nodes[after:before]
 
     def around(self, value: float) -> list[float]:
-        place = bisect_right(self._turns, value, key=_FIRST)
-        return [node.constraint.value for _, node in self._turns[max(0, place - 1) : place + 1]]
-
-
-_FIRST = itemgetter(0)
+        place = bisect_right(self._turns, value)
+        return [node.constraint.value for node in self._nodes[max(0, place - 1) : place + 1]]
 
 
 def is_steady(node: Node) -> bool:
@@ -117,7 +115,7 @@ class Network:
         self.model = model
         self.revision = 0  # grows at each `renew`
         self.nodes: list[Node] = []
-        self._thresholds: dict[Node, Thresholds] = {}
+        self.thresholds = cache(Thresholds)  # of an attribute
         self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
@@ -161,7 +159,7 @@ class Network:
         An element keeps its node. The index of a removed element is not used again.
         """
         self.revision += 1
-        self._thresholds.clear()
+        self.thresholds.cache_clear()
         tables = [table for cls, table in self.model.tables.items() if KINDS[cls] in LEVELS]
         nodes = [self._node(one) for table in tables for one in table.values()]
         constraints: list[list[Node]] = [[] for _ in self.nodes]
@@ -206,9 +204,3 @@ class Network:
         node.name = element.name if isinstance(element, Element) else str(element)
         table[key] = node
         return node
-
-    def thresholds(self, attribute: Node) -> Thresholds:
-        found = self._thresholds.get(attribute)
-        if found is None:
-            found = self._thresholds[attribute] = Thresholds(attribute.constraints)
-        return found

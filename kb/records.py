@@ -245,8 +245,8 @@ class Records:
         setattr(self, name, {number: one for number, one in table.items() if number not in gone})
         self._full[name] = len(table) - len(gone) + self._memory.records
 
-    def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, **end: Any) -> None:  # noqa: ANN401  # what a field holds
-        finish(record, **end)
+    def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, end: Mapping[str, Any]) -> None:
+        finish(record, end)
         self.required.pop(record.action, None)
         self.ended = ended
         self.last_end = end["end"], event
@@ -254,7 +254,7 @@ class Records:
     def end_plan(self, record: ReconfigurationPlan, result: str, end: float) -> None:
         for other in [record, *(self.open_plans.values() if result == "completed" else ())]:
             if other.end is None:
-                finish(other, result=result if other is record else "abandoned", end=end)
+                finish(other, {"result": result if other is record else "abandoned", "end": end})
         self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
 
     def begin(self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float) -> None:
@@ -368,7 +368,7 @@ def check_result(result: str) -> None:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
 
 
-def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, **end: Any) -> None:  # noqa: ANN401  # what a field holds
+def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, end: Mapping[str, Any]) -> None:
     for name, value in end.items():
         object.__setattr__(record, name, value)
 

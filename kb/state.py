@@ -60,21 +60,17 @@ class _Layer(dict[Any, T], Generic[T]):
 class Marked:
     """A set of nodes; `marked[node] = True` adds a node and `False` removes it."""
 
-    __slots__ = ("_most", "own")
+    __slots__ = ("own",)
 
     def __init__(self) -> None:
         self.own: dict[Node, bool] = {}
-        self._most = 0
 
     def __setitem__(self, node: Node, yes: bool) -> None:
         own = self.own
         if yes:
             own[node] = True
-            if len(own) > self._most:
-                self._most = len(own)
-        elif own.pop(node, False) and len(own) < self._most // 8:
+        elif own.pop(node, False) and own.__sizeof__() > 1000 * len(own) + 1000:
             self.own = dict(own)  # a dict never shrinks, and iteration visits its empty places too
-            self._most = len(own)
 
     def __bool__(self) -> bool:
         return bool(self.own)
@@ -148,7 +144,7 @@ class History:
         """Add a measurement if `pairs` still holds `count` numbers; if it holds more, it was added already."""
         pairs, new = self.pairs, array("d", (time, value))
         place = 2 * self._place(time) if count and time < pairs[-2] else count
-        if not pairs[count:]:  # no signal is handled between this line and the next
+        if len(pairs) == count:
             pairs[place:place] = new
 
     def forget(self) -> None:

@@ -66,12 +66,12 @@ def configuration_status(constraints: Statuses) -> Status:
 
 
 def component_status(
-    *, failed: bool, constraints: Statuses, configurations: Statuses, selected: Statuses, required: bool, active: bool
+    failed: bool, constraints: Statuses, configurations: Statuses, selected: Statuses, required: bool, active: bool
 ) -> Status:
     """Status of a component, from its own constraints, all its configurations and the selected ones."""
     if failed:
         return FAILURE
-    if VIOLATED in constraints or (configurations and _all(UNFEASIBLE, configurations)):
+    if VIOLATED in constraints or 0 < len(configurations) == configurations.count(UNFEASIBLE):
         return UNFEASIBLE
     if not required:
         return FEASIBLE
@@ -80,7 +80,7 @@ def component_status(
     return UNSOLVED if not active or (configurations and not selected) else SOLVED
 
 
-def design_status(*, constraints: Statuses, components: Statuses, selected: bool) -> Status:
+def design_status(constraints: Statuses, components: Statuses, selected: bool) -> Status:
     """Status of a function design, from its own constraints and its components."""
     if VIOLATED in constraints or FAILURE in components or UNFEASIBLE in components:
         return UNFEASIBLE
@@ -88,12 +88,12 @@ def design_status(*, constraints: Statuses, components: Statuses, selected: bool
         return FEASIBLE
     if ERROR in components:
         return IMPLICIT_ERROR
-    return SOLVED if _all(SOLVED, components) else UNSOLVED
+    return SOLVED if components.count(SOLVED) == len(components) else UNSOLVED
 
 
-def function_status(*, designs: Statuses, selected: Statuses, required: bool) -> Status:
+def function_status(designs: Statuses, selected: Statuses, required: bool) -> Status:
     """Status of a function, from all its designs and the selected ones."""
-    if _all(UNFEASIBLE, designs):
+    if designs.count(UNFEASIBLE) == len(designs):
         return UNFEASIBLE
     if not required:
         return FEASIBLE
@@ -104,7 +104,7 @@ def function_status(*, designs: Statuses, selected: Statuses, required: bool) ->
     return SOLVED if SOLVED in selected else UNSOLVED
 
 
-def action_status(*, constraints: Statuses, functions: Statuses, required: bool) -> Status:
+def action_status(constraints: Statuses, functions: Statuses, required: bool) -> Status:
     """Status of an action, from its own constraints and the functions that it requires."""
     if VIOLATED in constraints or UNFEASIBLE in functions:
         return UNFEASIBLE
@@ -112,8 +112,4 @@ def action_status(*, constraints: Statuses, functions: Statuses, required: bool)
         return FEASIBLE
     if ERROR in functions or IMPLICIT_ERROR in functions:
         return IMPLICIT_ERROR
-    return SOLVED if _all(SOLVED, functions) else UNSOLVED
-
-
-def _all(one: Status, statuses: Statuses) -> bool:
-    return statuses.count(one) == len(statuses)
+    return SOLVED if functions.count(SOLVED) == len(functions) else UNSOLVED
