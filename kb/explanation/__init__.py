@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import chain
-from typing import Final
+from typing import Final, NamedTuple
 
 from kb.elements import Attribute, exact, table
 from kb.explanation.requirements import Remedy, remedies
@@ -31,8 +31,7 @@ _POSSIBLE: Final = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Comparison:
+class Comparison(NamedTuple):
     """What a constraint compares.
 
     Attributes:
@@ -330,7 +329,8 @@ def shortest(value: float, thresholds: Iterable[float]) -> str:
     bounds = tuple(thresholds)
     for digits in (3, 6, 9):
         text = f"{value:.{digits}g}"
-        if all((float(text) < bound, float(text) > bound) == (value < bound, value > bound) for bound in bounds):
+        near = float(text)
+        if near == value or all((near < one, near > one) == (value < one, value > one) for one in bounds):
             return text
     nearest = min(bounds, key=lambda bound: abs(bound - value))
     if nearest == value:
