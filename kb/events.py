@@ -191,11 +191,11 @@ class Log:
 
     def append(self, event: Event) -> None:
         """Add an event, unless one of its number is there already."""
-        number, time, verb = event[:3]  # quicker than by name
-        events = self._measured if verb == "measure" else self._others
-        if not events or events[-1][0] < number:  # no signal is handled between this and what follows
+        number, time = event.number, event.time
+        events = self._measured if event.verb == "measure" else self._others
+        if not events or events[-1].number < number:  # no signal is handled between this and what follows
             events.append(event)
-        while len(events) > self._most or events[0][1] < time - self._span:
+        while len(events) > self._most or events[0].time < time - self._span:
             self.begins = max(self.begins, events[0].number + 1)
             events.popleft()
         self.last, self.time = number, time

@@ -61,24 +61,25 @@ def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
 
 
 def _touch(state: State, node: Node, agenda: Agenda) -> None:
+    index, kind = node.index, node.kind
     agenda[node.level][node] = None
-    if node.kind == "action":
-        required = state.requested[node.index] or state.asserted_required[node.index]
-        if required != state.required[node.index]:
-            state.put(state.required, node.index, required)
+    if kind == "function" or kind == "component":
+        _require(state, node)
+        if kind == "component":
+            _mark_component(state, node)
+    elif kind == "action":
+        required = state.requested[index] or state.asserted_required[index]
+        if required != state.required[index]:
+            state.put(state.required, index, required)
             for function in node.parts:
                 _use(state, function, node, required, agenda)
-    elif node.kind in ("function", "component"):
-        _require(state, node)
-        if node.kind == "component":
-            _mark_component(state, node)
-    elif node.kind == "function design":
-        selected = state.selected[node.index]
+    elif kind == "function design":
+        selected = state.selected[index]
         _touch(state, node.wholes[0], agenda)
         state.mark(state.obsolete, node, selected and not state.required[node.wholes[0].index])
         for component in node.parts:
             _use(state, component, node, selected, agenda)
-    elif node.kind == "configuration":
+    elif kind == "configuration":
         agenda[node.wholes[0].level][node.wholes[0]] = None  # a component's status depends on which is selected
         _mark_configuration(state, node)
 
@@ -90,10 +91,11 @@ def _use(state: State, part: Node, user: Node, uses: bool, agenda: Agenda) -> No
 
 def _require(state: State, node: Node) -> None:
     """Update whether a function or component is required, and which components its designs serve."""
-    required = state.asserted_required[node.index] or bool(state.users[node.index])
-    if required == state.required[node.index]:
+    index = node.index
+    required = state.asserted_required[index] or bool(state.users[index])
+    if required == state.required[index]:
         return
-    state.put(state.required, node.index, required)
+    state.put(state.required, index, required)
     if node.kind == "function":
         for design in node.parts:
             _serve(state, design, required)
@@ -101,15 +103,18 @@ def _require(state: State, node: Node) -> None:
 
 def _serve(state: State, design: Node, required: bool) -> None:
     """Update how many designs of required functions each component of this design is in."""
-    selected, served, put, mark = state.selected, state.served, state.put, state.mark
+    selected, served, kept, mark = state.selected, state.served, state.kept, state.mark
     if selected[design.index]:
         mark(state.obsolete, design, not required)
     for component in design.parts:
-        before = served[component.index]
+        index = component.index
+        before = served[index]
         after = before + (1 if required else -1)
-        put(served, component.index, after)
+        if kept is not None:
+            kept.append((served, index, before))
+        served[index] = after
         if not before or not after:
-            if state.active[component.index]:
+            if state.active[index]:
                 mark(state.obsolete, component, not after)
             for configuration in component.parts:
                 if selected[configuration.index]:

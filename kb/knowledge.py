@@ -89,7 +89,7 @@ class Knowledge:
             self.finish()
         if verb not in RECORDS:
             self._open()
-        event = Event(self.log.last + 1, time, verb, arguments, (), cause)
+        event = _NEW(Event, (self.log.last + 1, time, verb, arguments, (), cause, (), None, ""))
         made: Event | None = getattr(self, f"_{verb}")(event, *arguments)
         if made is None:
             self.finish()
@@ -175,7 +175,7 @@ class Knowledge:
             self.pending = None
             return
         event, puts, changes_state, matters = pending
-        number, _, verb, arguments, changes, *_ = event
+        number, verb, changes = event.number, event.verb, event.changes
         if changes_state:
             state.version = number
         for put, *given in puts:
@@ -185,7 +185,7 @@ class Knowledge:
             event = event._replace(changes=changes)
         if changes:
             # not a switch by a plan; when a component stops by itself, a reason is given
-            if verb != "component_active" or arguments[2] or not self.records.open_plans:
+            if verb != "component_active" or event.arguments[2] or not self.records.open_plans:
                 status, changed_by = state.status, self.changed_by
                 for array, index, _ in state.kept or ():
                     if array is status:
@@ -317,7 +317,7 @@ class Knowledge:
         node, state = self.network.referred(ref), self.state
         state.put(state.selected, node.index, bool(selected))
         whole = node.wholes[0]
-        is_without = not any(state.selected[part.index] for part in whole.parts)
+        is_without = reason and not any(state.selected[part.index] for part in whole.parts)
         state.give_reason("unselected", whole, reason if is_without else "")
         return self._stated(event, node, "selected", bool(selected), reason if selected else "")
 
@@ -330,8 +330,9 @@ class Knowledge:
     def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Event:
         node = self.network.actions[name]
         self.state.put(self.state.requested, node.index, True)
-        weights = MappingProxyType(dict(preference)) if isinstance(preference, Mapping) else preference
-        record = RequiredAction(name, weights, event.time, cause=event.cause, number=event.number)
+        if preference is not None and not isinstance(preference, str):
+            preference = MappingProxyType(dict(preference))
+        record = RequiredAction(name, preference, event.time, cause=event.cause, number=event.number)
         return self._put(event, [node], (self.records.put, "requests", event.number, record))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:

@@ -3,7 +3,6 @@
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager
 from functools import partial, wraps
 from math import inf, isfinite
 from pathlib import Path
@@ -39,7 +38,7 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.state import Overlay, State
+from kb.state import Overlay
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
 
@@ -49,6 +48,8 @@ _BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
 """The verbs of events that are caused by time, by the model or by the store, and never told by a caller."""
 _TOLD: Final = {"measure": "measure", "amend": "_amend"}
 """The name of the method for each verb that can be told; `_telling` adds the others."""
+_PLAIN: Final = (str, int, views.ElementView)
+"""Most arguments are of these classes, and to ask whether something is a mapping takes long."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
 _BACK: Final = 1.0
 """How far a clock may go back [s]: clocks are corrected, and threads may tell in another order than they read it."""
@@ -67,7 +68,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
 
     @wraps(method)
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
-        given = [value if type(value) is str else _own(value) for value in args]
+        given = [_own(value) for value in args]
         caused = {name: _own(value) for name, value in kwargs.items()} if kwargs else kwargs
         now, known = self._time.now(), self._knowledge
         with self._lock:
@@ -86,7 +87,7 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
 
 
 def _own(value: object) -> object:
-    return dict(value) if isinstance(value, Mapping) else value
+    return value if isinstance(value, _PLAIN) or not isinstance(value, Mapping) else dict(value)
 
 
 class KnowledgeBase:
@@ -146,7 +147,7 @@ class KnowledgeBase:
             known.begin(model.facts, now)
         self._publisher = Publisher(known.log, self._lock)
         known.heard = self._publisher.deliver
-        self._held = _holding(known, self._lock)
+        self._held = views.Reading(self._lock, lambda _: known.settled())
         self.forecast = Forecaster(self, known)
         self._world, self._is_closed = World(known, self.store, keep, self.reading), False
         self.log: Log = known.log
@@ -192,7 +193,7 @@ class KnowledgeBase:
     situation = questions.suppose
     feasible_until = feasible_until
 
-    def reading(self) -> AbstractContextManager[State]:
+    def reading(self) -> views.Reading:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         if self.model.pending is not None:
             self.model.settle()
@@ -702,34 +703,12 @@ class _Time:
         return max(shown, last)
 
 
-def _settle(model: Model, held: AbstractContextManager[State]) -> None:
+def _settle(model: Model, held: views.Reading) -> None:
     """Complete or undo a change of the model, or an event, that was interrupted."""
     if model.pending is not None:
         model.settle()
     with held:
         pass
-
-
-def _holding(known: Knowledge, lock: Any) -> AbstractContextManager[State]:  # noqa: ANN401  # an RLock has no type
-    """Return a context manager that completes or undoes an interrupted event, then holds the lock during a read.
-
-    Python handles a signal between two instructions, never within a C function. So one C call takes the lock and
-    notes that it is taken, and the lock's own method releases it: no interrupt can leave the lock taken.
-    """
-    once = (True,)
-
-    def enter(_: object) -> State:
-        taken: list[bool] = []
-        try:
-            taken.extend(map(lock.acquire, once))
-            return known.state if known.pending is None else known.settled()
-        except BaseException:
-            if taken:
-                lock.release()
-            raise
-
-    held: AbstractContextManager[State] = type("Reading", (), {"__enter__": enter, "__exit__": lock.__exit__})()
-    return held
 
 
 def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:

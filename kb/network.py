@@ -143,15 +143,16 @@ class Network:
             yield from tuple(table.values())
 
     def referred(self, ref: Ref) -> Node:
-        match ref:
-            case (str(kind), str(name), *position) if not position or (len(position) == 1 and type(position[0]) is int):
-                node = self.kinds[kind][name]
-            case _:
-                what = "an element is (kind, name), a constraint (kind, name, position) by what it is on"
-                raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
-        if position and not 0 <= position[0] < len(node.constraints):
-            raise UnknownName(f"constraint on {kind} {name!r}", position[0], map(str, range(len(node.constraints))))
-        return node.constraints[position[0]] if position else node
+        kind, name, position = ref if len(ref) == 3 else (*ref, 0) if len(ref) == 2 else (None, None, None)
+        if not (isinstance(kind, str) and isinstance(name, str) and type(position) is int):
+            what = "an element is (kind, name), a constraint (kind, name, position) by what it is on"
+            raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
+        node = self.kinds[kind][name]
+        if len(ref) == 2:
+            return node
+        if not 0 <= position < len(node.constraints):
+            raise UnknownName(f"constraint on {kind} {name!r}", position, map(str, range(len(node.constraints))))
+        return node.constraints[position]
 
     def renew(self) -> None:
         """Connect the nodes of all elements that are in the model now; it can be called again after an interrupt.

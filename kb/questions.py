@@ -4,8 +4,7 @@ Each question is a function, and a method of both `KnowledgeBase` and `Situation
 if some facts were different. No question changes anything.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Final
 
@@ -226,6 +225,8 @@ class Situation:
     The facts are neither changed nor copied. What the base learns later holds here too, under the same assumptions.
     """
 
+    _overlay: Overlay
+
     def __init__(
         self, base: Readable, state: State, assumptions: Iterable[_Assumption], at: float | None = None
     ) -> None:
@@ -234,7 +235,7 @@ class Situation:
         self._network = network = state.network
         self._assumptions = tuple(assumptions)
         self._seen: tuple[State | None, int, int] = (None, -1, -1)
-        self._overlay: Overlay | None = None
+        self._held = views.Reading(base.reading(), self._layered)
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
@@ -261,14 +262,16 @@ class Situation:
         """The time for which it was made, or else the time by the clock [s]."""
         return self._base.now if self._at is None else self._at
 
-    @contextmanager
-    def reading(self) -> Iterator[State]:
+    def reading(self) -> views.Reading:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
-        with self._base.reading() as below:
-            seen = (below, below.version, self._network.revision)
-            if self._overlay is None or self._seen != seen:
-                self._overlay, self._seen = self._supposed(below), seen
-            yield self._overlay
+        self._base.reading()  # makes the events that are due
+        return self._held
+
+    def _layered(self, below: State) -> State:
+        seen = (below, below.version, self._network.revision)
+        if self._seen != seen:
+            self._overlay, self._seen = self._supposed(below), seen
+        return self._overlay
 
     def __repr__(self) -> str:
         with self.reading() as state:

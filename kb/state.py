@@ -91,8 +91,7 @@ class _Supposed(Marked):
     __slots__ = ("_below",)
 
     def __init__(self, below: Marked) -> None:
-        super().__init__()
-        self._below = below
+        self.own, self._below = {}, below
 
     def __bool__(self) -> bool:
         own = self.own
@@ -119,9 +118,10 @@ class Users(dict[int, Marked]):
         return _NOBODY if self._below is None else self._below[index]
 
     def of(self, index: int) -> Marked:
-        if index not in self:
-            self[index] = Marked() if self._below is None else _Supposed(self._below.of(index))
-        return self[index]
+        found = self.get(index)
+        if found is None:
+            found = self[index] = Marked() if self._below is None else _Supposed(self._below.of(index))
+        return found
 
 
 class History:
@@ -266,7 +266,7 @@ class State:
         return self.reasons[column, node.index]
 
     def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        key, reason = (column, node.index), Reason(text, until)
+        key, reason = (column, node.index), Reason(text, until) if text or until is not None else _UNSAID
         if self.reasons[key] != reason:
             self.put(self.reasons, key, reason)
 
@@ -279,10 +279,14 @@ class State:
 
     def mark(self, marked: Marked, node: Node, yes: bool) -> None:
         """Add a node to a set, or remove it; `undo` reverses that."""
-        if (node in marked.own) != yes:
-            if self.kept is not None:
-                self.kept.append((marked, node, not yes))
-            marked[node] = yes
+        own, kept = marked.own, self.kept
+        if (node in own) != yes:
+            if kept is not None:
+                kept.append((marked, node, not yes))
+            if yes:
+                own[node] = True
+            else:
+                marked[node] = False
 
     def undo(self) -> None:
         """Restore all old values that are kept; it can be called again after an interrupt."""

@@ -197,7 +197,7 @@ class _Explainer:
         choice = state.reason("selected", node).text if state.selected[node.index] else ""
         possible_only = possible_only and state.asserted[node.index] is None
         what = node.kind, node.name, status, fact, reasons, measurement, possible_only
-        return Explanation(*what, reason=reason, choice=choice)
+        return Explanation(*what, (), True, reason, choice)
 
     def _attribute(self, node: Node) -> Explanation:
         users = [
@@ -273,8 +273,8 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 def _comparison(state: State, node: Node) -> Comparison:
     constraint, attribute = node.constraint, node.parts[0]
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
-    what = constraint.attribute, constraint.operator, constraint.value
-    return Comparison(*what, value, time, is_stale, attribute.element.unit)
+    bound = constraint.attribute, constraint.operator, constraint.value
+    return Comparison(*bound, value, time, is_stale, attribute.element.unit)
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:

@@ -209,7 +209,7 @@ def test_what_handles_a_signal_tells_nothing_in_the_midst_of_an_event(name):
                 kb.measure("load", 0.3)
             refused.append(error)
 
-    for step in range(1, 1_000_000, STRIDE):
+    for step in range(1, 1_000_000, STRIDE // 3):
         kb = Base()
         if not interrupted_at(step, lambda kb=kb: CALLS[name](kb), handler=tell):
             break
