@@ -35,6 +35,8 @@ def shown(value: object) -> str:
 
 def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
     """Return the value as a float; text, booleans, NaN and infinities are refused."""
+    if type(value) is float and math.isfinite(value):
+        return value
     if isinstance(value, bool | str) or not hasattr(type(value), "__float__"):
         raise InvalidValue(f"a number is needed, not {shown(value)}")
     try:
@@ -193,7 +195,9 @@ def status_of(kind: str, given: object) -> Status:
 
 def listed(what: str, values: object) -> tuple[Any, ...]:
     """Return the items of a list; a single text is refused, as it would be read as its letters."""
-    if not isinstance(values, tuple | list) and (isinstance(values, str | bytes) or not isinstance(values, Iterable)):
+    if type(values) is tuple:
+        return values
+    if isinstance(values, str | bytes) or not isinstance(values, Iterable):
         raise ModelError(f"{what} are given as a list, not as {values!r}")
     return tuple(values)
 
@@ -272,8 +276,8 @@ class EstimationKind(StrEnum):
     ABSOLUTE = "absolute"
 
 
-_FLAG: Final = Field(lambda field, name, value: flag(f"{field} of {name!r}", value))
-_TEXT: Final = Field(lambda field, name, value: text(f"the {field} of {name!r}", value), can_change=False)
+_FLAG: Final = Field(lambda field, name, it: it if type(it) is bool else flag(f"{field} of {name!r}", it))
+_TEXT: Final = Field(lambda field, name, it: it if type(it) is str else text(f"the {field} of {name!r}", it), False)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", lambda value: value >= 0)

@@ -13,7 +13,10 @@ from kb.events import StatusChange
 from kb.network import LEVELS, Node
 from kb.state import State
 from kb.status import (
+    ERROR,
     IMPOSSIBLE,
+    SOLVED,
+    UNSOLVED,
     Status,
     action_status,
     component_status,
@@ -135,9 +138,9 @@ def _mark_configuration(state: State, configuration: Node) -> None:
 def is_adaptable(state: State, node: Node) -> bool:
     """Tell whether a choice is needed for a function or component, or a better one may be looked for."""
     status = state.status[node.index]
-    if status is Status.SOLVED:
+    if status is SOLVED:
         return bool(node.element.always_improve)
-    return status in (Status.UNSOLVED, Status.CONFIGURATION_ERROR)
+    return status is UNSOLVED or status is ERROR
 
 
 def infer(state: State, node: Node) -> Status:

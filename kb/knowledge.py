@@ -27,7 +27,7 @@ from kb.owl import Serials
 from kb.reconfiguration import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
 from kb.state import FACTS, History, Reason, State, unset
-from kb.status import Status
+from kb.status import UNFEASIBLE, Status
 
 Put = Sequence[Any]
 """A function that updates records, histories or alarms and can be called again, and its arguments."""
@@ -191,7 +191,7 @@ class Knowledge:
                     if array is status:
                         changed_by[index] = number
             for one in changes:
-                if one.kind == "action" and Status.UNFEASIBLE in (one.old, one.new):
+                if one.kind == "action" and UNFEASIBLE in (one.old, one.new):
                     self.feasibility = number
         if matters:
             self.revision = number

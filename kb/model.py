@@ -197,20 +197,22 @@ class Model:
         kind, table = KINDS[cls], self._tables[cls]
         name = identifier(kind, name)
         checks = CHECKS[cls]
-        values = {
-            field: checks[field].check(field, name, value) if field in checks else self._names(cls, name, field, value)
-            for field, value in given.items()
-        }
+        for field, value in given.items():
+            check = checks.get(field)
+            given[field] = self._names(cls, name, field, value) if check is None else check.check(field, name, value)
         try:
-            element = cls(name, self, **values)
+            element = cls(name, self, **given)
         except TypeError as error:
             raise ModelError(f"{kind} {name!r} is not complete: {error}") from None
-        wanted = self._expressions(constraints)
+        wanted = self._expressions(constraints) if constraints != () else ()
         if wanted:
             self._of_kind("constrained", element, Constrainable)
         if name in table:
             raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
-        self._declare(element, *(_constraint((element,), one) for one in wanted))  # type: ignore[arg-type]  # constrainable, if any
+        if wanted or self._observers or self._batch is not None:
+            self._declare(element, *[_constraint((element,), one) for one in wanted])  # type: ignore[arg-type]  # constrainable, if any
+        else:
+            table[name] = element  # a single step, and there is no observer
         return element
 
     def constrain(self, elements: Iterable[Constrainable], expression: Expression) -> Constraint:
@@ -380,14 +382,15 @@ class Model:
         if field not in ("functions", "components"):
             return self._reference(REFERENCES[field], value)
         given = listed(f"the {field} of {name!r}", value)
-        return tuple(dict.fromkeys(self._reference(REFERENCES[field], one) for one in given))
+        return tuple(dict.fromkeys([self._reference(REFERENCES[field], one) for one in given]))
 
     def _reference(self, cls: type[Element], given: object) -> str:
         """Return the name of an element that is given by itself or by its name."""
-        kind, table = KINDS[cls], self._tables[cls]
+        table = self._tables[cls]
         if not isinstance(given, Element):
             found: Element = table[given]
             return found.name
+        kind = KINDS[cls]
         if given.model is not self:
             raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}")
         name = given.name
@@ -422,17 +425,16 @@ class Model:
             raise
 
     def _declare(self, *added: Changeable) -> None:
-        def put() -> None:
-            for one in added:
-                self._tables[type(one)][_key(one)] = one
-
+        if self._batch is None and (self._observers or len(added) > 1):
+            self._amend("declared", added, partial(self._enter, added))
+            return
         if self._batch is not None:
             self._batch.extend(added)
-            put()
-        elif self._observers or len(added) > 1:
-            self._amend("declared", added, put)
-        else:
-            put()  # a single step, and there is no observer
+        self._enter(added)
+
+    def _enter(self, added: Iterable[Changeable]) -> None:
+        for one in added:
+            self._tables[type(one)][_key(one)] = one
 
     def _amend(self, how: str, elements: Sequence[Changeable], put: Callable[[], None]) -> None:
         """Make a change; once it is `pending`, it will be completed, for all observers too."""

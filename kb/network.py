@@ -116,7 +116,7 @@ class Network:
         self.revision = 0  # grows at each `renew`
         self.nodes: list[Node] = []
         self.thresholds = cache(Thresholds)  # of an attribute
-        self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items()}
+        self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS}
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
         self.configurations: Mapping[str, Node] = self._tables[Configuration]
@@ -161,8 +161,16 @@ class Network:
         """
         self.revision += 1
         self.thresholds.cache_clear()
-        tables = [table for cls, table in self.model.tables.items() if KINDS[cls] in LEVELS]
-        nodes = [self._node(one) for table in tables for one in table.values()]
+        for cls, known in self._tables.items():
+            kind, table = KINDS[cls], self.model.tables[cls]
+            for key, element in table.items():
+                node = known.get(key)
+                if node is None or node.element is not element:
+                    node = known[key] = Node(len(self.nodes), kind, element)
+                    self.nodes.append(node)
+                node.name = str(key)
+            for key in [key for key in known if key not in table] if len(known) > len(table) else ():
+                known.pop(key, None)
         constraints: list[list[Node]] = [[] for _ in self.nodes]
         parts: list[list[Node]] = [[] for _ in self.nodes]
         wholes: list[list[Node]] = [[] for _ in self.nodes]
@@ -171,37 +179,21 @@ class Network:
             parts[whole.index].append(part)
             wholes[part.index].append(whole)
 
-        for node in nodes:
-            element = node.element
-            if isinstance(element, Constraint):
-                attribute = self.attributes[element.attribute]
-                targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(element.constrained)]
-                parts[node.index], wholes[node.index] = [attribute], targets
-                for one in (attribute, *targets):
-                    constraints[one.index].append(node)
-            elif isinstance(element, Configuration):
-                join(node, self.components[element.component])
-            elif isinstance(element, FunctionDesign):
-                for name in element.components:
-                    join(self.components[name], node)
-                join(node, self.functions[element.function])
-            elif isinstance(element, Action):
-                for name in dict.fromkeys(element.functions):
-                    join(self.functions[name], node)
-        present = set(nodes)
-        for known in self._tables.values():
-            for key in [key for key, node in tuple(known.items()) if node not in present]:
-                known.pop(key, None)
-        for node in nodes:
+        for node in self.configurations.values():
+            join(node, self.components[node.element.component])
+        for node in self.designs.values():
+            for name in node.element.components:
+                join(self.components[name], node)
+            join(node, self.functions[node.element.function])
+        for node in self.actions.values():
+            for name in dict.fromkeys(node.element.functions):
+                join(self.functions[name], node)
+        for node in self.constraints.values():
+            attribute = self.attributes[node.element.attribute]
+            targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(node.element.constrained)]
+            parts[node.index], wholes[node.index] = [attribute], targets
+            for one in (attribute, *targets):
+                constraints[one.index].append(node)
+        for node in self.present():
             index = node.index
             node.constraints, node.parts, node.wholes = constraints[index], parts[index], wholes[index]
-
-    def _node(self, element: Element | Constraint) -> Node:
-        table, key = self._tables[type(element)], element if isinstance(element, Constraint) else element.name
-        node = table.get(key)
-        if node is None or node.element is not element:
-            node = Node(len(self.nodes), KINDS[type(element)], element)
-            self.nodes.append(node)
-        node.name = element.name if isinstance(element, Element) else str(element)
-        table[key] = node
-        return node

@@ -15,7 +15,7 @@ from kb.elements import Parameters
 from kb.exceptions import InvalidValue
 from kb.network import Network, Node
 from kb.records import Memory
-from kb.status import Status
+from kb.status import FEASIBLE, NOT_EVALUATED, Status
 
 T = TypeVar("T")
 
@@ -185,12 +185,12 @@ _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted
 FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(_FLAGS, False)}
 """The arrays of base facts, each with the value that means "nothing is known"."""
 
-_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
+_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": FEASIBLE}
 
 
 def unset(node: Node) -> Status:
     """Return the status of an element while no fact about it is known."""
-    return Status.NOT_EVALUATED if node.kind == "constraint" else Status.FEASIBLE
+    return NOT_EVALUATED if node.kind == "constraint" else FEASIBLE
 
 
 class _Said(dict[tuple[str, int], Reason]):
@@ -245,7 +245,10 @@ class State:
     def grow(self) -> None:
         for name, value in {**FACTS, **_INFERRED}.items():
             new = self.network.nodes[len(self.columns[name]) :]
-            self.columns[name] += map(unset, new) if name == "status" else [value] * len(new)
+            column = [value] * len(new)
+            if name == "status":
+                column = [NOT_EVALUATED if node.kind == "constraint" else FEASIBLE for node in new]  # as in `unset`
+            self.columns[name] += column
 
     def forget(self, node: Node) -> None:
         """Forget all facts about a node."""
