@@ -21,11 +21,10 @@ from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
 from kb.model import Model
-from kb.planners import Choice, Criterion, Optimum
+from kb.planners import Choice, Criterion, Obsolete, Optimum
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.questions import Situation
-from kb.reconfiguration import Obsolete
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
 from kb.status import Status
 from kb.store_file import StoreError

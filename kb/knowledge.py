@@ -15,16 +15,16 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from kb import facts
-from kb.amendments import amendment
 from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.exceptions import KnowledgeBaseError
 from kb.explanation import note_nothing, reading, staleness, why_selected
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
+from kb.model import amendment
 from kb.network import Network, Node, Ref
 from kb.owl import Serials
-from kb.reconfiguration import planned, reselect
+from kb.planners import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
 from kb.state import FACTS, History, Reason, State, unset
 from kb.status import UNFEASIBLE, Status

@@ -11,7 +11,6 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import finalize
 
 from kb import questions, views
-from kb.amendments import amend
 from kb.diagnostics import DiagnosticProblem, read_diagnostics
 from kb.elements import Parameters, finite_number, flag, status_of, table, text, whole
 from kb.elements import parameters as checked_parameters
@@ -20,11 +19,11 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation import why, why_selected
 from kb.forecasts import Forecaster, feasible_until
 from kb.knowledge import Knowledge
-from kb.model import Model
+from kb.model import Model, amend
 from kb.network import Node
 from kb.owl.world import Answer, World
+from kb.planners import by_whole, planned, reselect
 from kb.questions import ELEMENTS, Meant, meant, outline
-from kb.reconfiguration import by_whole, planned, reselect
 from kb.records import (
     RESULTS,
     Attempt,

@@ -22,7 +22,7 @@ from types import MappingProxyType, UnionType
 from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
-from kb import facts
+from kb import facts, owl
 from kb.checks import Finding, check_model
 from kb.elements import (
     CHECKS,
@@ -62,7 +62,6 @@ from kb.elements import table as html_table
 from kb.exceptions import DuplicateName, ModelError, UnknownName
 from kb.facts import Amended, Contents, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.files import SUFFIXES, ModelFileError, write_text
-from kb.owl import individuals, plain_json
 from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)
@@ -268,11 +267,11 @@ class Model:
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
             raise ModelError("no file is given to load a model from; give one path or several, in order")
-        owl = [file for file in files if _suffix(file) == ".owl"]
-        if owl and len(owl) < len(files):
-            others = ", ".join(str(file) for file in files if file not in owl)
-            raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(owl[0]))
-        if owl:
+        in_owl = [file for file in files if _suffix(file) == ".owl"]
+        if in_owl and len(in_owl) < len(files):
+            others = ", ".join(str(file) for file in files if file not in in_owl)
+            raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(in_owl[0]))
+        if in_owl:
             from kb.owl.files import load_owl
 
             return load_owl(cls, files, name)
@@ -559,7 +558,7 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
 
 def _described(model: Contents) -> list[Any]:
     """Return the content of a model as plain values that can be compared."""
-    return plain_json(individuals(model))
+    return owl.plain_json(owl.individuals(model))
 
 
 def _facts(element: Element) -> str:
@@ -571,3 +570,84 @@ def _facts(element: Element) -> str:
             words = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
             said.append(f"{one.name.replace('_', ' ')}: {words}")
     return "; ".join(said)
+
+
+# -------------------------------------------------------------------- amendments, as they are written in events
+
+Amendment = Sequence[Any]
+"""How elements were amended and which: "declared" or "changed" as `plain_json` writes them, "removed" by id."""
+
+
+def amendment(how: str, changed: Sequence[Changeable], serials: owl.Serials) -> Amendment:
+    if how == "removed":
+        return how, owl.element_id(changed[0], serials)
+    return how, owl.plain_json(made for one in changed for made in owl.individual(one, serials))
+
+
+def amend(model: Model, serials: owl.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+    """Change a model as it was changed before; see `Amendment`."""
+    is_id = how == "removed"
+    if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
+        raise TypeError(f"{how} {written!r} is no amendment of a model")
+    known = {owl.element_id(one, serials): one for table in model.tables.values() for one in table.values()}
+    if is_id:
+        model.remove(known[written])
+        return
+    given = owl.from_json(written)
+    declarer = owl.Declarer(model, known)
+    if how == "declared":
+        with model.at_once():
+            declarer.declare(given)
+        for one in given:
+            if isinstance(made := declarer.known.get(one.id), Constraint | Estimation):
+                serials[made] = int(one.id.rpartition(".")[2])
+        return
+    declarer.nested = {one.id: one for one in given}
+    element = known[given[-1].id]
+    values = declarer.values(type(element), given[-1])
+    can_change = {one for one, field in CHECKS[type(element)].items() if field.can_change}
+    model.change(
+        element, **{one.name: values.get(one.name, one.default) for one in fields(element) if one.name in can_change}
+    )
+
+
+def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, owl.Serials]:
+    """Return the model of a declaration (in `plain_json`) and later amendments, and the numbers of its elements."""
+    given = owl.from_json(declared)
+    names = [str(value) for one in given if one.kind == owl.MODEL for value in one.values["name"]]
+    then = Model(names[0])
+    owl.Declarer(then).declare(given)
+    numbers = owl.Serials.of(then)
+    for one in amendments:
+        amend(then, numbers, *one)
+    return then, numbers
+
+
+def amended_alike(then: Model, numbers: owl.Serials, model: Model) -> owl.Serials | None:
+    """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
+    if then != model:
+        return None
+    pairs = zip(owl.unnamed(then), owl.unnamed(model), strict=True)
+    return owl.Serials((now, numbers[before]) for before, now in pairs)
+
+
+def differences(then: Model, now: Model, kept_in: str = "store") -> list[str]:
+    """Say which statements are in only one of two models; nothing if they are equal. `kept_in` is where `then` is."""
+    if then == now:
+        return []
+    before, after = _statements(then), _statements(now)
+    return [
+        *(f"{one} is not in the {kept_in}" for one in after if one not in before),
+        *(f"{one} is in the {kept_in} only" for one in before if one not in after),
+    ] or ["the order of its elements is another"]
+
+
+def _statements(model: Model) -> dict[str, None]:
+    """Return all that a model says; what has no name is known by what is said of it alone."""
+    statements: dict[str, None] = {}
+    for one in owl.individuals(model):
+        given = {name: " and ".join(map(owl.shown, each)) for name, each in one.values.items()}
+        said = (f"{name} {shown}" for name, shown in given.items() if name != "position")
+        own = one.kind if one.id.rpartition(".")[2].isdigit() else one.id
+        statements[f"{own} ({', '.join(said)})"] = None
+    return statements

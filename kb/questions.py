@@ -15,9 +15,8 @@ from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
-from kb.planners import Choice, firsts_by_priority
-from kb.reconfiguration import Obsolete, by_whole, reselect
-from kb.reconfiguration import obsolete as all_obsolete
+from kb.planners import Choice, Obsolete, by_whole, firsts_by_priority, reselect
+from kb.planners import obsolete as all_obsolete
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.views import ElementView, Readable

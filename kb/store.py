@@ -18,12 +18,11 @@ from typing import Any, Final
 from weakref import WeakKeyDictionary
 
 from kb import store_file
-from kb.amendments import amend, amended_alike, differences, rebuilt
 from kb.events import Event
 from kb.exceptions import InvalidValue
 from kb.files import sync_folder
 from kb.knowledge import Knowledge
-from kb.model import Model
+from kb.model import Model, amend, amended_alike, differences, rebuilt
 from kb.owl import Serials, individuals, plain_json
 
 KEPT: Final = 10_000  # how many measurements of each attribute are kept: the newest ones

@@ -14,11 +14,11 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from kb.amendments import differences
 from kb.events import Event
 from kb.exceptions import UnknownName
 from kb.files import draft
 from kb.knowledge import Knowledge
+from kb.model import differences
 from kb.network import Network, Ref
 from kb.store import Store
 from kb.store_file import (

@@ -3,8 +3,7 @@
 from fractions import Fraction
 from itertools import product
 
-from kb.planners import by_priority
-from kb.reconfiguration import reselect
+from kb.planners import by_priority, reselect
 from kb.state import Overlay
 from kb.status import Status
 
