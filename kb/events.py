@@ -179,11 +179,11 @@ class Log:
         time: of the last event [s].
     """
 
-    def __init__(self, memory: Memory, lock: AbstractContextManager[object]) -> None:
+    def __init__(self, memory: Memory, lock: AbstractContextManager[object], settle: Callable[[], None]) -> None:
         self._lock = lock  # of the base that tells them: what is told meanwhile is told before or after
+        self.settle = settle  # called before all are looked at: what was interrupted ends
         self.last, self.begins, self.time = 0, 1, -math.inf
         self.heard: Callable[[], None] | None = None  # called when there is a new event
-        self.settle: Callable[[], None] = lambda: None  # called before all are looked at: what was interrupted ends
         self.witnesses: tuple[Callable[[Event], None], ...] = ()  # hear of each by the thread that holds the base
         self._most, self._span = memory.events, memory.span
         self._measured: deque[Event] = deque()

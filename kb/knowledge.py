@@ -15,13 +15,13 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from kb import facts
-from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters
+from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters, finite_number
 from kb.events import RECORDS, Event, Log, StatusChange
-from kb.exceptions import KnowledgeBaseError
+from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import note_nothing, reading, staleness, why_selected
 from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
-from kb.model import amendment
+from kb.model import Model, amendment
 from kb.network import Network, Node, Ref
 from kb.owl import Serials
 from kb.planners import planned, reselect
@@ -36,12 +36,15 @@ _NEW: Final = tuple.__new__  # quicker than the constructor of an event
 _ENDED: Final = 4
 """How many ended requests the reason of a plan names at most."""
 
+_BACK: Final = 1.0
+"""How far a clock may go back [s]: clocks are corrected, and threads may tell in another order than they read it."""
+
 _STATUSES: Final = ("asserted", "verdict")
 _IN_THE_MIDST: Final = "a signal handler or finalizer can ask and tell nothing in the midst of an event; do that later"
 
-_Pending = tuple[Event, Sequence[Put], bool, bool] | Literal["open"]
-"""An event that is in, the updates that must still be made, whether it changes the state, and whether it matters to a
-planner; or "open" for an event that is not in yet."""
+_Pending = tuple[Event, Sequence[Put], bool] | Literal["open"]
+"""An event that is in, the updates that must still be made, and whether it matters to a planner; or "open" for an event
+that is not in yet."""
 
 
 class Knowledge:
@@ -49,14 +52,14 @@ class Knowledge:
 
     Args:
         model: the model that the facts are about; this object observes its changes, see `Observer`.
-        clock: gives the time of a change of the model [s].
+        clock: the function that gives the time [s]; see `time`.
         lock: every caller holds it; a change of the model takes it itself.
         memory: how much of the past is held in memory.
     """
 
     def __init__(
         self,
-        model: facts.Contents,
+        model: Model,
         clock: Callable[[], float],
         lock: AbstractContextManager[object],
         memory: Memory | None = None,
@@ -65,7 +68,7 @@ class Knowledge:
         self.model, self.clock, self._lock = model, clock, lock
         self.network = network = Network(model)
         self.serials = Serials.of(model)
-        self.log = Log(memory, lock)
+        self.log = Log(memory, lock, self.complete)
         self.state = State(network)
         propagate(self.state, [node for node in network.functions.values() if not node.parts])  # all else is feasible
         self.measurements = Measurements(self.state, memory)
@@ -129,7 +132,7 @@ class Knowledge:
             changes = propagate(state, touched)
         arguments = (node.name, value)
         event = _NEW(Event, (log.last + 1, time, "measure", arguments, tuple(changes), None, (), None, words))
-        self.pending = event, puts, bool(touched), bool(changes)
+        self.pending = event, puts, bool(changes)
         if touched or thresholds.steady or log.witnesses:
             self.finish()
         else:  # as `finish` does, in fewer steps
@@ -174,9 +177,9 @@ class Knowledge:
             state.undo()
             self.pending = None
             return
-        event, puts, changes_state, matters = pending
+        event, puts, matters = pending
         number, verb, changes = event.number, event.verb, event.changes
-        if changes_state:
+        if state.kept is not None:
             state.version = number
         for put, *given in puts:
             put(*given)
@@ -200,6 +203,34 @@ class Knowledge:
         state.kept = self.pending = None
         for witness in self.log.witnesses if is_new else ():
             witness(event)
+
+    def time(self) -> float:
+        """Return the time by the clock, or that of the last event if it is later [s].
+
+        The clock is foreign code, which may wait for another thread, so it is read without the lock.
+        """
+        if self.model.pending is not None:
+            self.model.settle()
+        last, now = self.log.time, self.clock()  # in this order: another thread may tell meanwhile
+        if type(now) is float and last <= now < math.inf:
+            return now
+        try:
+            shown = finite_number(now)
+        except InvalidValue as error:
+            raise InvalidValue(f"the clock gives {now!r} for the time in seconds: {error}; nothing was told") from None
+        if shown < last - _BACK:
+            raise InvalidValue(
+                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: give the knowledge "
+                "base a clock that is not set back, e.g. time.monotonic; nothing was told"
+            )
+        return max(shown, last)
+
+    def complete(self) -> None:
+        """Complete or undo a change of the model, or an event, that was interrupted."""
+        if self.model.pending is not None:
+            self.model.settle()
+        with self._lock:
+            self.settled()
 
     def settled(self) -> State:
         """Return the state, after an interrupted event is completed or undone."""
@@ -234,7 +265,7 @@ class Knowledge:
             changes = [*changes, *propagate(self.state, touched)]
         if changes or effects or plan is not None or words:
             event = _NEW(Event, (*event[:4], tuple(changes), event.cause, effects, plan, words))
-        self.pending = event, puts, event.verb not in RECORDS, bool(changes) if matters is None else matters
+        self.pending = event, puts, bool(changes) if matters is None else matters
         self.finish()
         return event
 
@@ -420,7 +451,7 @@ class Knowledge:
     def begin(self, facts: Sequence[facts.Fact], now: float) -> None:
         for position, fact in enumerate(facts):
             self._begin_with(fact, -position - 1, now)
-        self.log = Log(self._memory, self._lock)
+        self.log = Log(self._memory, self._lock, self.complete)
         self.log.append(Event(1, now, "begin", ()))
         self.changed_by.clear()
         self.feasibility, self.revision, self.state.version = None, 1, 1
@@ -450,13 +481,13 @@ class Knowledge:
 
     def prepare(self) -> None:
         """Make the events that time causes until now, before the model changes; an error of the clock prevents that."""
-        now = self.clock()
+        now = self.time()
         with self._lock:
             self.settle(now)
 
     def catch_up(self) -> None:
         """Make the events that time causes until now, unless this thread is just telling a fact."""
-        now = self.clock()
+        now = self.time()
         with self._lock:
             if self.pending is not None or not self.telling.locked():
                 self.settle(now)
@@ -481,7 +512,7 @@ class Knowledge:
         names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
         written = tuple(amendment(change.how, change.elements, self.serials))
         event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
-        self.pending = event, ((self._renew, change, gone),), False, True
+        self.pending = event, ((self._renew, change, gone),), True
         self.finish()
 
     def _renew(self, change: facts.Amended, gone: Sequence[Node]) -> None:

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial, wraps
+from functools import wraps
 from math import inf, isfinite
 from pathlib import Path
 from threading import RLock
@@ -50,8 +50,6 @@ _TOLD: Final = {"measure": "measure", "amend": "_amend"}
 _PLAIN: Final = (str, int, views.ElementView)
 """Most arguments are of these classes, and to ask whether something is a mapping takes long."""
 _OPERATIONS: Final = ("activate", "deactivate", "configure")
-_BACK: Final = 1.0
-"""How far a clock may go back [s]: clocks are corrected, and threads may tell in another order than they read it."""
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -69,7 +67,8 @@ def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[C
     def held(self: "KnowledgeBase", *args: P.args, **kwargs: P.kwargs) -> T:
         given = [_own(value) for value in args]
         caused = {name: _own(value) for name, value in kwargs.items()} if kwargs else kwargs
-        now, known = self._time.now(), self._knowledge
+        known = self._knowledge
+        now = known.time()
         with self._lock:
             if self.store is not None:
                 self._check_open(self.store)
@@ -133,12 +132,10 @@ class KnowledgeBase:
             raise InvalidValue(f"how much is held in memory is said by a kb.Memory, not by {memory!r}")
         model.settle()
         self.model = model
-        self._time = _Time(clock, model)
         self._lock = RLock()
         self.store = None if store is None else Store(store, model, keep)
-        self._knowledge = known = Knowledge(model, self._time.now, self._lock, memory)
-        self._time.known = known
-        known.now = now = self._time.now()
+        self._knowledge = known = Knowledge(model, clock, self._lock, memory)
+        known.now = now = known.time()
         if self.store is not None and not self.store.is_new:
             self.store.restore(known, now)
             known.log.time = -inf  # the clock may have started again at 0
@@ -150,7 +147,6 @@ class KnowledgeBase:
         self.forecast = Forecaster(self, known)
         self._world, self._is_closed = World(known, self.store, keep, self.reading), False
         self.log: Log = known.log
-        self.log.settle = partial(_settle, model, self._held)
         self.history = HistoryView(known.records, self.reading)
         network = known.network
         self.actions = views.Views(self, network.actions, views.ActionView)
@@ -197,7 +193,7 @@ class KnowledgeBase:
         if self.model.pending is not None:
             self.model.settle()
         due = self._knowledge.measurements.alarms.next
-        if due != inf and due <= self._time.now():
+        if due != inf and due <= self._knowledge.time():
             self._catch_up()
         return self._held
 
@@ -221,7 +217,7 @@ class KnowledgeBase:
     @property
     def now(self) -> float:
         """The time by the clock [s]."""
-        return self._time.now()
+        return self._knowledge.time()
 
     @property
     def revision(self) -> int:
@@ -286,7 +282,7 @@ class KnowledgeBase:
         of: Any = node.element
         is_plain = type(value) is float and isfinite(value) and of.low <= value <= of.high
         number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
-        now = self._time.now()
+        now = known.time()
         with self._lock:
             if self.store is not None:
                 self._check_open(self.store)
@@ -668,46 +664,6 @@ class KnowledgeBase:
 
     def _node(self, element: Meant, kinds: Iterable[str]) -> Node:
         return meant(self, self._knowledge.state, element, kinds, unique=True)
-
-
-class _Time:
-    """The time of a base: the time of its clock, or that of the last event if that is later [s].
-
-    Attributes:
-        clock: the function that was given to the base.
-        known: the knowledge whose log has the last event.
-    """
-
-    known: Knowledge
-
-    def __init__(self, clock: Callable[[], float], model: Model) -> None:
-        self.clock, self._model = clock, model
-
-    def now(self) -> float:
-        """The time now [s]; the clock is called, so hold no lock."""
-        if self._model.pending is not None:
-            self._model.settle()
-        last, now = self.known.log.time, self.clock()  # in this order: another thread may tell meanwhile
-        if type(now) is float and last <= now < inf:
-            return now
-        try:
-            shown = finite_number(now)
-        except InvalidValue as error:
-            raise InvalidValue(f"the clock gives {now!r} for the time in seconds: {error}; nothing was told") from None
-        if shown < last - _BACK:
-            raise InvalidValue(
-                f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: give the knowledge "
-                "base a clock that is not set back, e.g. time.monotonic; nothing was told"
-            )
-        return max(shown, last)
-
-
-def _settle(model: Model, held: views.Reading) -> None:
-    """Complete or undo a change of the model, or an event, that was interrupted."""
-    if model.pending is not None:
-        model.settle()
-    with held:
-        pass
 
 
 def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:

@@ -16,9 +16,9 @@ in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data
 
 def start(script=None, *, kb=None, system=Scripted, veto=None, **options):
     kb = kb or base(rover())[0]
-    managed = system(kb._time.clock, script)
+    managed = system(kb._knowledge.clock, script)
     executor = StagedExecutor(managed, **{"attempts": 1, **options})
-    return kb, kb._time.clock, managed, ConfigurationManager(kb, managed, executor=executor, veto=veto)
+    return kb, kb._knowledge.clock, managed, ConfigurationManager(kb, managed, executor=executor, veto=veto)
 
 
 def opened(path, clock):

@@ -245,7 +245,7 @@ def test_only_the_selected_design_explains_an_error_of_its_function():
 def test_a_stale_measurement_is_told_with_its_age(kb):
     kb.measure("light", 0.95)
     assert "light 0.95 violates <= 0.9" in kb.explain("look").sentence
-    kb._time.clock.now += 12.0
+    kb._knowledge.clock.now += 12.0
     (constraint,) = kb.actions["look"].constraints
     assert str(kb.explain(constraint)) == "light 0.95 is stale: measured 12.0 s ago, at most 5 s"
     assert kb.explain(constraint).measurement.is_stale

@@ -14,7 +14,7 @@ SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_to
 
 
 def choice_of(kb, node):
-    return explain_choice(state_of(kb), node, kb._time.clock())
+    return explain_choice(state_of(kb), node, kb._knowledge.clock())
 
 
 @SLOW

@@ -325,10 +325,10 @@ def test_clock_that_raises_reaches_who_tells_and_nothing_has_changed(error):
     def raising():
         raise error
 
-    kb._time.clock = raising
+    kb._knowledge.clock = raising
     for call in [call for name, call in CALLS.items() if name != TIME]:
         with pytest.raises(error):
             call(kb)
-    kb._time.clock = clock
+    kb._knowledge.clock = clock
     assert known(kb) == before
     assert is_free(kb)

@@ -407,7 +407,7 @@ def test_nobody_waits_while_the_answer_is_looked_for_and_the_model_may_change(mo
 
 def test_dry_run_does_not_use_up_the_change_of_a_preference(model):
     kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
-    manager = ConfigurationManager(kb, Scripted(kb._time.clock), planner=planner)
+    manager = ConfigurationManager(kb, Scripted(kb._knowledge.clock), planner=planner)
     kb.cancel_action("explore")
     kb.request_action("explore", "accuracy")
     before = planner.latest

@@ -119,7 +119,7 @@ def test_within_a_budget_and_without_a_preference_the_first_by_priority_is_said_
 def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplog):
     kb = KnowledgeBase(model, clock=Clock())
     planner = OptimalPlanner(budgets={"power": 5.0})
-    manager = ConfigurationManager(kb, Scripted(kb._time.clock), planner=planner)
+    manager = ConfigurationManager(kb, Scripted(kb._knowledge.clock), planner=planner)
     kb.request_action("explore", "accuracy")
     with caplog.at_level(logging.WARNING):
         assert manager.update() is None

@@ -188,7 +188,7 @@ def test_a_name_is_said_to_be_unknown_though_the_model_grows_meanwhile():
 
 
 def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_back(kb):
-    clock, teller = kb._time.clock, threading.Thread(target=kb.measure, args=("light 1", 1.0))
+    clock, teller = kb._knowledge.clock, threading.Thread(target=kb.measure, args=("light 1", 1.0))
 
     def read_slowly():
         shown = clock()
@@ -198,7 +198,7 @@ def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_b
             teller.join()
         return shown
 
-    kb._time.clock = read_slowly
+    kb._knowledge.clock = read_slowly
     kb.measure("light 2", 1.0)
     assert [event.time for event in kb.log] == [6.0, 6.0]
 
