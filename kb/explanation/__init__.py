@@ -278,20 +278,21 @@ def _comparison(state: State, node: Node) -> Comparison:
 
 
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
+    name, operator, threshold, value, time, is_stale, _ = one
     attribute: Attribute = node.parts[0].element
-    bound = f"{one.operator} {attribute.amount(exact(one.threshold))}"
-    if one.value is None:
-        return f"{one.attribute} is not measured (wanted {bound})"
-    shown = f"{one.attribute} {reading(one.value, [one.threshold], node.parts[0])}"
-    if one.is_stale:
-        return f"{shown} {staleness(one.time, node.parts[0], now)}"
+    bound = f"{operator} {attribute.amount(exact(threshold))}"
+    if value is None:
+        return f"{name} is not measured (wanted {bound})"
+    shown = f"{name} {attribute.amount(shortest(value, (threshold,)))}"
+    if is_stale:
+        return f"{shown} {staleness(time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
         return f"{shown} is not confirmed: {_votes(attribute)} have to agree"
-    holds = OPERATORS[one.operator](one.value, one.threshold)
-    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(one.time, now)})"
+    holds = OPERATORS[operator](value, threshold)
+    fact = f"{shown} {'satisfies' if holds else 'violates'} {bound} ({_age(time, now)})"
     if verdict is None or holds == (verdict is Status.SATISFIED):
         return fact
-    return f"{fact}, but {bound} stays {verdict} {_hold(one.value, node, verdict)}"
+    return f"{fact}, but {bound} stays {verdict} {_hold(value, node, verdict)}"
 
 
 def _hold(value: float, node: Node, verdict: Status) -> str:
