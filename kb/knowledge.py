@@ -10,6 +10,8 @@ from base64 import b64decode, b64encode
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
+from itertools import starmap
+from operator import attrgetter
 from threading import Lock
 from types import MappingProxyType
 from typing import Any, Final, Literal
@@ -45,6 +47,29 @@ _IN_THE_MIDST: Final = "a signal handler or finalizer can ask and tell nothing i
 _Pending = tuple[Event, Sequence[Put], bool] | Literal["open"]
 """An event that is in, the updates that must still be made, and whether it matters to a planner; or "open" for an event
 that is not in yet."""
+
+
+class Reading:
+    """A context manager that gives a state while it holds a lock, or another one of these.
+
+    Python handles a signal between two instructions, never within a C function. So one C call takes what is held and
+    notes that, and another one gives it back: no interrupt can leave the lock taken.
+    """
+
+    def __init__(self, held: Any, give: Callable[[Any], State]) -> None:  # noqa: ANN401  # an RLock has no type
+        self._held, self._give = held, give
+
+    def __enter__(self) -> State:
+        taken: list[Any] = []
+        try:
+            taken.extend(starmap(self._held.__enter__, ((),)))
+            return self._give(taken[0])
+        except BaseException:
+            if taken:
+                self._held.__exit__(None, None, None)
+            raise
+
+    __exit__ = property(attrgetter("_held.__exit__"))
 
 
 class Knowledge:
@@ -185,7 +210,7 @@ class Knowledge:
             put(*given)
         if verb == "amend":
             changes = self._changes()
-            event = event._replace(changes=changes)
+            event = Event(*event[:4], changes, *event[5:])
         if changes:
             # not a switch by a plan; when a component stops by itself, a reason is given
             if verb != "component_active" or event.arguments[2] or not self.records.open_plans:
@@ -232,7 +257,7 @@ class Knowledge:
         with self._lock:
             self.settled()
 
-    def settled(self) -> State:
+    def settled(self, _: object = None) -> State:
         """Return the state, after an interrupted event is completed or undone."""
         if self.pending is not None:
             self.refuse_in_the_midst()

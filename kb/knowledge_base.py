@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
 from functools import wraps
 from math import inf, isfinite
 from pathlib import Path
@@ -18,7 +19,7 @@ from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation import why, why_selected
 from kb.forecasts import Forecaster, feasible_until
-from kb.knowledge import Knowledge
+from kb.knowledge import Knowledge, Reading
 from kb.model import Model, amend
 from kb.network import Node
 from kb.owl.world import Answer, World
@@ -37,7 +38,7 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.state import Overlay
+from kb.state import Overlay, State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
 
@@ -143,7 +144,7 @@ class KnowledgeBase:
             known.begin(model.facts, now)
         self._publisher = Publisher(known.log, self._lock)
         known.heard = self._publisher.deliver
-        self._held = views.Reading(self._lock, lambda _: known.settled())
+        self._held = Reading(self._lock, known.settled)
         self.forecast = Forecaster(self, known)
         self._world, self._is_closed = World(known, self.store, keep, self.reading), False
         self.log: Log = known.log
@@ -188,7 +189,7 @@ class KnowledgeBase:
     situation = questions.suppose
     feasible_until = feasible_until
 
-    def reading(self) -> views.Reading:
+    def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         if self.model.pending is not None:
             self.model.settle()

@@ -5,6 +5,7 @@ if some facts were different. No question changes anything.
 """
 
 from collections.abc import Iterable, Mapping
+from contextlib import AbstractContextManager
 from types import MappingProxyType
 from typing import Final
 
@@ -13,6 +14,7 @@ from kb.elements import Constraint, Element, finite_number, listed, meant_by, sh
 from kb.exceptions import InvalidValue
 from kb.forecasts import Forecast, feasible_until, suppose_forecast
 from kb.inference import propagate
+from kb.knowledge import Reading
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
 from kb.planners import Choice, Obsolete, by_whole, firsts_by_priority, reselect
@@ -234,7 +236,7 @@ class Situation:
         self._network = network = state.network
         self._assumptions = tuple(assumptions)
         self._seen: tuple[State | None, int, int] = (None, -1, -1)
-        self._held = views.Reading(base.reading(), self._layered)
+        self._held = Reading(base.reading(), self._layered)
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
@@ -261,7 +263,7 @@ class Situation:
         """The time for which it was made, or else the time by the clock [s]."""
         return self._base.now if self._at is None else self._at
 
-    def reading(self) -> views.Reading:
+    def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
         self._base.reading()  # makes the events that are due
         return self._held

@@ -5,11 +5,11 @@ A view reads from its knowledge base each time it is asked; nothing can be chang
 
 import math
 from collections.abc import Callable, ItemsView, Iterator, Mapping, ValuesView
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from itertools import starmap
 from operator import attrgetter
 from types import MappingProxyType
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
 from kb.network import Node
@@ -30,34 +30,8 @@ class Readable(Protocol):
     def forecast(self) -> Any:  # noqa: ANN401  # a `Forecaster`, which is made of views
         """The forecaster, which predicts attributes."""
 
-    def reading(self) -> "Reading":
+    def reading(self) -> AbstractContextManager[State]:
         """Give the facts and statuses, to be read only; nothing changes within the `with` statement."""
-
-
-class Reading:
-    """A context manager that gives a state while it holds a lock, or another one of these.
-
-    Python handles a signal between two instructions, never within a C function. So one C call takes what is held and
-    notes that, and another one gives it back: no interrupt can leave the lock taken.
-    """
-
-    def __init__(self, held: Any, give: Callable[[Any], State]) -> None:  # noqa: ANN401  # an RLock has no type
-        self._held, self._give = held, give
-
-    def __enter__(self) -> State:
-        taken: list[Any] = []
-        try:
-            taken.extend(starmap(self._held.__enter__, _ONCE))
-            return self._give(taken[0])
-        except BaseException:
-            if taken:
-                self._held.__exit__(None, None, None)
-            raise
-
-    __exit__ = property(attrgetter("_held.__exit__"))
-
-
-_ONCE: Final = ((),)
 
 
 @dataclass(frozen=True, repr=False)

@@ -271,7 +271,7 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 
 def _comparison(state: State, node: Node) -> Comparison:
-    constraint, attribute = node.constraint, node.parts[0]
+    constraint, attribute = node.element, node.parts[0]
     value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
     bound = constraint.attribute, constraint.operator, constraint.value
     return Comparison(*bound, value, time, is_stale, attribute.element.unit)
@@ -280,10 +280,11 @@ def _comparison(state: State, node: Node) -> Comparison:
 def _compared(one: Comparison, node: Node, now: float, verdict: Status | None) -> str:
     name, operator, threshold, value, time, is_stale, _ = one
     attribute: Attribute = node.parts[0].element
+    near = "" if value is None else shortest(value, (threshold,))
     bound = f"{operator} {attribute.amount(exact(threshold))}"
     if value is None:
         return f"{name} is not measured (wanted {bound})"
-    shown = f"{name} {attribute.amount(shortest(value, (threshold,)))}"
+    shown = f"{name} {attribute.amount(near)}"
     if is_stale:
         return f"{shown} {staleness(time, node.parts[0], now)}"
     if verdict is Status.NOT_EVALUATED:
