@@ -28,7 +28,7 @@ from kb.network import Network, Node, Ref
 from kb.owl import Serials
 from kb.planners import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
-from kb.state import FACTS, History, Reason, State, unset
+from kb.state import FACTS, UNSET, History, Reason, State
 from kb.status import UNFEASIBLE, Status
 
 Put = Sequence[Any]
@@ -130,7 +130,9 @@ class Knowledge:
         index, state, log, measurements = node.index, self.state, self.log, self.measurements
         before, thresholds = state.value[index], self.network.thresholds(node)
         recent = () if node.element.agreement == (1, 1) else measurements.with_latest(node, value)
-        history = state.histories.get(index) or measurements.history(node)
+        history = state.histories.get(index)
+        if history is None:
+            history = measurements.history(node)
         count = len(history.pairs)
         if count >= history.many:
             history.forget()
@@ -558,7 +560,7 @@ class Knowledge:
     def _changes(self) -> tuple[StatusChange, ...]:
         """Return the changes of status since before the model changed."""
         now = [
-            (node, self._before.get(node, unset(node)), self.state.status[node.index])
+            (node, self._before.get(node, UNSET[node.kind]), self.state.status[node.index])
             for node in self.network.present()
         ]
         return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in now if old is not new)

@@ -13,9 +13,9 @@ from typing import Any, Final, Generic, NamedTuple, Protocol, TypeVar
 
 from kb.elements import Parameters
 from kb.exceptions import InvalidValue
-from kb.network import Network, Node
+from kb.network import LEVELS, Network, Node
 from kb.records import Memory
-from kb.status import FEASIBLE, NOT_EVALUATED, Status
+from kb.status import Status
 
 T = TypeVar("T")
 
@@ -185,12 +185,10 @@ _FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted
 FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(_FLAGS, False)}
 """The arrays of base facts, each with the value that means "nothing is known"."""
 
-_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": FEASIBLE}
+_INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
 
-
-def unset(node: Node) -> Status:
-    """Return the status of an element while no fact about it is known."""
-    return NOT_EVALUATED if node.kind == "constraint" else FEASIBLE
+UNSET: Final[Mapping[str, Status]] = {**dict.fromkeys(LEVELS, Status.FEASIBLE), "constraint": Status.NOT_EVALUATED}
+"""The status of an element of each kind while no fact about it is known."""
 
 
 class _Said(dict[tuple[str, int], Reason]):
@@ -245,10 +243,7 @@ class State:
     def grow(self) -> None:
         for name, value in {**FACTS, **_INFERRED}.items():
             new = self.network.nodes[len(self.columns[name]) :]
-            column = [value] * len(new)
-            if name == "status":
-                column = [NOT_EVALUATED if node.kind == "constraint" else FEASIBLE for node in new]  # as in `unset`
-            self.columns[name] += column
+            self.columns[name] += [UNSET[node.kind] for node in new] if name == "status" else [value] * len(new)
 
     def forget(self, node: Node) -> None:
         """Forget all facts about a node."""
@@ -261,7 +256,7 @@ class State:
     def forget_inferred(self) -> None:
         for node in self.network.present():
             index = node.index
-            self.required[index], self.served[index], self.status[index] = False, 0, unset(node)
+            self.required[index], self.served[index], self.status[index] = False, 0, UNSET[node.kind]
         for marked in self.marks:
             marked.clear()
 

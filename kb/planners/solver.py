@@ -25,8 +25,6 @@ except ImportError as error:
     missing = "the best configuration is proven with OR-tools, which is not installed"
     raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[optimal]' brings it") from error
 
-EFFORT: Final = 0.3
-"""The most work by default, in CP-SAT's deterministic time: about a second of processor time."""
 DIGITS: Final = 12
 """The most digits of the sum of all amounts of a kind as whole numbers; beyond that they are rounded."""
 
@@ -209,7 +207,7 @@ class Problem:
 
     # ---------------------------------------------------------------- the search
 
-    def solve(self, effort: float = EFFORT) -> Optimum:
+    def solve(self, effort: float = 0.3) -> Optimum:
         """Return the best choice found within an effort [CP-SAT's deterministic time]; of equally good ones the first.
 
         The order of choices is by priority and name of the design of the function declared first, then of the next
