@@ -21,14 +21,13 @@ from kb.elements import Action, Attribute, Constraint, Element, Estimation, Para
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import note_nothing, reading, staleness, why_selected
-from kb.inference import infer_anew, propagate
 from kb.measurements import Judged, Measurements
 from kb.model import Model, amendment
 from kb.network import Network, Node, Ref
 from kb.owl import Serials
 from kb.planners import planned, reselect
 from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
-from kb.state import FACTS, UNSET, History, Reason, State
+from kb.state import FACTS, UNSET, History, Reason, State, infer_anew, propagate
 from kb.status import UNFEASIBLE, Status
 
 Put = Sequence[Any]

@@ -13,13 +13,12 @@ from kb import explanation, views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
 from kb.forecasts import Forecast, feasible_until, suppose_forecast
-from kb.inference import propagate
 from kb.knowledge import Reading
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
 from kb.planners import Choice, Obsolete, by_whole, firsts_by_priority, reselect
 from kb.planners import obsolete as all_obsolete
-from kb.state import Overlay, State
+from kb.state import Overlay, State, propagate
 from kb.status import Status
 from kb.views import ElementView, Readable
 

@@ -23,11 +23,10 @@ from typing import Any, Final, NamedTuple
 from kb.elements import FUNCTIONS, Attribute, exact, finite_number, listed
 from kb.exceptions import InvalidValue
 from kb.explanation import reading, why
-from kb.inference import propagate
 from kb.knowledge import Knowledge
 from kb.network import Node
 from kb.records import RequiredAction
-from kb.state import Overlay, State
+from kb.state import Overlay, State, propagate
 from kb.status import OPERATORS, Status
 from kb.views import Readable
 

@@ -8,10 +8,9 @@ from typing import NamedTuple
 from kb.elements import ComponentKind, Configuration, FunctionDesign, finite_number
 from kb.events import StatusChange
 from kb.exceptions import InvalidValue
-from kb.inference import propagate
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
-from kb.state import Overlay, State
+from kb.state import Overlay, State, propagate
 from kb.status import Status
 from kb.views import ConfigurationView, DesignView
 

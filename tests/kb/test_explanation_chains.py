@@ -9,8 +9,7 @@ from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation import Comparison, explain, why
-from kb.inference import propagate
-from kb.state import Overlay
+from kb.state import Overlay, propagate
 from kb.status import STATUSES
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

@@ -9,9 +9,8 @@ from kept import answers, robot
 from models import Clock
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, PriorityPlanner
-from kb.inference import propagate
 from kb.network import Network
-from kb.state import State
+from kb.state import State, propagate
 from kb.status import Status
 
 STRIDE = 29

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from models import KINDS, Clock, Twins, events, models, stories, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.inference import infer_anew
+from kb.state import infer_anew
 
 slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
 

@@ -9,9 +9,8 @@ from models import NUMBERS, OPERATORS, RANDOMS, Clock, amount, compare, some_of
 
 from kb import KnowledgeBase, Model, Status
 from kb.explanation.requirements import Measured, Repair, remedies
-from kb.inference import infer_anew, propagate
 from kb.network import Network
-from kb.state import Overlay, State
+from kb.state import Overlay, State, infer_anew, propagate
 from kb.status import STATUSES
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)

@@ -10,9 +10,8 @@ from models import OPERATORS, models
 from kb import Model, Status
 from kb.elements import Constraint
 from kb.explanation.requirements import Interval, Requirements
-from kb.inference import infer_anew, propagate
 from kb.network import Network
-from kb.state import State
+from kb.state import State, infer_anew, propagate
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
