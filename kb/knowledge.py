@@ -151,9 +151,8 @@ class Knowledge:
             state.put(state.value, index, value)
             state.put(state.stale, index, False)
             if thresholds.steady:
-                verdicts = [(one, state.verdict[one.index]) for one in thresholds.steady]
-                judged = [measurements.judge(one, value, recent, verdict, time) for one, verdict in verdicts]
-                touched = [*self._judged(judged), *touched]
+                judged, turned = self._judge(thresholds.steady, value, recent, time)
+                touched = [*turned, *touched]
                 puts.append((measurements.put_judged, judged, time))
             changes = propagate(state, touched)
         arguments = (node.name, value)
@@ -300,11 +299,16 @@ class Knowledge:
         self.state.kept = []
         self.pending = "open"
 
-    def _judged(self, judged: Iterable[Judged]) -> list[Node]:
+    def _judge(
+        self, constraints: Iterable[Node], value: float | None, recent: tuple[float, ...], now: float
+    ) -> tuple[list[Judged], list[Node]]:
+        """Judge debounced constraints by the latest measurements; returns that, and those whose verdict changed."""
+        verdict = self.state.verdict
+        judged = [self.measurements.judge(one, value, recent, verdict[one.index], now) for one in constraints]
         changed = [(node, after) for node, after, _ in judged if after is not None]
         for node, after in changed:
-            self.state.put(self.state.verdict, node.index, after)
-        return [node for node, _ in changed]
+            self.state.put(verdict, node.index, after)
+        return judged, [node for node, _ in changed]
 
     # ---------------------------------------------------------------- what time does
 
@@ -319,14 +323,12 @@ class Knowledge:
         node = self.network.referred(ref)
         attribute = node.parts[0].index
         value, recent = self.state.value[attribute], self.measurements.recent.get(attribute, ())
-        judged = self.measurements.judge(node, value, recent, self.state.verdict[node.index], event.time)
-        if touched := self._judged([judged]):
-            words = f"{node.name} is {judged.verdict}, after its dwell"
-            return self._put(
-                event, touched, (self.measurements.put_judged, [judged], event.time), words=words, matters=None
-            )
-        self.measurements.put_judged([judged], event.time)
-        return None
+        judged, touched = self._judge([node], value, recent, event.time)
+        if not touched:
+            self.measurements.put_judged(judged, event.time)
+            return None
+        words = f"{node.name} is {judged[0].verdict}, after its dwell"
+        return self._put(event, touched, (self.measurements.put_judged, judged, event.time), words=words, matters=None)
 
     def _lapse(self, event: Event, ref: Ref, status: str) -> Event:
         return self._asserted(event, ref, None, words=f"no longer asserted {status}: its time is over")

@@ -271,13 +271,6 @@ class State:
         for key in [key for key in self.reasons if key[1] == node.index]:
             del self.reasons[key]
 
-    def forget_inferred(self) -> None:
-        for node in self.network.present():
-            index = node.index
-            self.required[index], self.served[index], self.status[index] = False, 0, UNSET[node.kind]
-        for marked in self.marks:
-            marked.clear()
-
     def reason(self, column: str, node: Node) -> Reason:
         return self.reasons[column, node.index]
 
@@ -485,5 +478,9 @@ def _compared(state: State, node: Node, constraint: Constraint, attribute: Node)
 
 def infer_anew(state: State) -> None:
     """Infer everything from the facts, e.g. after a change of the model; it can be called again after an interrupt."""
-    state.forget_inferred()
+    for node in state.network.present():
+        index = node.index
+        state.required[index], state.served[index], state.status[index] = False, 0, UNSET[node.kind]
+    for marked in state.marks:
+        marked.clear()
     propagate(state, state.network.present())
