@@ -171,13 +171,11 @@ class Network:
                 node.name = str(key)
             for key in [key for key in known if key not in table] if len(known) > len(table) else ():
                 known.pop(key, None)
-        constraints: list[list[Node]] = [[] for _ in self.nodes]
-        parts: list[list[Node]] = [[] for _ in self.nodes]
-        wholes: list[list[Node]] = [[] for _ in self.nodes]
+        links: list[list[Node]] = [[] for _ in range(3 * len(self.nodes))]  # three of each node, side by side in memory
 
         def join(part: Node, whole: Node) -> None:
-            parts[whole.index].append(part)
-            wholes[part.index].append(whole)
+            links[3 * whole.index + 1].append(part)
+            links[3 * part.index + 2].append(whole)
 
         for node in self.configurations.values():
             join(node, self.components[node.element.component])
@@ -191,9 +189,9 @@ class Network:
         for node in self.constraints.values():
             attribute = self.attributes[node.element.attribute]
             targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(node.element.constrained)]
-            parts[node.index], wholes[node.index] = [attribute], targets
+            links[3 * node.index + 1].append(attribute)
+            links[3 * node.index + 2] += targets
             for one in (attribute, *targets):
-                constraints[one.index].append(node)
+                links[3 * one.index].append(node)
         for node in self.present():
-            index = node.index
-            node.constraints, node.parts, node.wholes = constraints[index], parts[index], wholes[index]
+            node.constraints, node.parts, node.wholes = links[3 * node.index : 3 * node.index + 3]

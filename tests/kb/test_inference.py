@@ -1,13 +1,14 @@
 """Laws of inference: the quick engine against a twin that recomputes everything from the facts."""
 
 import collections
+import sys
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from models import KINDS, Clock, Twins, events, models, stories, subsets
 
 from kb import KnowledgeBase, Model, Status
-from kb.state import infer_anew
+from kb.state import Marked, infer_anew
 
 slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
 
@@ -232,3 +233,14 @@ def test_an_event_at_a_hub_costs_as_many_steps_as_it_has_users_not_wholes(monkey
     kb.cancel_action("a1", "completed")
     assert kb.obsolete().designs == ("d1",)
     assert Walked.times == 0
+
+
+def test_marked_nodes_that_are_few_again_take_little_room_again():
+    marked = Marked()
+    for number in range(10_000):
+        marked[number] = True  # whatever it is
+    most = sys.getsizeof(marked.own)
+    for number in range(1, 10_000):
+        marked[number] = False
+    assert list(marked) == [0]
+    assert sys.getsizeof(marked.own) < most / 100
