@@ -12,8 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from kb import Event, KnowledgeBaseError
-from kb.amendments import differences
 from kb.files import draft
+from kb.model import differences
 from missions.commands import FAILED, open_console
 from missions.engine.mission import MISSIONS, MissionError, Verdict
 from missions.engine.recording import line_of, read_recording

@@ -220,7 +220,7 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch)
     said = rosa("replay", drop, "--mission", "eager:MISSION", code=1)
     assert said.startswith("recorded with the model suave_extended, decided with suave_extended, which is another one")
     assert "0.4" in said.splitlines()[1]
-    assert said.splitlines()[1].endswith("is not in the recording")  # in the words of the store, see kb.amendments
+    assert said.splitlines()[1].endswith("is not in the recording")  # in the words of the store, see kb.model
     said = rosa("replay", drop, "--mission", "uav", code=1)
     assert said.startswith("recorded with the model suave_extended, decided with uav, which is another one")
 
