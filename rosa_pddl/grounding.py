@@ -31,7 +31,7 @@ from rosa_pddl.instances import (
     row_of,
     text_of_row,
 )
-from rosa_pddl.problem import Problem, lock_of
+from rosa_pddl.problem import Problem, lock_of, with_starts
 from rosa_pddl.resource_usage import Numbers, usage_of, whole
 from rosa_pddl.search import Change, Condition, Number, Operation, Rule, Task, TaskGraph
 from rosa_pddl.search import State as SearchState
@@ -465,7 +465,9 @@ def _atoms(node: Node) -> Iterator[str]:
 def _instantaneous(domain: Domain) -> tuple[ActionPattern, ...]:
     """Return the actions as instantaneous ones, and the axioms; UnsupportedPddlError if that is impossible."""
     with lock_of(domain):
-        return *patterns_of(domain, Problem(domain, frozenset()).build().actions), *axioms_of(domain)
+        built = Problem(domain, frozenset()).build()
+        known = with_starts(domain, built)
+        return *patterns_of(known, built.actions), *axioms_of(known)
 
 
 class Groundings:

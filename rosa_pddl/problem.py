@@ -1,11 +1,10 @@
 """Builds the problem for a planner from what the knowledge base says and the mission senses."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from functools import partial
-from itertools import product
+from itertools import chain, product
 from math import floor, isfinite
 from numbers import Real
 from threading import RLock
@@ -13,6 +12,7 @@ from weakref import WeakKeyDictionary
 
 from rosa_pddl.domain import (
     ACTION_TYPE,
+    Derived,
     Domain,
     Feasibility,
     Schema,
@@ -263,16 +263,15 @@ def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     from unified_planning.model import Effect, InstantaneousAction
 
     made, manager = _made(InstantaneousAction, schema, domain), problem.environment.expression_manager
-    starts = sorted(schema.start_effects, key=lambda one: bool(one.value.is_true()))  # what becomes true wins
-    after = partial(_after, starts, problem)
-    for condition in (*schema.start, *map(after, (*schema.over_all, *schema.end))):
+    start = _Start(schema, domain, problem)
+    for condition in (*schema.start, *map(start.after, (*schema.over_all, *schema.end))):
         made.add_precondition(condition)
     ends = list[UpThing]()
     for one in schema.end_effects:
-        for given, value in _cases(starts, problem, one.value):
-            condition = manager.And(after(one.condition), given).simplify()
+        for given, value in start.cases(one.value):
+            condition = manager.And(start.after(one.condition), given).simplify()
             ends.append(Effect(one.fluent, value, condition, one.kind, one.forall))
-    lasting = (kept for one in starts for kept in _not_overwritten(one, ends))
+    lasting = (kept for one in start.effects for kept in _not_overwritten(one, ends))
     try:
         _add_effects(made, (one for one in (*lasting, *ends) if not one.condition.is_false()))
     except UPException as error:
@@ -282,27 +281,91 @@ def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     return made
 
 
-def _after(effects: Sequence[UpThing], problem: UpThing, formula: UpThing) -> UpThing:
-    """Return the condition on which a condition holds after effects."""
-    manager = problem.environment.expression_manager
-    return manager.Or([manager.And(*case) for case in _cases(effects, problem, formula)]).simplify()
+def with_starts(domain: Domain, problem: UpThing) -> Domain:
+    """Return a domain that also defines the derived predicates by which `build` says what holds after steps' starts."""
+    schemas = domain.schema_of.values() if domain.axioms else ()
+    late = {name: one for schema in schemas for name, one in _Start(schema, domain, problem).axioms()}
+    return replace(
+        domain,
+        axioms={**domain.axioms, **late},
+        inside={**domain.inside, **{("predicate", name): name for name in late}},
+        outside={**domain.outside, **{name: name for name in late}},
+    )
 
 
-def _cases(effects: Sequence[UpThing], problem: UpThing, formula: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
-    """Yield what a formula is after effects, in terms of the state before them: the condition for each case first.
+class _Start:
+    """The start of an action: says what formulas are after it, in terms of the state before it.
 
-    Derived predicates are left as they are.
+    What a derived predicate `bright` is after the start of `light` is a derived predicate too, `bright@light`, which
+    also has those parameters of the action on which that depends.
     """
-    manager = problem.environment.expression_manager
-    changed = fluents_in(one.fluent for one in effects)
-    plain = formula if changed.isdisjoint(fluents_in([formula])) else _without_quantifiers(formula, problem)
-    cases: list[tuple[UpThing, dict[UpThing, UpThing]]] = [(manager.TRUE(), {})]
-    for atom, one in product(dict.fromkeys(atoms_in([plain])), effects):
-        hit = _hit(one, atom)
-        if not hit.is_false():
-            cases = [found for given, values in cases for found in _split(one, atom, hit, given, values)]
-    for given, values in cases:
-        yield given, plain.substitute(values)
+
+    def __init__(self, schema: Schema, domain: Domain, problem: UpThing) -> None:
+        self._schema, self._domain, self._problem = schema, domain, problem
+        # what becomes true wins
+        self.effects = sorted(schema.start_effects, key=lambda one: bool(one.value.is_true()))
+        self._changed = fluents_in(one.fluent for one in self.effects)
+        rules = {problem.fluent(domain.inside["predicate", name]): one for name, one in domain.axioms.items()}
+        made_of = {fluent: fluents_in([one.condition]) for fluent, one in rules.items()}
+        asked = fluents_in([*schema.over_all, *schema.end, *(one.condition for one in schema.end_effects)])
+        for _ in rules:
+            self._changed |= {fluent for fluent, parts in made_of.items() if not parts.isdisjoint(self._changed)}
+            asked |= {part for fluent in asked & made_of.keys() for part in made_of[fluent]}
+        self._derived = {fluent: one for fluent, one in rules.items() if fluent in self._changed & asked}
+        known = [one for one in self.effects if self._derived and one.fluent.fluent() in asked]
+        parts = [part for one in known for part in (one.fluent, one.condition, one.value)]
+        self._parameters = tuple(dict.fromkeys(chain.from_iterable(map(_parameters_in, parts))))
+
+    def after(self, formula: UpThing) -> UpThing:
+        """Return the condition on which a condition holds after the start."""
+        manager = self._problem.environment.expression_manager
+        return manager.Or([manager.And(*case) for case in self.cases(formula)]).simplify()
+
+    def cases(self, formula: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
+        """Yield what a formula is after the start: the condition for each case first."""
+        plain = formula
+        if not self._changed.isdisjoint(fluents_in([formula])):
+            plain = _without_quantifiers(formula, self._problem)
+        atoms = dict.fromkeys(atoms_in([plain]))
+        derived = {atom: self._derived_after(atom) for atom in atoms if atom.fluent() in self._derived}
+        cases = [(self._problem.environment.expression_manager.TRUE(), derived)]
+        for atom, one in product(atoms, self.effects):
+            hit = _hit(one, atom)
+            if not hit.is_false():
+                cases = [found for given, values in cases for found in _split(one, atom, hit, given, values)]
+        for given, values in cases:
+            yield given, plain.substitute(values)
+
+    def axioms(self) -> Iterator[tuple[str, Derived]]:
+        """Yield the definitions of what derived predicates are after the start; they are derived after all others."""
+        from unified_planning.model import Variable
+
+        manager, environment = self._problem.environment.expression_manager, self._problem.environment
+        own = {
+            one: manager.VariableExp(Variable(f"?{one.parameter().name}", one.type, environment))
+            for one in self._parameters
+        }
+        for fluent, one in self._derived.items():
+            variables, layer = (*one.variables, *own.values()), len(self._domain.axioms) + one.layer
+            yield self._name_after(fluent), Derived(variables, self.after(one.condition).substitute(own), layer)
+
+    def _derived_after(self, atom: UpThing) -> UpThing:
+        from unified_planning.model import Fluent
+
+        kinds = {f"?{one.parameter().name}": one.type for one in self._parameters}
+        signature = {**{one.name: one.type for one in atom.fluent().signature}, **kinds}
+        fluent = Fluent(self._name_after(atom.fluent()), atom.type, environment=atom.environment, **signature)
+        return fluent(*atom.args, *self._parameters)
+
+    def _name_after(self, fluent: UpThing) -> str:
+        return f"{self._domain.outside[fluent.name]}@{self._schema.name}"  # no name of a file has an @
+
+
+def _parameters_in(formula: UpThing) -> Iterator[UpThing]:
+    if formula.is_parameter_exp():
+        yield formula
+    for part in formula.args:
+        yield from _parameters_in(part)
 
 
 def _split(

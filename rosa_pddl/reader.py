@@ -397,7 +397,7 @@ class _ActionReader:
             for part in parts:
                 self._read_effect(part, where)
         elif head == "forall":
-            bound, within, body = formulas.quantified(node)
+            bound, within, body = formulas.quantified(node, where.scope)
             variables = (*where.variables, *(one.variable() for one in bound.values()))
             self._read_effect(body, where.on(within)._replace(scope={**where.scope, **bound}, variables=variables))
         elif head == "when" and len(parts) == 2:

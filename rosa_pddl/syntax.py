@@ -341,7 +341,7 @@ class Formulas:
             message += "do. Leave it out and add it as a soft goal: goals.add(TEXT, worth=COST)"
             raise self.source.unsupported(node, message)
         if head in ("forall", "exists"):
-            inner, within, body = self.quantified(node)
+            inner, within, body = self.quantified(node, scope)
             if not inner:
                 raise self.source.error(node, f"found {start_of(node)!r}, expected a variable such as '?x' in it")
             variables = [variable.variable() for variable in inner.values()]
@@ -364,7 +364,7 @@ class Formulas:
         """Return the definition of a derived predicate, made from all of its rules."""
         variables, conditions = tuple[UpThing, ...](), list[UpThing]()
         for _, target, body in [rule.children for rule in rules]:
-            scope = self._variables(target.children[1:])
+            scope = self._variables(target.children[1:], {})
             kinds = [one.variable().type for one in scope.values()]
             # named by numbers, as rules may use the same names for different variables
             variables = variables or tuple(self._variable(str(number), kind) for number, kind in enumerate(kinds))
@@ -376,12 +376,12 @@ class Formulas:
             conditions.append(self.manager.And(within, self.condition(body, renamed, place)))
         return Derived(variables, self.manager.Or(conditions), layer)
 
-    def quantified(self, node: Node) -> tuple[Scope, UpThing, Node]:
+    def quantified(self, node: Node, outer: Scope) -> tuple[Scope, UpThing, Node]:
         """Return the variables of a quantifier, the condition that checks their types, and the formula in it."""
         if len(node.children) != 3 or not node.children[1].is_list:
             raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
         names = node.children[1].children
-        scope = self._variables(names)
+        scope = self._variables(names, outer)
         return scope, self.within(names, scope), node.children[2]
 
     def within(self, names: Sequence[Node], scope: Scope) -> UpThing:
@@ -394,9 +394,16 @@ class Formulas:
                 parts.append(manager.Or(same))
         return manager.And(parts)
 
-    def _variables(self, names: Sequence[Node]) -> Scope:
-        pairs = typed(self.source, names, are_variables=True)
-        return {name.lower: self._variable(name.lower[1:], self.type_of(kind or ANY)) for name, kind in pairs}
+    def _variables(self, names: Sequence[Node], outer: Scope) -> Scope:
+        """Return new variables; one that hides a variable or a parameter of the scope around it gets another name."""
+        found, taken = dict[str, UpThing](), set(map(str, outer.values()))
+        for name, kind in typed(self.source, names, are_variables=True):
+            word = name.lower[1:]
+            while word in taken:
+                word += "_"
+            taken.add(word)
+            found[name.lower] = self._variable(word, self.type_of(kind or ANY))
+        return found
 
     def _variable(self, name: str, kind: UpThing) -> UpThing:
         from unified_planning.model import Variable
