@@ -14,6 +14,7 @@ from rosa_pddl.plan_monitor import PlanExecution, PlanMonitor, shared_components
 from rosa_pddl.planner import Planner
 from rosa_pddl.problem import Problem, lock_of, unlock, with_object, without_object
 from rosa_pddl.replanning import (
+    MEMORY,
     Decision,
     PlannerClient,
     PlanningState,
@@ -141,6 +142,7 @@ class PlanExecutor(Behaviour):
             that every run of a simulation is the same; None to take it as soon as it is there, in the tick of the
             request if the planner answers at once.
         policy: when to replan, and what happens to running steps meanwhile.
+        memory: how many plannings `plans` keeps; the oldest are forgotten.
 
     Attributes:
         goals: the goals to reach; may be changed between ticks.
@@ -165,6 +167,7 @@ class PlanExecutor(Behaviour):
         planner: PlansAhead | None = None,
         delay_s: float | None = 0.2,
         policy: ReplanningPolicy | None = None,
+        memory: int = MEMORY,
     ) -> None:
         super().__init__(name)
         self._findings = domain.check(kb)
@@ -181,7 +184,7 @@ class PlanExecutor(Behaviour):
         self._monitor = PlanMonitor(self._effects, self._belief, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
-        self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy, clash)
+        self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy, clash, memory)
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
@@ -243,8 +246,8 @@ class PlanExecutor(Behaviour):
 
     @property
     def plans(self) -> tuple[PlanRecord, ...]:
-        """The record of each planning that was answered: when, why and with what result; not of interrupted ones."""
-        return tuple(self._replanning.records)
+        """The records of the last plannings that were answered: when, why and with what result; the oldest go first."""
+        return self._replanning.records
 
     @property
     def current_steps(self) -> tuple[Step, ...]:

@@ -26,6 +26,9 @@ _GRACE_S = 2.0
 # The pause after a first failure, which doubles with each further failure in a row, and the longest pause [s].
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.2, 60.0
 
+MEMORY = 10_000
+"""How many plannings are remembered, unless another number is asked for; older ones are forgotten."""
+
 PlanningState = tuple[State, Mapping[str, float]]
 """The believed state: the true atoms, and numbers by their text."""
 
@@ -301,6 +304,7 @@ class PlanRecord:
         message: what was tried and what to do about it; empty when solved.
         cause: number of the event of `kb.log` that changed feasibility and so led to this planning; None if no such
             event did.
+        number: 1 for the first planning; if the first record that is left has another, the ones before are forgotten.
     """
 
     at_s: float
@@ -310,6 +314,11 @@ class PlanRecord:
     engine: str
     message: str = ""
     cause: int | None = None
+    number: int = 0
+
+    def added_to(self, plans: "tuple[PlanRecord, ...]", most: int = MEMORY) -> "tuple[PlanRecord, ...]":
+        """Return records with this one as the last, numbered; of more than `most`, the oldest are left out."""
+        return *plans[max(0, len(plans) + 1 - most) :], replace(self, number=plans[-1].number + 1 if plans else 1)
 
     def _repr_html_(self) -> str:
         steps = "".join(f"<li>{escape(str(step))}</li>" for step in self.steps)
@@ -333,8 +342,17 @@ class Replanning:
     BOOKKEEPING = "records _last_asked_s _soft"
 
     def __init__(
-        self, goals: Goals, monitor: PlanMonitor, client: PlannerClient, policy: ReplanningPolicy, clash: Clash | None
+        self,
+        goals: Goals,
+        monitor: PlanMonitor,
+        client: PlannerClient,
+        policy: ReplanningPolicy,
+        clash: Clash | None,
+        memory: int,
     ) -> None:
+        if type(memory) is not int or memory < 1:
+            raise PlannerSettingError(f"memory is {memory!r}, expected a whole number of plannings from 1")
+        self._memory = memory
         self._goals, self._monitor, self._client, self._policy, self._clash = goals, monitor, client, policy, clash
         self._effects, self._clock = monitor.effects, client.clock
         self.matters = Relevance(monitor.effects.domain, goals).matters
@@ -346,7 +364,7 @@ class Replanning:
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
         self.setbacks, self._in_vain = Setbacks(client.clock, policy), Setbacks(client.clock, policy)
-        self.records: list[PlanRecord] = []
+        self.records: tuple[PlanRecord, ...] = ()
 
     def wait_no_more(self) -> None:
         """Forget the time of the last request, and all failures."""
@@ -439,7 +457,7 @@ class Replanning:
         outcome, domain = result.outcome, self._effects.domain
         is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
         record = (question.at_s, decision.reason, outcome, result.steps, result.engine, result.message, decision.cause)
-        self.records.append(PlanRecord(*record))
+        self.records = PlanRecord(*record).added_to(self.records, self._memory)
         if not outcome.is_passing:
             self.setbacks.forget(None)
             self._in_vain.forget(None)

@@ -166,7 +166,7 @@ class FollowRoute(Composite):
     """Ticks the child for the corridor that is planned next, after it has stopped any other child that runs.
 
     SUCCESS at the goal; FAILURE when a corridor is crossed, and while there is no plan, with the reason as feedback.
-    `plans` holds the joint plans so far, without those that are only the rest of the one before.
+    `plans` holds the last joint plans, without those that are only the rest of the one before.
     """
 
     def __init__(self, route: Route) -> None:
@@ -208,7 +208,7 @@ class FollowRoute(Composite):
         ]
         outcome = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN
         made = PlanRecord(self._route.kb.now, answer.reason + first, outcome, tuple(steps), "joint plan")
-        self.plans = (*self.plans, made)
+        self.plans = made.added_to(self.plans)
 
     def _give_up(self, corridor: str) -> None:
         """Stop a crossing, and say why; the reason is asked for first, because the end resets the demands."""

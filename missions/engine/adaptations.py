@@ -14,6 +14,14 @@ if TYPE_CHECKING:
 _REMEMBERED: Final = 256  # how many ticks with news, and how much news, are kept until the plan for them is there
 
 
+def plans_after(last: "PlanRecord | None", plans: Sequence["PlanRecord"]) -> Sequence["PlanRecord"]:
+    """Return the task plans after one of them; all if it is not among them, as the oldest may be forgotten."""
+    number = len(plans)
+    while number and plans[number - 1] is not last:
+        number -= 1
+    return plans[number:]
+
+
 @dataclass(frozen=True, slots=True)
 class _News:
     """News: its time [s], its text, its events, and the reason if it alone calls for another action."""
@@ -139,7 +147,8 @@ class AdaptationLog:
         self._before: _Ended | None = None
         self._made: list[ReconfigurationPlan] = []
         self._open: list[Adaptation] = []
-        self._settled, self._plans_settled = kb.log.last, 0
+        self._settled = kb.log.last
+        self._plan_settled: PlanRecord | None = None
         self._steps: frozenset[Step] = frozenset()
         kb.log.witnesses += (self._hear,)  # before any subscriber, in order, on the thread that told
 
@@ -179,14 +188,10 @@ class AdaptationLog:
             over = [one for one in self._open if one.is_over(self._kb, self._last_tick)]
             self._close(sorted(over, key=lambda one: not one.action))
 
-    def forget(self, count: int) -> None:
-        """Note that the first task plans are no longer among `plans`; all of them were looked at when it settled."""
-        self._plans_settled -= count
-
     @property
     def is_at_rest(self) -> bool:
         """Whether no adaptation is open, and every task plan was looked at."""
-        return not self._open and len(self._plans()) == self._plans_settled
+        return not self._open and not plans_after(self._plan_settled, self._plans())
 
     def finish(self) -> None:
         """Report an action that was given up and that no other followed; called when a run ends without its goal."""
@@ -246,8 +251,8 @@ class AdaptationLog:
 
     def _new_plan(self) -> "PlanRecord | None":
         """Return the task plan that was found in this tick; None if there is none."""
-        plans = self._plans()
-        return plans[-1] if len(plans) > self._plans_settled and plans[-1].outcome.is_solved else None
+        plans = plans_after(self._plan_settled, self._plans())
+        return plans[-1] if plans and plans[-1].outcome.is_solved else None
 
     def _cause_of_plan(self, plan: "PlanRecord") -> _News:
         """Return the news when a plan was asked for, or else the reason of the plan."""
@@ -314,8 +319,8 @@ class AdaptationLog:
 
     def _settle_task_plans(self, *, is_reported: bool) -> None:
         """Report a task plan with new steps, unless the action that it begins with was reported."""
-        for plan in self._plans()[self._plans_settled :]:
-            self._plans_settled += 1
+        for plan in plans_after(self._plan_settled, self._plans()):
+            self._plan_settled = plan
             if not plan.outcome.is_solved:
                 continue
             added = [self._step_in_words(step) for step in plan.steps if step not in self._steps]

@@ -14,7 +14,7 @@ from py_trees.trees import BehaviourTree
 
 from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, RequiredAction
 from kb import Planner as ConfigurationPlanner
-from missions.engine.adaptations import Adaptation, AdaptationLog
+from missions.engine.adaptations import Adaptation, AdaptationLog, plans_after
 from missions.engine.components import VERBS
 from missions.engine.mission import (
     NO_SUCCESS,
@@ -148,7 +148,8 @@ class MissionRun(ABC):
         self.adaptations: list[Adaptation] = []
         self.is_stuck = False
         self._decided_s: list[tuple[float, float]] = []
-        self._sampled_at, self._plans_heard = -SAMPLE_PERIOD_S, 0
+        self._sampled_at = -SAMPLE_PERIOD_S
+        self._plan_heard: PlanRecord | None = None
 
     def listen(self, *listeners: Listener) -> None:
         """Add listeners."""
@@ -285,8 +286,8 @@ class MissionRun(ABC):
         if is_decided and self.listeners:
             self._sample()
             self.tell(lambda listener: listener.tick(self))
-        heard, self._plans_heard = self._plans_heard, len(self.plans)
-        for plan in self.plans[heard:]:
+        for plan in plans_after(self._plan_heard, self.plans):
+            self._plan_heard = plan
             self.hear_plan(plan)
 
     def hear_plan(self, plan: PlanRecord) -> None:

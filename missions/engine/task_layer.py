@@ -9,6 +9,7 @@ from py_trees.behaviour import Behaviour
 from py_trees.decorators import Decorator, FailureIsRunning
 
 from kb import KnowledgeBase
+from missions.engine.adaptations import plans_after
 from missions.engine.mission import Mission, MissionError, Percepts, built
 from rosa_pddl import (
     ActionSchema,
@@ -40,7 +41,7 @@ class TaskLayer:
         self.root, self.close, self._made = root, close, made
         self._planning: list[Any] = [one for one in root.iterate() if has_plans(one)]
         self._waiting = [one for one in self._planning if hasattr(one, "catch_up")]
-        self._heard = [0] * len(self._planning)
+        self._heard: list[PlanRecord | None] = [None] * len(self._planning)
         self._plans: tuple[PlanRecord, ...] = ()
         while isinstance(root, Decorator):
             root = root.decorated
@@ -54,11 +55,11 @@ class TaskLayer:
             raise self._made.error
 
     def plans(self) -> tuple[PlanRecord, ...]:
-        """Return the plans so far, in the order in which this method found them."""
+        """Return the last plans, in the order in which this method found them, numbered from 1."""
         for number, one in enumerate(self._planning):
-            if len(one.plans) > self._heard[number]:
-                self._plans += one.plans[self._heard[number] :]
-                self._heard[number] = len(one.plans)
+            for plan in plans_after(self._heard[number], one.plans):
+                self._heard[number] = plan
+                self._plans = plan.added_to(self._plans)
         return self._plans
 
     def findings(self) -> Sequence[str]:

@@ -101,6 +101,7 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             | {"steps": [str(step) for step in one.steps]}
             for one in run.plans
         ],
+        **({"plans_from": run.plans[0].number} if run.plans and run.plans[0].number > 1 else {}),
         "reactions": [_fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.ask("disturbances")],
         "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],

@@ -1,7 +1,7 @@
 """Makes the rows of a page from a knowledge base and a tree: the same for live pages, reports and recordings."""
 
 import logging
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import compress, count
 from math import inf, isfinite
@@ -18,7 +18,7 @@ from py_trees.visitors import VisitorBase
 
 from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
 from kb.network import Network, Node
-from missions.engine.adaptations import Adaptation, AdaptationLog, is_news
+from missions.engine.adaptations import Adaptation, AdaptationLog, is_news, plans_after
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
@@ -96,7 +96,7 @@ class Recorder:
         self._supposed = self._adapted = self._planned = 0
         self._posed_at = -inf
         self._task_plans: list[Any] = []
-        self._heard: Counter[Any] = Counter()
+        self._heard: dict[Any, Any] = {}  # the last task plan of each behaviour
         if isinstance(tree, Behaviour):
             raise MissionError(f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it")
         self._look(kb.now)
@@ -230,17 +230,14 @@ class Recorder:
         if self._own is not None:
             self._own.settle()
             self._own.ticking(self.kb.now)
-        past = max(0, len(self._task_plans) - PLANS)
         with self.kb.reading():  # facts may be told by other threads than the one that ticks
-            del self._task_plans[:past]
-            if self._own is not None:
-                self._own.forget(past)
+            del self._task_plans[:-PLANS]
 
     def ticked(self, planning: Iterable[Any]) -> None:
         """End a tick in which these behaviours may have made task plans."""
         for one in planning:
-            for plan in one.plans[self._heard[one] :]:
-                self._heard[one] += 1
+            for plan in plans_after(self._heard.get(one), one.plans):
+                self._heard[one] = plan
                 self._planned += 1
                 self._task_plans.append(plan)
                 shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}

@@ -19,7 +19,7 @@ from missions.engine.runner import Listener
 from missions.engine.settings import RunSettings
 from missions.engine.task_layer import TASK_KINDS, build_task
 from missions.views.output import as_json, summary
-from rosa_pddl import Outcome, PlanRecord
+from rosa_pddl import Outcome, PlanExecutor, PlanRecord
 
 SEEDS = range(3)
 
@@ -56,6 +56,14 @@ def test_tree_and_plans_of_the_extended_mission_begin_the_same_actions(seed):
     ]
 
 
+class Heard(Listener):
+    def __init__(self):
+        self.plans = []
+
+    def plan(self, plan, time_s):
+        self.plans.append(plan)
+
+
 class Plans(Running):
     """A behaviour that plans by itself; told what comes of it by appending."""
 
@@ -80,6 +88,27 @@ def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_c
         assert before[-1].reason == reason
         assert told() is before
     assert [plan.reason for plan in told()] == ["a", "b", "c"]
+
+
+def test_run_that_forgets_its_oldest_task_plans_is_the_same_and_says_where_what_it_shows_begins(monkeypatch):
+    shown, told = [], []
+    for most in (100, 1):
+        monkeypatch.setattr(PlanRecord.added_to, "__defaults__", (most,))
+        monkeypatch.setitem(PlanExecutor.__init__.__kwdefaults__, "memory", most)
+        run = open_run(find_mission("suave_extended"), task="pddl", seed=0, settings={})
+        heard = Heard()
+        run.listen(heard)
+        shown.append(summary(run, run.run(), 0, {}))
+        told.append([replace(plan, number=0) for plan in heard.plans])
+    whole, short = shown
+    count = len(whole["plans"])
+    assert count > 1
+    assert "plans_from" not in whole
+    assert short.pop("plans_from") == count
+    assert short["plans"] == whole["plans"][-1:]
+    assert {**short, "plans": None} == {**whole, "plans": None}
+    assert len(told[0]) == count
+    assert told[0] == told[1]
 
 
 def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():

@@ -1,5 +1,7 @@
 """When the executor plans anew, what runs meanwhile, and what it says when nothing helps."""
 
+import gc
+import tracemalloc
 from concurrent.futures import Future
 
 import numpy as np
@@ -10,8 +12,8 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, ReplanningPolicy, SensingError
-from rosa_pddl.replanning import decide
+from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, PlanRecord, ReplanningPolicy, SensingError
+from rosa_pddl.replanning import MEMORY, decide
 
 WAYS = """(define (domain ways) (:requirements :typing)
   (:types action)
@@ -55,6 +57,36 @@ def test_a_running_step_that_the_new_plan_starts_with_runs_on(ways):
         (0.2, "start", "begins"),
         (1.3, "start", "SUCCESS"),
     ]
+
+
+def test_a_long_mission_keeps_the_last_plannings_with_their_numbers_and_does_not_grow(ways):
+    world = World(ways, memory=20)
+    world.kb.unfeasible = {"right"}
+    world.ticks = {"start": 1_000_000}
+    held = []
+    tracemalloc.start()
+    for count in (300, 300):
+        for _ in range(count):
+            world.kb.unfeasible = {"left", "right"} - world.kb.unfeasible
+            for _ in range(4):
+                world.tick()
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    numbers = [record.number for record in world.executor.plans]
+    assert len(numbers) == 20
+    assert numbers == list(range(numbers[0], numbers[0] + 20))
+    assert numbers[0] > 500
+    assert held[1] - held[0] < 20_000
+
+
+def test_of_many_plannings_the_oldest_are_forgotten_unless_asked_otherwise(ways):
+    plans = ()
+    for number in range(MEMORY + 50):
+        plans = PlanRecord(float(number), "why", Outcome.SOLVED, (), "engine").added_to(plans)
+    assert (len(plans), plans[0].number, plans[0].at_s, plans[-1].number) == (MEMORY, 51, 50.0, MEMORY + 50)
+    with pytest.raises(PlannerSettingError, match="memory is 0, expected a whole number"):
+        World(ways, memory=0)
 
 
 def test_when_there_is_no_way_on_what_runs_is_stopped_and_it_fails(ways):
