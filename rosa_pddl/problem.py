@@ -260,17 +260,12 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
 def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
     """Build an action whose conditions and effects are those of a step beside which nothing else happens."""
     from unified_planning.exceptions import UPException
-    from unified_planning.model import Effect, InstantaneousAction
+    from unified_planning.model import InstantaneousAction
 
-    made, manager = _made(InstantaneousAction, schema, domain), problem.environment.expression_manager
-    start = _Start(schema, domain, problem)
+    made, start = _made(InstantaneousAction, schema, domain), _Start(schema, domain, problem)
     for condition in (*schema.start, *map(start.after, (*schema.over_all, *schema.end))):
         made.add_precondition(condition)
-    ends = list[UpThing]()
-    for one in schema.end_effects:
-        for given, value in start.cases(one.value):
-            condition = manager.And(start.after(one.condition), given).simplify()
-            ends.append(Effect(one.fluent, value, condition, one.kind, one.forall))
+    ends = [effect for one in schema.end_effects for effect in start.effects_after(one)]
     lasting = (kept for one in start.effects for kept in _not_overwritten(one, ends))
     try:
         _add_effects(made, (one for one in (*lasting, *ends) if not one.condition.is_false()))
@@ -307,7 +302,8 @@ class _Start:
         self._changed = fluents_in(one.fluent for one in self.effects)
         rules = {problem.fluent(domain.inside["predicate", name]): one for name, one in domain.axioms.items()}
         made_of = {fluent: fluents_in([one.condition]) for fluent, one in rules.items()}
-        asked = fluents_in([*schema.over_all, *schema.end, *(one.condition for one in schema.end_effects)])
+        late = [*schema.over_all, *schema.end, *(one.condition for one in schema.end_effects)]
+        asked = fluents_in(late if rules else ())
         for _ in rules:
             self._changed |= {fluent for fluent, parts in made_of.items() if not parts.isdisjoint(self._changed)}
             asked |= {part for fluent in asked & made_of.keys() for part in made_of[fluent]}
@@ -318,14 +314,28 @@ class _Start:
 
     def after(self, formula: UpThing) -> UpThing:
         """Return the condition on which a condition holds after the start."""
+        if not self._may_change(formula):
+            return formula
         manager = self._problem.environment.expression_manager
         return manager.Or([manager.And(*case) for case in self.cases(formula)]).simplify()
 
+    def effects_after(self, effect: UpThing) -> Iterator[UpThing]:
+        """Yield what an effect at the end is, in terms of the state before the start: one effect for each case."""
+        from unified_planning.model import Effect
+
+        if not (self._may_change(effect.condition) or self._may_change(effect.value)):
+            yield effect
+            return
+        condition, both = self.after(effect.condition), self._problem.environment.expression_manager.And
+        for given, value in self.cases(effect.value):
+            yield Effect(effect.fluent, value, both(condition, given).simplify(), effect.kind, effect.forall)
+
     def cases(self, formula: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
         """Yield what a formula is after the start: the condition for each case first."""
-        plain = formula
-        if not self._changed.isdisjoint(fluents_in([formula])):
-            plain = _without_quantifiers(formula, self._problem)
+        if not self._may_change(formula):
+            yield self._problem.environment.expression_manager.TRUE(), formula
+            return
+        plain = _without_quantifiers(formula, self._problem)
         atoms = dict.fromkeys(atoms_in([plain]))
         derived = {atom: self._derived_after(atom) for atom in atoms if atom.fluent() in self._derived}
         cases = [(self._problem.environment.expression_manager.TRUE(), derived)]
@@ -348,6 +358,9 @@ class _Start:
         for fluent, one in self._derived.items():
             variables, layer = (*one.variables, *own.values()), len(self._domain.axioms) + one.layer
             yield self._name_after(fluent), Derived(variables, self.after(one.condition).substitute(own), layer)
+
+    def _may_change(self, formula: UpThing) -> bool:
+        return bool(self._changed) and not self._changed.isdisjoint(fluents_in([formula]))
 
     def _derived_after(self, atom: UpThing) -> UpThing:
         from unified_planning.model import Fluent
