@@ -254,6 +254,13 @@ class PlanExecutor(Behaviour):
         """The steps that run, in the order in which they started."""
         return tuple(running.step for running in self._running)
 
+    @property
+    def waits_for_news(self) -> bool:
+        """Whether the next tick does no more than tick the running steps, unless there is news, whatever the time."""
+        is_going_on = self.status == Status.RUNNING and not self._replanning.is_busy
+        is_planned = not self._replanning.had_no_plan and not self._setbacks.weights
+        return is_going_on and is_planned and self.goals.version == self._seen_goals and not self._monitor.is_forecast
+
     def catch_up(self) -> None:
         """Wait for the planner's answer if it is due by now; for lock-step simulation, called before the tick.
 

@@ -260,6 +260,11 @@ class PlanMonitor:
     def __init__(self, effects: ExpectedEffects, belief: Belief, forecasts: _Forecasts) -> None:
         self.effects, self.belief, self._forecasts = effects, belief, forecasts
 
+    @property
+    def is_forecast(self) -> bool:
+        """Whether there are forecasts, so that what is late depends on the time."""
+        return bool(self._forecasts())
+
     def until(self) -> dict[str, float]:
         """Return how much longer facts hold for a new plan [s]: the earliest time forecast, with a margin."""
         ends = {atom: (one.earliest, one.now) for atom, one in self._forecasts().items()}

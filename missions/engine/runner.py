@@ -369,7 +369,7 @@ class RosaRun(MissionRun):
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self.tree = self._runner.tree
         self.tree.setup()
-        self._may_rest = mission.waits_for_news and task == "bt" and planner is None
+        self._may_rest = mission.waits_for_news and planner is None
         self._statuses: list[Status] = []
         self._rests_at: tuple[int, int] | None = None  # revisions of knowledge and percepts when it began to rest
         self._is_told = False
@@ -449,7 +449,7 @@ class RosaRun(MissionRun):
         if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
             return
         is_watched = bool(self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers)
-        if not is_watched and _is_timeless(kb):
+        if not is_watched and self._task.waits_for_news and _is_timeless(kb):
             self._rests_at, self._is_told = (before, self.percepts.revision), False
 
     def _goes_on_resting(self) -> bool:

@@ -10,6 +10,7 @@ import pytest
 from py_trees.behaviours import Running
 from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel
+from py_trees.visitors import VisitorBase
 from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase, Status
@@ -109,6 +110,20 @@ def test_run_that_forgets_its_oldest_task_plans_is_the_same_and_says_where_what_
     assert {**short, "plans": None} == {**whole, "plans": None}
     assert len(told[0]) == count
     assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.25, 7.3])
+@pytest.mark.parametrize("name", ["suave_extended", "agv", "uav"])
+def test_planned_run_leaves_out_ticks_without_news_and_is_the_same(name, delay_s):
+    shown, ticks = [], []
+    for is_watched in (False, True):
+        run = open_run(find_mission(name), task="pddl", seed=1, settings={"planning_delay_s": delay_s})
+        if is_watched:
+            run.tree.add_visitor(VisitorBase())  # nothing is left out then
+        shown.append(as_json(summary(run, run.run(), 1, {})))
+        ticks.append(run.tree.count)
+    assert shown[0] == shown[1]
+    assert ticks[0] < ticks[1] / 3
 
 
 def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():
