@@ -202,7 +202,7 @@ class TreeRunner:
     def put_off(self, until: float) -> float:
         """Leave out the ticks that are due before a time [s]; return the time of the last one left out [s]."""
         self._ticks = max(self._ticks, int((until - self._start) / self._period) - 1)  # the quotient may be rounded up
-        while self.due < until:
+        while self.due < until - 1e-9:  # the two may be rounded differently
             self._ticks += 1
         return self._start + (self._ticks - 1) * self._period
 

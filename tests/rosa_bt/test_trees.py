@@ -206,6 +206,13 @@ def test_runner_needs_a_behaviour_to_run():
         TreeRunner("root", clock=lambda: 0.0)
 
 
+def test_tick_that_is_due_now_is_not_put_off_because_of_how_its_time_is_rounded():
+    runner = TreeRunner(Running("run"), clock=lambda: 0.0, period=0.3)
+    assert 3 * 0.3 < 0.9
+    runner.put_off(0.9)
+    assert runner.due == 3 * 0.3
+
+
 @pytest.mark.parametrize("period", [0.1, 0.07, 1.0])
 def test_ticks_that_are_put_off_come_again_at_the_instants_of_their_period(period):
     now, ticked = [0.0], []
