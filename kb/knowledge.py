@@ -171,7 +171,7 @@ class Knowledge:
         if self.telling.locked():
             self.refuse_in_the_midst()
         last = self.log.time
-        self.now = now if now >= last else last
+        self.now = now = now if now >= last else last
         if self.pending is not None or now >= self.measurements.alarms.next:
             with self.telling:
                 self.finish()

@@ -166,9 +166,9 @@ class Network:
             for key, element in table.items():
                 node = known.get(key)
                 if node is None or node.element is not element:
-                    node = known[key] = Node(len(self.nodes), kind, element)
+                    node = Node(len(self.nodes), kind, element)
                     self.nodes.append(node)
-                node.name = str(key)
+                node.name, known[key] = str(key), node  # last: what is found by name is complete
             for key in [key for key in known if key not in table] if len(known) > len(table) else ():
                 known.pop(key, None)
         links: list[list[Node]] = [[] for _ in range(3 * len(self.nodes))]  # three of each node, side by side in memory

@@ -199,6 +199,7 @@ def suppose(
     listings = {"failed": failed, "recovered": recovered, "requested": requested}
     for what, names in listings.items():
         listings[what] = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
+    then, now = (None, 0.0) if at is None else (finite_number(at), base.now)
     with base.reading() as state:
         network = state.network
         supposed: list[_Assumption] = []
@@ -209,14 +210,14 @@ def suppose(
         for what, names in listings.items():
             table = network.actions if what == "requested" else network.components
             supposed += [(what, table[name], None) for name in names]
-        if at is not None:
-            now, then, of = base.now, finite_number(at), base.forecast
+        if then is not None:
+            of = base.forecast
             if then < now:
                 raise InvalidValue(f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}")
             doing = of.doing(state, None).union(node.name for what, node, _ in supposed if what == "requested")
             for node in (node for name, node in network.attributes.items() if name not in values):
                 supposed.append(("forecast", node, of.at(state, node, then, now, doing)))
-        return Situation(base, state, supposed, at)
+    return Situation(base, state, supposed, at)
 
 
 class Situation:

@@ -72,7 +72,7 @@ def interrupted_at(step, call, *, rooms=(ROOM,), harsher=False, handler=None):
     return is_interrupted
 
 
-def is_free(kb):
+def is_free(kb, patience=60.0):
     """Tell whether another thread can tell and ask at once."""
     done = threading.Event()
 
@@ -81,4 +81,4 @@ def is_free(kb):
             done.set()
 
     threading.Thread(target=ask, daemon=True).start()
-    return done.wait(60.0)
+    return done.wait(patience)

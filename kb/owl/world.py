@@ -89,11 +89,12 @@ class World:
             what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
             raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
         process, deadline = None, time.monotonic() + min(timeout, _LONGEST_WAIT)
+        reading = self._reading()  # it reads the clock, which may raise any error, too
         try:
-            process = self._taken()
+            process = self._taken(reading)
             process.deadline = deadline
             if process.last < 0:
-                process.tell(self._individuals(process))
+                process.tell(self._individuals(process, reading))
             *parts, end = process.answers(sparql)
         except BaseException as error:
             if process is not None:
@@ -104,8 +105,10 @@ class World:
             if isinstance(error, ConnectionError | EOFError):
                 raise KnowledgeBaseError(_ENDED) from None
             raise
-        if self._is_closed or self._kept.setdefault(process.last, process) is not process:
+        if self._kept.setdefault(process.last, process) is not process:
             process.end()
+        if self._is_closed:  # looked at last: another thread may close it meanwhile
+            _end(self._kept)
         if end is not None:
             raise _ERRORS[end["error"]](*end["given"])
         return [tuple(row) for rows in parts for row in rows]
@@ -115,9 +118,9 @@ class World:
         self._is_closed = True
         _end(self._kept)
 
-    def _taken(self) -> "_Process":
+    def _taken(self, reading: AbstractContextManager[State]) -> "_Process":
         """Take the process that is kept, if no event was told since, else a new one; end all others."""
-        with self._reading():
+        with reading:
             process = self._kept.pop(self._known.log.last, None)
         _end(self._kept)
         if process is not None and not process.is_usable:
@@ -125,11 +128,11 @@ class World:
             process = None
         return process or _Process()
 
-    def _individuals(self, process: "_Process") -> Iterator[Individual]:
+    def _individuals(self, process: "_Process", reading: AbstractContextManager[State]) -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
         known, chronicle = self._known, _Chronicle(self._known)
         held = list(known.log.since(0, measurements=False))
-        with self._reading() as state:  # only what is new is read while those who tell wait
+        with reading as state:  # only what is new is read while those who tell wait
             process.last = known.log.last
             held += known.log.since(held[-1].number if held else 0, measurements=False)
             histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]

@@ -256,6 +256,21 @@ def test_elements_that_are_being_declared_are_seen_as_a_whole():
     assert names == {("look", ("see",), 2)}
 
 
+def test_interrupted_at_any_instruction_each_element_that_is_declared_has_an_index_of_its_own():
+    step, outs = 0, 0
+    while True:
+        step, model = step + 1, Model("rover")
+        network = Network(model)
+        model.function("see")
+        model.action("look", requires=["see"])
+        if not interrupted_at(step, network.renew, harsher=True):
+            break
+        outs += 1
+        network.renew()
+        assert all(network.nodes[node.index] is node for node in network.present())
+    assert outs > 50
+
+
 def test_base_of_a_model_whose_change_was_interrupted_knows_all_of_it():
     step, found = 0, set()
     while True:

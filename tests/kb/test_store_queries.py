@@ -544,6 +544,32 @@ def test_process_ends_with_its_base(answering):
     assert not answering()
 
 
+def test_no_process_is_kept_if_the_base_is_closed_while_it_answers(answering):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+
+    class Kept(dict):
+        def setdefault(self, *given):
+            kb.close()  # as another thread may just then
+            return super().setdefault(*given)
+
+    kb._world._kept = Kept()
+    assert kb.query("ASK { ?x a :Action }") == [(True,)]
+    assert not answering()
+
+
+@pytest.mark.parametrize("error", [TimeoutError, ConnectionError, EOFError])
+def test_what_the_clock_raises_is_not_taken_for_trouble_of_the_process(error):
+    kb = KnowledgeBase(robot(), clock=Clock(1.0))
+    kb.assert_status("rest", "unfeasible", "holiday", until=2.0)
+
+    def raising():
+        raise error("of the clock")
+
+    kb._knowledge.clock = raising
+    with pytest.raises(error, match="of the clock"):
+        kb.query("ASK { ?x a :Action }")
+
+
 def test_many_threads_may_ask_at_once(answering):
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     found = []

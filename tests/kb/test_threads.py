@@ -6,6 +6,7 @@ import threading
 from contextlib import contextmanager, suppress
 
 import pytest
+from interrupting import is_free
 from models import Clock
 
 from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
@@ -185,6 +186,55 @@ def test_a_name_is_said_to_be_unknown_though_the_model_grows_meanwhile():
     table = ByName("action", {Growing("first"): 1})
     with pytest.raises(UnknownName, match="known: 'first'"):
         table["nothing like it"]
+
+
+def test_what_became_due_while_the_clock_was_read_is_told_before_the_fact():
+    model, clock = Model("old"), Clock(1.0)
+    light = model.environmental_attribute("light", max_age=100.0)
+    model.component("eye")
+    kb = KnowledgeBase(model, clock=clock)
+    kb.measure("light", 0.2)
+
+    def read_slowly():
+        kb._knowledge.clock, clock.now = clock, 9.0
+        kb.component_failed("eye")
+        model.change(light, max_age=3.0)
+        return 2.0
+
+    kb._knowledge.clock = read_slowly
+    kb.component_recovered("eye")
+    assert [one.verb for one in kb.log] == ["measure", "component_failed", "amend", "stale", "component_recovered"]
+
+
+def test_an_attribute_that_is_removed_while_the_clock_is_read_is_not_measured(kb):
+    wind, clock = kb.model.quality_attribute("wind"), kb._knowledge.clock
+
+    def read_slowly():
+        kb._knowledge.clock = clock
+        kb.model.remove(wind)
+        return clock()
+
+    kb._knowledge.clock = read_slowly
+    with pytest.raises(UnknownName, match="wind"):
+        kb.measure("wind", 1.0)
+    assert [one.verb for one in kb.log] == ["amend", "amend"], "a measurement of nothing could not be told again"
+
+
+def test_a_clock_is_read_without_the_lock_when_a_situation_is_made():
+    model, free, here = Model("old"), [], threading.current_thread()
+    model.environmental_attribute("light", max_age=3.0)
+    kb = KnowledgeBase(model, clock=Clock(1.0))
+    kb.measure("light", 0.2)
+
+    def read():
+        if threading.current_thread() is here:
+            free.append(is_free(kb, 1.0))
+        return 1.0
+
+    kb._knowledge.clock = read
+    kb.situation(light=0.3).situation(at=2.0)
+    assert free
+    assert all(free)
 
 
 def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_back(kb):
