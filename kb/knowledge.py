@@ -527,6 +527,7 @@ class Knowledge:
             with self.telling:
                 self.finish()
                 if change is not self._amended:
+                    change.put()  # no fact is told meanwhile: each is told of the model before or after
                     self._follow(change)
 
     def _follow(self, change: facts.Amended) -> None:

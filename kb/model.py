@@ -92,7 +92,7 @@ class Observer(Protocol):
         """Called before the model changes; if this raises an exception, the model does not change."""
 
     def amended(self, change: Amended) -> None:
-        """Called after the model has changed; called again with the same change if the call was interrupted."""
+        """Called to `put` the change, when no fact is told; called again with it if the call was interrupted."""
 
     def heard(self) -> None:
         """Called after all observers have been informed."""
@@ -352,9 +352,11 @@ class Model:
             mine.extend(map(self._changing.acquire, (False,)))  # taken and noted in one step despite interrupts
             change = self.pending
             if mine[0] and change is not None:
-                change.put()
-                for observer in self._watching():
+                observers = self._watching()
+                for observer in observers:
                     observer.amended(change)
+                if not observers:
+                    change.put()
                 self.pending = None
         finally:
             if mine and mine[0]:

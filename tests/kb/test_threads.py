@@ -4,9 +4,10 @@ import contextlib
 import sys
 import threading
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import pytest
-from interrupting import is_free
+from interrupting import interrupted_at, is_free
 from models import Clock
 
 from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
@@ -218,6 +219,33 @@ def test_an_attribute_that_is_removed_while_the_clock_is_read_is_not_measured(kb
     with pytest.raises(UnknownName, match="wind"):
         kb.measure("wind", 1.0)
     assert [one.verb for one in kb.log] == ["amend", "amend"], "a measurement of nothing could not be told again"
+
+
+def test_what_another_thread_tells_while_the_model_changes_is_so_by_the_model_before_or_after():
+    def made():
+        model = Model("rover")
+        model.action("look", constraints=[model.environmental_attribute("light") >= 0.5])
+        return KnowledgeBase(model, clock=Clock(1.0))
+
+    step, orders = 0, set()
+    while True:
+        step, kb = step + 7, made()
+        change = partial(kb.model.change, kb.model.constraints[0], value=0.1)
+        teller = threading.Thread(target=kb.measure, args=("light", 0.2))
+
+        def tell(teller=teller):
+            teller.start()
+            teller.join(0.01)  # it may have to wait until the model has changed
+
+        if not interrupted_at(step, change, handler=tell):
+            break
+        teller.join()
+        twin = made()
+        for event in kb.log:
+            twin.tell(event)
+        assert [*twin.log] == [*kb.log]
+        orders.add(tuple(one.verb for one in kb.log))
+    assert orders == {("measure", "amend"), ("amend", "measure")}
 
 
 def test_a_clock_is_read_without_the_lock_when_a_situation_is_made():
