@@ -11,7 +11,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from copy import copy
 from dataclasses import fields
@@ -23,7 +23,7 @@ from weakref import finalize
 from kb.elements import KINDS, Attribute, Changeable
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
-from kb.facts import ActiveFact, RequiredFact, SelectedFact, StatusFact
+from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
 from kb.owl import BASE, CLASSES, STATED, Individual, Ref, Values, described, element_id, individuals, named_id
 from kb.records import Records
@@ -79,6 +79,7 @@ class World:
         self, known: Knowledge, store: Store | None, keep: int, reading: Callable[[], AbstractContextManager[State]]
     ) -> None:
         self._known, self._store, self._keep, self._reading = known, store, keep, reading
+        self._begun = known.model.facts  # facts that the model states later are not of this base
         self._kept: dict[int, _Process] = {}  # by the last event it knows; while it answers it is taken out
         self._is_closed = False
         finalize(self, _end, self._kept)
@@ -130,7 +131,7 @@ class World:
 
     def _individuals(self, process: "_Process", reading: AbstractContextManager[State]) -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
-        known, chronicle = self._known, _Chronicle(self._known)
+        known, chronicle = self._known, _Chronicle(self._known, self._begun)
         held = list(known.log.since(0, measurements=False))
         with reading as state:  # only what is new is read while those who tell wait
             process.last = known.log.last
@@ -259,8 +260,8 @@ def _recorded(records: Records) -> dict[str, list[tuple[int, Any]]]:
 class _Chronicle:
     """Makes individuals of events and records; an event that ends something adds the end to its individual."""
 
-    def __init__(self, known: Knowledge) -> None:
-        self._known = known
+    def __init__(self, known: Knowledge, begun: Sequence[Fact]) -> None:
+        self._known, self._begun = known, begun
         self._count = count(1)
         self._open: dict[tuple[str, str], str] = {}
         self._asserted_failed: set[str] = set()
@@ -307,7 +308,7 @@ class _Chronicle:
             case "amend", (how, written):
                 yield from self._amended(time, how, written)
             case "begin", _:
-                for fact in self._known.model.facts:
+                for fact in self._begun:
                     if isinstance(fact, ActiveFact | StatusFact | RequiredFact | SelectedFact):
                         element = fact.component if isinstance(fact, ActiveFact) else fact.element
                         about = self._about(element) if isinstance(element, str) else self._id(element)

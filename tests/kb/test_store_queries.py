@@ -671,3 +671,13 @@ def test_what_has_lapsed_meanwhile_is_not_answered():
     assert kb.query(status) == [("feasible",)]
     assert kb.query("SELECT ?e { ?a a :AssertedStatus ; :end ?e }") == [(2.0,)]
     kb.close()
+
+
+def test_what_a_model_states_later_is_not_answered():
+    model = robot()
+    model.add_fact(StatusFact(model.components["camera"], Status.FAILURE))
+    kb = KnowledgeBase(model, clock=Clock(1.0))
+    model.add_fact(StatusFact(model.components["lidar"], Status.FAILURE))
+    named = "SELECT ?n { ?x a :AssertedStatus ; :about [ :name ?n ] }"
+    assert kb.query(named) == [("camera",)]
+    kb.close()
