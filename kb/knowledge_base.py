@@ -289,8 +289,7 @@ class KnowledgeBase:
                 self._check_open(self.store)
             known.settle(now)
             with known.telling:
-                node = known.network.attributes[attribute]  # as it is now: it may have been removed meanwhile
-                told = known.measure(node, number, known.now).number
+                told = known.measure(known.network.attributes[attribute], number, known.now).number  # if still there
         if self._publisher.is_heard:
             self._publisher.deliver(told)
 
