@@ -58,8 +58,8 @@ def replay(
         def watch(run_anew: MissionRun) -> None:
             pages.append(RunRecorder(run_anew, run.get("seed") or 0, {}))
 
-        source, by = bag if is_bag(recording) else recording, task or run.get("task", "bt")
-        decisions = decide(source, asked, task=by, watch=watch if report else None, traced=False)
+        by = task or run.get("task", "bt")
+        decisions = decide(bag, asked, task=by, watch=watch if report else None, traced=False)
     finally:
         gc.enable()
     if report is not None:
@@ -139,8 +139,10 @@ def _print_differences(console: Console, lines: Sequence[str]) -> None:
 
 
 def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
-    """Return a line for each decision up to the end of the recording."""
-    end_s = max(one.time for one in bag.events) + (-_SLACK_S if bag.cut else _SLACK_S)
+    """Return a line for each decision up to the end of the recording; what stops a robot by hand is no decision."""
+    outcomes = [row[3]["outcome"] for _, row in bag.rows if row[1] == "result"]
+    is_stopped = bool(bag.cut) or all(outcome == "aborted" for outcome in outcomes)
+    end_s = max(one.time for one in bag.events) + (-_SLACK_S if is_stopped else _SLACK_S)
     return [_line(one) for one in events if one.verb in _DECISIVE and one.time <= end_s]
 
 

@@ -1,13 +1,14 @@
 """`rosa run` and `rosa watch`: run a mission, show what happens and why, and write files; or watch one that runs."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.console import Console
 
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
@@ -91,6 +92,7 @@ def run(
 
             tree = opened.tree if isinstance(opened, RosaRun) else None
             made = McapRecorder(mcap, opened.kb, tree, page=page.recorder, run=header(opened, seed)["run"])
+            stack.callback(_print_refused, console, made.refused)  # when the file is complete
             opened.listen(stack.enter_context(made))
         with narrator.progress if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
@@ -128,6 +130,11 @@ def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
             file.write(line.encode())
 
     return write
+
+
+def _print_refused(console: Console, refused: Mapping[str, int]) -> None:
+    for what, count in refused.items():
+        console.print(f"not recorded, {count} times: {what}", style="yellow", markup=False)
 
 
 def _watched(run: MissionRun, page: RunRecorder) -> Verdict:

@@ -423,7 +423,9 @@ def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: Task
 def _messages_of(source: str | Path | Bag | Iterable[Message]) -> list[Message]:
     if isinstance(source, str | Path) and is_bag(source):
         source = read_bag(source)
-    return [source.header(), *source.messages] if isinstance(source, Bag) else list(read_recording(source))
+    if not isinstance(source, Bag):
+        return list(read_recording(source))
+    return [source.header(), *source.messages] if source.run else source.messages
 
 
 def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:

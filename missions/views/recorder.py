@@ -446,7 +446,7 @@ class RunRecorder(Listener):
             for signal, value in sample.signals.items():
                 if _split(signal)[0] not in self._measured:
                     recorder.put("signal", signal, round(value, 4))
-        scenery = run.ask("scenery")
+        scenery = run.ask("scenery", self._scene)
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)

@@ -1,7 +1,9 @@
 """Recordings as MCAP: what others read in them, what is decided from them once more, and files that are not sound."""
 
 import json
+import os
 import random
+import re
 import resource
 import shutil
 import sqlite3
@@ -26,14 +28,19 @@ from typer.testing import CliRunner
 
 from kb import KnowledgeBase, Model
 from missions import cli
-from missions.engine.mission import MissionError
-from missions.engine.recording import measured, read_recording
+from missions.baselines import open_run
+from missions.engine.mission import MissionError, Verdict, find_mission
+from missions.engine.recording import header, measured, read_recording
+from missions.engine.runner import Listener
+from missions.suave.world import Sea
 from missions.testing.decisions import replay
+from missions.views.recorder import RunRecorder
 from missions.wires import mcap, ros
 from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
 from missions.wires.node import made
 from rosa_bt import ForAction, TreeRunner, first_feasible
 
+BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 TOPICS = {
     "/attributes/battery_level",
     "/attributes/water_visibility",
@@ -183,6 +190,49 @@ def test_replay_decides_as_recorded(mission, task, tmp_path):
     path = tmp_path / "run.mcap"
     rosa("run", mission, "--task", task, "--no-progress", "--seed", 3, "--record", path)
     assert "decided as recorded" in rosa("replay", path)
+
+
+class Stop(Listener):
+    def tick(self, run):
+        if run.world.now > 20.0:
+            raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("is_told", [True, False], ids=["Ctrl-C", "SIGTERM"])
+def test_replay_of_a_run_that_was_stopped_by_hand_decides_as_recorded(is_told, tmp_path):
+    path, run = tmp_path / "run.mcap", open_run(find_mission("suave"), seed=0, settings={})
+    page = RunRecorder(run, 0, {})
+    with McapRecorder(path, run.kb, run.tree, page=page.recorder, run=header(run, 0)["run"]) as recorder:
+        run.listen(recorder, Stop())
+        with pytest.raises(KeyboardInterrupt):
+            run.run()
+        if is_told:
+            page.end(Verdict("aborted", "stopped by hand"))
+    assert read_bag(path).events[-1].verb == "cancel_action"
+    assert "decided as recorded" in rosa("replay", path)
+
+
+def test_recording_is_replayed_from_a_pipe():
+    readable, writable = os.pipe()
+    os.write(writable, BATTERY_DROP.read_bytes())
+    os.close(writable)
+    try:
+        said = rosa("replay", f"/dev/fd/{readable}", "--mission", "suave_extended")
+    finally:
+        os.close(readable)
+    assert said == rosa("replay", BATTERY_DROP, "--mission", "suave_extended")
+    assert "recharge is requested" in said
+
+
+def test_run_says_what_could_not_be_recorded(tmp_path, monkeypatch):
+    advance = Sea.advance
+
+    def odd(world, until):
+        return [{**one, "status": [{"message": "\ud800", "values": {}}]} for one in advance(world, until)]
+
+    monkeypatch.setattr(Sea, "advance", odd)
+    said = rosa("run", "suave", "--no-progress", "--set", "duration_s=5", "--record", tmp_path / "run.mcap", code=1)
+    assert re.search(r"not recorded, \d+ times: /diagnostics: UnicodeEncodeError", said)
 
 
 def test_recording_of_the_same_run_is_the_same_bytes(drop, tmp_path):

@@ -167,6 +167,21 @@ def test_world_that_raises_is_named_with_the_method_and_the_line(method):
         drawn(run_in(Odd(), duration_s=0.5))
 
 
+def test_scenery_is_checked_once_and_not_at_each_look_of_a_page():
+    class Points(list):
+        looks = 0
+
+        def __iter__(self):
+            self.looks += 1
+            return super().__iter__()
+
+    points = Points([(0.0, 1.0), (2.0, 3.0)])
+    world = Field()
+    world.scenery = lambda: {"wall": points}
+    drawn(run_in(world, duration_s=20.0))
+    assert 0 < points.looks < 5
+
+
 def drawn(run):
     """Run to the end as `rosa run --report --json` does."""
     page = RunRecorder(run, 0, {})
