@@ -54,6 +54,9 @@ def check_message(message: Any, where: str) -> None:  # noqa: ANN401  # it may b
         if not isinstance(values, _OBJECT) or not isinstance(one.get("message"), str):
             wanted = 'each "status" is an object with a text "message" and an object "values"'
             raise MissionError(f"{where}: {wanted}, not {one!r:.100}")
+        for name in values:
+            if not isinstance(name, str):
+                raise MissionError(f'{where}: the names in "values" are texts, not {name!r:.100}')
 
 
 MISSION_STATUS: Final = "mission status"

@@ -46,7 +46,7 @@ STANDSTILL = 10_000
 _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
     "results": (
         Mapping,
-        lambda one: one[1] is None or isinstance(one[1], NUMBER),
+        lambda one: isinstance(one[0], str) and (one[1] is None or isinstance(one[1], NUMBER)),
         "a mapping of names to numbers, None for what did not happen",
     ),
     "reactions": (
@@ -56,7 +56,7 @@ _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
     ),
     "sample": (
         object,
-        lambda one: one is None or (len(one.position) == 3 and _are_numbers(*one.position, *one.signals.values())),
+        lambda one: one is None or _is_sample(one),
         "None or a missions.engine.mission.Sample: a time, a position of three numbers, and signals that are numbers",
     ),
     "disturbances": (
@@ -66,7 +66,7 @@ _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
     ),
     "scenery": (
         Mapping,
-        lambda one: all(len(point) == 2 and _are_numbers(*point) for point in one[1]),
+        lambda one: isinstance(one[0], str) and all(len(point) == 2 and _are_numbers(*point) for point in one[1]),
         "a mapping of names to points, each of two numbers",
     ),
 }
@@ -75,6 +75,11 @@ _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
 
 def _are_numbers(*values: object) -> bool:
     return all(isinstance(one, NUMBER) for one in values)
+
+
+def _is_sample(one: Any) -> bool:  # noqa: ANN401  # it may be anything before it is checked
+    numbers, names = (one.time, *one.position, *one.signals.values()), one.signals
+    return len(one.position) == 3 and _are_numbers(*numbers) and all(isinstance(name, str) for name in names)
 
 
 def _time_of(world: World) -> float:

@@ -155,5 +155,5 @@ def figure_in_words(name: str, value: float | None, model: Model | None = None) 
     elif float(value).is_integer() and (not sign or unit in COUNTS):  # a count of something, not an amount of a unit
         shown = f"{value:.0f}"
     else:
-        shown = f"{value:.2f}" if abs(value) < 10 else f"{value:.1f}"
+        shown = f"{float(value):.2f}" if abs(value) < 10 else f"{float(value):.1f}"
     return words, sign, shown

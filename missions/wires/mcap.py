@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field, replace
 from functools import partial
+from math import inf
 from os.path import exists, isdir
 from pathlib import Path
 from queue import SimpleQueue
@@ -102,6 +103,7 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     Attributes:
         refused: how many messages were malformed and left out, by what was wrong.
+        most: how many messages may wait to be written.
 
     Raises:
         MissionError: it cannot be written there, or the extra `mcap` is missing.
@@ -120,6 +122,7 @@ class McapFile(AbstractContextManager["McapFile"]):
             raise self._unwritten(error) from error
         self._records = _Records(self._file, use_chunking=False)
         self.refused = Refusals()
+        self.most: float = WAITING
         self._error: Exception | None = None
         self._queue: SimpleQueue[Callable[[], None] | None] = SimpleQueue()
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
@@ -127,10 +130,15 @@ class McapFile(AbstractContextManager["McapFile"]):
 
     def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns, as type `kind`."""
-        if self._queue.qsize() < WAITING:
+        if self.waiting < self.most:
             self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
         elif self._error is None:
-            self._give_up(OSError(f"the disk does not keep up, {WAITING} messages wait to be written"))
+            self._give_up(OSError(f"the disk does not keep up, {self.waiting} messages wait to be written"))
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait to be written."""
+        return self._queue.qsize()
 
     def close(self) -> None:
         """Write the queued messages, and rewrite the file in chunks with an index.
@@ -140,9 +148,9 @@ class McapFile(AbstractContextManager["McapFile"]):
         """
         self._queue.put(None)
         while self._thread.is_alive():
-            waiting = self._queue.qsize()
+            waiting = self.waiting
             self._thread.join(PATIENCE_S)
-            if self._thread.is_alive() and self._queue.qsize() == waiting:
+            if self._thread.is_alive() and self.waiting == waiting:
                 raise self._unwritten(self._error or OSError(f"the disk does not answer, {waiting} messages wait"))
         if self._file.closed:
             return
@@ -229,11 +237,13 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         if page is None:
             self._open.callback(shown.close)
         header = {"rosa": VERSION, "model": kb.model.name, "typeql": typeql_text(kb.model), **(run or {})}
+        self._file.most = inf  # all that is known already is recorded, however long that takes
         self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": shown.header})
         for event in kb.log:
             self._event(event)
         for row in shown.rows.since(0)[1]:
             self._row(row)
+        self._file.most = self._file.waiting + WAITING
         self._open.callback(kb.subscribe(self._event))
         shown.rows.heard.append(self._row)
         if tree is not None:

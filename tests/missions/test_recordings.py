@@ -224,6 +224,15 @@ def test_recording_is_replayed_from_a_pipe():
     assert "recharge is requested" in said
 
 
+def test_recording_that_begins_late_holds_all_that_was_known_however_much_that_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(mcap, "WAITING", 3)
+    kb = KnowledgeBase(find_mission("suave_extended").model(), clock=lambda: 0.0)
+    for number in range(2000):
+        kb.measure("battery_level", 1.0 - number / 2000)
+    McapRecorder(tmp_path / "run.mcap", kb).close()
+    assert len(read_bag(tmp_path / "run.mcap").events) == len(kb.log)
+
+
 def test_run_says_what_could_not_be_recorded(tmp_path, monkeypatch):
     advance = Sea.advance
 

@@ -3,6 +3,7 @@
 import json
 import math
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy
 import pytest
@@ -114,16 +115,20 @@ GIVEN = [  # a method of the world, what it gives, and what the message says of 
     ("advance", [{"time": 0.0, "status": [STATUS, 3]}], 'each "status" is an object .*, not 3'),
     ("advance", [{"time": 0.0, "status": [{**STATUS, "message": None}]}], 'a text "message" .*, not {'),
     ("advance", [{"time": 0.0, "status": [{**STATUS, "values": [1]}]}], 'an object "values", not {'),
+    ("advance", [{"time": 0.0, "status": [{**STATUS, "values": {1: ""}}]}], 'the names in "values" are texts, not 1'),
     ("now", None, r"now of Odd is None; expected is the time, a number \[s\]"),
     ("now", "soon", "now of Odd is 'soon'; expected is the time"),
     ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has the methods activate, deact"),
     ("results", None, r"results\(\) of Odd gives None; expected is a mapping of names to numbers"),
     ("results", {"rooms": "many"}, r"results\(\) of Odd gives {'rooms': 'many'}; expected is a mapping of names"),
+    ("results", {3: 1.0}, r"results\(\) of Odd gives {3: 1.0}; expected is a mapping of names"),
     ("reactions", 3, r"reactions\(\) of Odd gives 3; expected is a sequence of reactions, each with uncertainty"),
     ("reactions", [3], r"reactions\(\) of Odd gives \[3\]; expected is a sequence of reactions"),
     ("sample", 3, r"sample\(\) of Odd gives 3; expected is None or a missions.engine.mission.Sample"),
     ("sample", Sample(0.0, (1.0, 2.0), {}), "expected is None or a .*Sample: a time, a position of three numbers"),
     ("sample", Sample(0.0, (1.0, 2.0, 3.0), {"light": "dim"}), "and signals that are numbers"),
+    ("sample", Sample(0.0, (1.0, 2.0, 3.0), {3: 1.0}), "and signals that are numbers"),
+    ("sample", Sample("now", (1.0, 2.0, 3.0), {}), "expected is None or a .*Sample: a time, a position"),
     (
         "disturbances",
         None,
@@ -165,6 +170,12 @@ def test_world_that_raises_is_named_with_the_method_and_the_line(method):
         MissionError, match=rf"{method}\(\) of Odd failed.*KeyError: 'camera'; test_run_ends\.py, line \d+$"
     ):
         drawn(run_in(Odd(), duration_s=0.5))
+
+
+def test_figure_may_be_any_real_number():
+    world = Field()
+    world.results = lambda: {"share": Fraction(1, 3)}
+    assert drawn(run_in(world))["share"] == Fraction(1, 3)
 
 
 def test_scenery_is_checked_once_and_not_at_each_look_of_a_page():
