@@ -144,9 +144,11 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
     view = TerminalView(RecorderFeed(page.recorder))
     with ThreadPoolExecutor(1, "mission") as pool:
         going = pool.submit(run.run)
-        view.run()
-        if not going.done():
-            run.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+        try:
+            view.run()
+        finally:  # also when the program is to end
+            if not going.done():
+                run.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
         return going.result()
 
 

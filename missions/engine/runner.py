@@ -230,7 +230,7 @@ class MissionRun(ABC):
             for one in self.ask("reactions")
         ]
 
-    def ask(self, method: str, known: object = None) -> Any:  # noqa: ANN401  # what the method gives is checked here
+    def ask(self, method: str, known: tuple[str, ...] | None = None) -> Any:  # noqa: ANN401  # what the method gives is checked here
         """Call a method of the world without arguments: results, reactions, sample, disturbances or scenery.
 
         Parts of a mapping with the `known` names are not checked again.
@@ -241,10 +241,11 @@ class MissionRun(ABC):
         kind, fits, wanted = _GIVES[method]
         its = f"{method}() of {type(self.world).__name__}"
         with blamed(lambda: f"{its} failed after {self.world.now:.1f} s"):
-            given = getattr(self.world, method)()
+            given: Any = getattr(self.world, method)()
         try:
             parts = [given] if kind is object else given.items() if kind is Mapping else given
-            is_fit = isinstance(given, kind) and ((known and tuple(given) == known) or all(map(fits, parts)))
+            is_known = kind is Mapping and tuple(given) == known
+            is_fit = isinstance(given, kind) and (is_known or all(map(fits, parts)))
         except (TypeError, ValueError, AttributeError, LookupError):  # a part is missing
             is_fit = False
         if not is_fit:

@@ -5,7 +5,9 @@ import time
 
 import pytest
 from textual.widgets import Static
+from typer.testing import CliRunner
 
+from missions import cli
 from missions.baselines import open_run
 from missions.engine.mission import MissionError, find_mission
 from missions.views.live import LiveView
@@ -81,3 +83,14 @@ def test_what_is_watched_for_days_is_forgotten_from_the_oldest_on():
     for number in range(1000):
         fold.put((float(number), "adaptation", number, {"t": float(number), "changed": "", "cause": ""}))
     assert list(fold.track("adaptation")) == list(range(600, 1000))
+
+
+def test_program_that_is_to_end_does_not_wait_for_the_run_that_it_shows(monkeypatch):
+    def ended(view):
+        raise SystemExit(143)  # as SIGTERM does
+
+    monkeypatch.setattr(TerminalView, "run", ended)
+    start = time.monotonic()
+    done = CliRunner().invoke(cli.app, ["run", "suave", "--tui", "--speed", "10"])
+    assert done.exit_code == 143
+    assert time.monotonic() - start < 15.0
