@@ -73,9 +73,11 @@ def test_a_late_program_is_killed():
 
 
 def test_a_program_may_hold_so_much_and_no_more():
-    fat = [sys.executable, "-c", "x = bytes(1 << 29)"]  # of zeros, which are promised and not written
-    assert ProcessHandle().ask(fat, limit_s=300.0).code == 0
-    assert b"MemoryError" in ProcessHandle(1 << 27).ask(fat, limit_s=300.0).complaints
+    fat = "x = bytes(1 << 29)"  # of zeros, which are promised and not written
+    until = "import resource as r, time\nwhile r.getrlimit(r.RLIMIT_DATA)[0] != 1 << 27: time.sleep(0.01)\n"
+    assert ProcessHandle().ask([sys.executable, "-c", fat], limit_s=300.0).code == 0
+    limited = [sys.executable, "-c", until + fat]  # the limit is set just after the start
+    assert b"MemoryError" in ProcessHandle(1 << 27).ask(limited, limit_s=300.0).complaints
 
 
 def test_a_cancelled_handle_lets_nothing_run():
