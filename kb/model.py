@@ -66,7 +66,6 @@ from kb.records import check_result
 
 ElementT = TypeVar("ElementT", bound=Element)
 
-
 _NAMED: Final = (Action, Function, Component, FunctionDesign, Configuration, Attribute)
 _REQUIRABLE: Final = (Action, Function, Component)
 _SELECTABLE: Final = (FunctionDesign, Configuration)

@@ -48,11 +48,15 @@ def hint(name: str, known: Iterable[str], what: str) -> str:
     return f"{guess}{what}: {shown}"
 
 
-def in_words(error: Exception, *ours: str) -> str:
+def in_words(error: Exception) -> str:
     """Return an exception as text, with the last line of the user's code in its traceback, if there is one."""
+    return f"{type(error).__name__}: {error}{line_in_words(error)}"
+
+
+def line_in_words(error: Exception, *ours: str) -> str:
+    """Return the last line of the user's code in a traceback, as `; tree.py, line 3`, or nothing if there is none."""
     own = (*_OURS, *ours, *stdlib_module_names)
     frames = [
         one for one in walk_tb(error.__traceback__) if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
     ]
-    where = "".join(f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:])
-    return f"{type(error).__name__}: {error}{where}"
+    return "".join(f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:])

@@ -246,7 +246,6 @@ def _rates(gain: Gain) -> list[tuple[str, float]]:
 
 _Levels = tuple[float, ...]
 
-
 _Slopes = list[tuple[float, ...]]
 """Rate of change of each level [1/s]: at the low end of the interval, as expected, at the high end."""
 

@@ -23,7 +23,7 @@ from missions import SUMMARIES
 from missions.engine.settings import MissionError as MissionError
 from missions.engine.settings import RunSettings, declared, full_names, near, read_values
 from missions.engine.settings import Setting as Setting
-from rosa_bt.exceptions import in_words
+from rosa_bt.exceptions import line_in_words
 from rosa_pddl.exceptions import RosaPddlError
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ T = TypeVar("T")
 
 Message = Mapping[str, Any]
 """Diagnostics as they travel: `{"time": s, "status": [{"name": ..., "message": ..., "values": {...}}, ...]}`."""
-
 
 NUMBER: Final = (float, int, Real)
 """What counts as a number that a world gives; the usual types come first, as that is quickest."""
@@ -334,10 +333,10 @@ def blamed(what: Callable[[], str], *, is_authors: bool = True) -> Iterator[None
     except (MissionError, KnowledgeBaseError, RosaPddlError):
         raise
     except Exception as error:
-        said = in_words(error, "suave_env", "numpy", "mujoco")
-        if not is_authors and said == f"{type(error).__name__}: {error}":  # no line of an author led to it
+        line = line_in_words(error, "suave_env", "numpy", "mujoco")
+        if not is_authors and not line:
             raise
-        raise MissionError(f"{what()}: {said}") from error
+        raise MissionError(f"{what()}: {type(error).__name__}: {error}{line}") from error
 
 
 def built(title: str, kind: type[T], build: Callable[..., object], *given: object) -> T:

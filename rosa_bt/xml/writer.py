@@ -38,7 +38,6 @@ MOST_NODES: Final = 2**16 - 1
 """Most nodes of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
-
 _NAMES: Final = ("action", "preference", "wait", "timeout", "even_if_unfeasible", "during", "memory", "after")
 """Parameters of our behaviours that are written as attributes; the behaviours have attributes of these names."""
 _UNSAID: Final = (None, False, inf)
