@@ -27,7 +27,14 @@ PYTHON, TESTING = {"optimal", "plot", "sim"}, "dev"
 EXTRAS = {
     **dict.fromkeys(("suave", "suave_extended", "agv", "uav", "campaign", "effort"), "sim"),
     **{"--plot": "plot", "report": "plot", "--reason": "reason"},
-    **{"--live": "live", "--tui": "tui", "watch": "tui", "--groot2": "groot2", "mcp": "mcp", "bridge": "ros2"},
+    **{
+        "--live": "live",
+        "--tui": "tui",
+        "watch": "tui",
+        "--groot2": "groot2",
+        "mcp": "mcp",
+        "bridge": "ros2",
+    },
     **{"replay": "mcap", "record": "mcap", "--cluster": "cluster"},
 }
 """The extra that each word of a `rosa` command line needs; a file that ends in .mcap needs one, too."""
@@ -40,22 +47,33 @@ def extras(arguments: list[str]) -> set[str]:
         return {TESTING}
     words = [one.partition("=")[0] for one in arguments[1:]]
     mcap = {"mcap"} if any(one.endswith(".mcap") for one in arguments) else set()
-    return (PYTHON if arguments[0] == "python" else set()) | mcap | {EXTRAS[one] for one in words if one in EXTRAS}
+    return (
+        (PYTHON if arguments[0] == "python" else set())
+        | mcap
+        | {EXTRAS[one] for one in words if one in EXTRAS}
+    )
 
 
 def set_up(wished: set[str]) -> None:
     """Make the virtual environment and install this project in it; if that fails, the next call does it again."""
     try:
-        inputs = b"".join((ROOT / name).read_bytes() for name in ("pyproject.toml", "constraints.txt", "launch.py"))
+        inputs = b"".join(
+            (ROOT / name).read_bytes()
+            for name in ("pyproject.toml", "constraints.txt", "launch.py")
+        )
     except OSError as error:
-        sys.exit(f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository")
+        sys.exit(
+            f"launch.py: cannot read {error.filename}: {error.strerror}; get it back from the repository"
+        )
     wanted = hashlib.sha256(inputs + sys.version.encode()).hexdigest()
     there = MARK.read_text().split() if MARK.is_file() and (BIN / "python").exists() else []
     keeps = there[:1] == [wanted]
     if keeps and (TESTING in there or wished <= set(there)):
         return
     if VENV.exists() and not VENV.is_dir():
-        sys.exit(f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again")
+        sys.exit(
+            f"launch.py: {VENV} is in the way; it has to be a folder, so move it elsewhere and run this again"
+        )
     # measured on two cores with a near package index
     needs, takes = ("testing", "about a minute") if TESTING in wished else ("running", "about 20 s")
     print(
@@ -73,7 +91,9 @@ def set_up(wished: set[str]) -> None:
             venv.create(VENV, clear=VENV.exists(), with_pip=True)
         pip = [python, "-m", "pip"]
     else:
-        sys.exit("launch.py: this Python has no pip; install it (Debian: apt-get install python3-pip)")
+        sys.exit(
+            "launch.py: this Python has no pip; install it (Debian: apt-get install python3-pip)"
+        )
     chosen = sorted(wished.union(there[1:]) if keeps else wished)
     install(pip, f"{ROOT}[{','.join(chosen)}]" if chosen else str(ROOT))
     MARK.write_text(" ".join([wanted, *chosen]))
@@ -83,7 +103,15 @@ def install(pip: list[str], project: str) -> None:
     """Install the project with pip, showing its progress on one line; errors of pip are shown in full."""
     constraints = str(ROOT / "constraints.txt")
     # modules are compiled when they are imported; most never are
-    arguments = ["install", "--no-compile", "--disable-pip-version-check", "-c", constraints, "-e", project]
+    arguments = [
+        "install",
+        "--no-compile",
+        "--disable-pip-version-check",
+        "-c",
+        constraints,
+        "-e",
+        project,
+    ]
     started, shows = time.monotonic(), sys.stderr.isatty()
     with subprocess.Popen(
         [*pip, *arguments],
@@ -95,11 +123,17 @@ def install(pip: list[str], project: str) -> None:
         for line in process.stdout:
             step = STEP.match(line)
             if step and shows:
-                print(f"\r\033[K  {time.monotonic() - started:3.0f} s  {step.group().strip()}", end="", file=sys.stderr)
+                print(
+                    f"\r\033[K  {time.monotonic() - started:3.0f} s  {step.group().strip()}",
+                    end="",
+                    file=sys.stderr,
+                )
     if shows:
         print("\r\033[K", end="", file=sys.stderr)
     if process.returncode:
-        sys.exit("launch.py: pip could not install the project; mend what it says above and run this again")
+        sys.exit(
+            "launch.py: pip could not install the project; mend what it says above and run this again"
+        )
     print(f"Set up in {time.monotonic() - started:.0f} s", file=sys.stderr, flush=True)
 
 
@@ -115,8 +149,14 @@ def main() -> None:
     set_up(extras(sys.argv[1:]))
     command = BIN / sys.argv[1]
     if not command.exists():
-        sys.exit(f"launch.py: no command {sys.argv[1]!r} in .venv; try: rosa, pytest, ruff, mypy, python")
-    environment = {**os.environ, "VIRTUAL_ENV": str(VENV), "PATH": f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}"}
+        sys.exit(
+            f"launch.py: no command {sys.argv[1]!r} in .venv; try: rosa, pytest, ruff, mypy, python"
+        )
+    environment = {
+        **os.environ,
+        "VIRTUAL_ENV": str(VENV),
+        "PATH": f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}",
+    }
     if os.name == "nt":
         sys.exit(subprocess.run([str(command), *sys.argv[2:]], env=environment).returncode)
     os.execve(command, [str(command), *sys.argv[2:]], environment)

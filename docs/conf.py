@@ -23,7 +23,12 @@ html_show_sourcelink = False
 html_copy_source = False
 
 CAPTIONS = {
-    **{"first": "Begin", "knowledge": "What the robot knows", "tasks": "What it does", "seen": "Seen"},
+    **{
+        "first": "Begin",
+        "knowledge": "What the robot knows",
+        "tasks": "What it does",
+        "seen": "Seen",
+    },
     **{"connected": "Connected", "measured": "Measured", "project": "The project"},
 }
 MORE = {
@@ -60,7 +65,9 @@ def name_what_is_not_here(app: Sphinx, page: str, source: list[str]) -> None:
 
     source[0] = OUTSIDE.sub(named, source[0])
     if page == "index":
-        source[0] += "\n" + contents((Path(app.srcdir).parent / "README.md").read_text(encoding="utf-8"))
+        source[0] += "\n" + contents(
+            (Path(app.srcdir).parent / "README.md").read_text(encoding="utf-8")
+        )
 
 
 def setup(app: Sphinx) -> None:

@@ -7,7 +7,9 @@ from kb import ConfigurationManager, KnowledgeBase, Model
 # An action requires functions, a function has designs, a design is made of components, and these have configurations.
 model = Model("courier")
 people = model.environmental_attribute("people")  # within 5 m
-drive = model.component("drive_node", kind="lifecycle", always_improve=True)  # takes the better one when it can
+drive = model.component(
+    "drive_node", kind="lifecycle", always_improve=True
+)  # takes the better one when it can
 drive.configuration("brisk", {"speed_m_s": 1.5}, priority=1, constraints=[people <= 2])
 drive.configuration("careful", {"speed_m_s": 0.4}, priority=2)
 move = model.function("move")

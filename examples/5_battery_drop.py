@@ -41,13 +41,19 @@ class Carry(RosaAction):
 
 clock = FakeClock()
 kb = KnowledgeBase(model, clock=clock)
-kb.subscribe(lambda event: None if event.kind is EventKind.RECORD else print(f"{event.time:3.0f} s  {event.text}"))
+kb.subscribe(
+    lambda event: (
+        None if event.kind is EventKind.RECORD else print(f"{event.time:3.0f} s  {event.text}")
+    )
+)
 robot = ScriptedManaged(clock)  # stands in for the real one
 manager = ConfigurationManager(kb, robot)
 
 # The whole task: carry; when that becomes unfeasible, charge until the battery is full, then go on carrying.
 carry = Carry("carry", kb, "carry", wait=True)  # begins when the robot is configured for it
-charge = ForAction("charge", kb, "charge", FailureIsRunning("wait", Measurement("full?", kb, "battery", ">=", 1.0)))
+charge = ForAction(
+    "charge", kb, "charge", FailureIsRunning("wait", Measurement("full?", kb, "battery", ">=", 1.0))
+)
 runner = TreeRunner(do_until_unfeasible(carry, charge, memory=True), clock=clock)
 
 level = 0.75

@@ -59,7 +59,9 @@ class Look(RosaAction):
     def terminate(self, new_status: Status) -> None:
         """Say whether it was done for nothing; called when it ends."""
         if new_status is not Status.SUCCESS:
-            print(f"{self.base.now:4.0f} s  {self.step} is given up after {self.base.now - self.began:.0f} s")
+            print(
+                f"{self.base.now:4.0f} s  {self.step} is given up after {self.base.now - self.began:.0f} s"
+            )
 
 
 def evening(*, ahead: bool) -> None:
@@ -76,7 +78,9 @@ def evening(*, ahead: bool) -> None:
     )
     shown = 0
     while executor.status is not Status.SUCCESS:
-        kb.measure("light", max(0.0, 55.0 - 0.2 * now - 0.6 * max(0.0, now - 120.0) + now % 3.0 - 1.0))
+        kb.measure(
+            "light", max(0.0, 55.0 - 0.2 * now - 0.6 * max(0.0, now - 120.0) + now % 3.0 - 1.0)
+        )
         if now >= 60.0:  # until then it only watches
             executor.catch_up()
             executor.tick_once()

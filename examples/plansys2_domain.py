@@ -11,7 +11,9 @@ from rosa_pddl import PlanExecutor, Step, load_domain
 HERE = Path(__file__).with_name("plansys2_domain")
 
 # Which action of the model each PDDL action does is said when loading; the files stay untouched.
-domain = load_domain(HERE / "domain.pddl", HERE / "problem.pddl", actions={"move": "drive", "recharge": "dock"})
+domain = load_domain(
+    HERE / "domain.pddl", HERE / "problem.pddl", actions={"move": "drive", "recharge": "dock"}
+)
 
 model = Model("patrol_robot")
 model.quality_attribute("battery", low=0.0, high=1.0)
@@ -79,7 +81,9 @@ while executor.status is not Status.SUCCESS:
     executor.catch_up()  # the clock has moved on: the answer that is due by now is there, however slow this computer is
     executor.tick_once()
     for plan in executor.plans[shown:]:
-        print(f"{now:4.1f} s  {plan.reason}: {', then '.join(map(str, plan.steps)) or plan.outcome}")
+        print(
+            f"{now:4.1f} s  {plan.reason}: {', then '.join(map(str, plan.steps)) or plan.outcome}"
+        )
     shown = len(executor.plans)
     now += 1.0
     if now == 3.0:

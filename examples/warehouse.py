@@ -15,7 +15,17 @@ from py_trees.composites import Sequence
 from kb import KnowledgeBase, Model
 from missions.baselines import open_run
 from missions.engine.components import NamedComponents, SimulatedComponents
-from missions.engine.mission import Condition, Message, Mission, Percepts, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.mission import (
+    Condition,
+    Message,
+    Mission,
+    Percepts,
+    Sample,
+    Setting,
+    Verdict,
+    World,
+    WorldKind,
+)
 from missions.engine.recording import failed, measured, sensed
 from missions.engine.settings import Constants, declared, setting
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act
@@ -38,7 +48,10 @@ def build_model() -> Model:
     drive = model.component("drive", kind="lifecycle", always_improve=True)
     drive.configuration("brisk", {"speed_m_s": 1.5}, priority=1, constraints=[people <= 1])
     drive.configuration("careful", {"speed_m_s": 0.5}, priority=2)
-    left, right = model.component("left_arm", kind="lifecycle"), model.component("right_arm", kind="lifecycle")
+    left, right = (
+        model.component("left_arm", kind="lifecycle"),
+        model.component("right_arm", kind="lifecycle"),
+    )
     gripper = model.component("gripper", kind="lifecycle")
 
     localise = model.function("localise", always_improve=True)
@@ -48,7 +61,11 @@ def build_model() -> Model:
     grasp.design("with_both_arms", [left, right, gripper], priority=1)
     grasp.design("with_left_arm", [left, gripper], priority=2)
     grasp.design("with_right_arm", [right], priority=3)  # which has a suction cup
-    move, look, draw_power = model.function("move"), model.function("look"), model.function("draw_power")
+    move, look, draw_power = (
+        model.function("move"),
+        model.function("look"),
+        model.function("draw_power"),
+    )
     move.design("by_drive", [drive])
     look.design("with_camera", [camera])
     draw_power.design("at_dock", [model.component("dock", kind="lifecycle")])
@@ -76,7 +93,11 @@ class Do(RosaAction):
 
     def update(self) -> Status:
         """Look whether this part of it is done."""
-        return Status.SUCCESS if (self.percepts.value(self.done) or 0.0) >= self.order else Status.RUNNING
+        return (
+            Status.SUCCESS
+            if (self.percepts.value(self.done) or 0.0) >= self.order
+            else Status.RUNNING
+        )
 
 
 class Charge(Do):
@@ -96,10 +117,14 @@ def build_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     parts = {"navigate": "arrived", "pick": "picked", "inspect": "inspected"}
     order = [feasible_then_act(Do(action, done, kb, percepts)) for action, done in parts.items()]
     one = do_until_unfeasible(
-        Sequence("order", memory=True, children=order), Charge("charge", "charged", kb, percepts), memory=True
+        Sequence("order", memory=True, children=order),
+        Charge("charge", "charged", kb, percepts),
+        memory=True,
     )
     done = Condition("all fetched?", lambda: percepts.holds("all_fetched"))
-    return UntilSuccess("until all are fetched", Sequence("orders", memory=True, children=[one, done]))
+    return UntilSuccess(
+        "until all are fetched", Sequence("orders", memory=True, children=[one, done])
+    )
 
 
 # ---------------------------------------------------------------- where it happens
@@ -162,7 +187,11 @@ class Warehouse(World):
     def _mishaps(self) -> list[str]:
         planned = {"lidar": self.settings.lidar_fails_s, "left_arm": self.settings.arm_fails_s}
         known = [text for _, text in self.happened]
-        new = [name for name, time in planned.items() if self.time >= time and f"{name} fails" not in known]
+        new = [
+            name
+            for name, time in planned.items()
+            if self.time >= time and f"{name} fails" not in known
+        ]
         self.happened += [(self.time, f"{name} fails") for name in new]
         return new
 
@@ -172,13 +201,20 @@ class Warehouse(World):
         self.battery = max(0.0, self.battery - (0.008 if active else 0.001) * passed)
         speed = {"speed_m_s": 0.0, **self.nodes.parameters("drive")}["speed_m_s"]
         assert isinstance(speed, float)
-        is_dark = self.time >= self.settings.dark_s and self.nodes.parameters("camera").get("exposure_s") != 0.1
+        is_dark = (
+            self.time >= self.settings.dark_s
+            and self.nodes.parameters("camera").get("exposure_s") != 0.1
+        )
         if self.battery == 0.0:
             return
         if "dock" in active:
             self._charge(passed)
-        elif self.part == "arrived" and "drive" in active and active & ({"lidar", "camera"} - broken):
-            self._drive(speed * passed if speed < 1.0 or not self.people else 0.0)  # its bumper stops it in a crowd
+        elif (
+            self.part == "arrived" and "drive" in active and active & ({"lidar", "camera"} - broken)
+        ):
+            self._drive(
+                speed * passed if speed < 1.0 or not self.people else 0.0
+            )  # its bumper stops it in a crowd
         elif self.part == "picked" and (arms := active & ({"left_arm", "right_arm"} - broken)):
             self._progress(passed * len(arms) / 8.0)
         elif self.part == "inspected" and "camera" in active and not is_dark:
@@ -257,6 +293,8 @@ if __name__ == "__main__":
     for manager in ("ours", "fixed", "none"):
         run = open_run(MISSION, manager=manager)
         verdict = run.run()
-        print(f"{manager}: {verdict.outcome} after {run.world.now:.0f} s, {len(run.adaptations)} adaptations")
+        print(
+            f"{manager}: {verdict.outcome} after {run.world.now:.0f} s, {len(run.adaptations)} adaptations"
+        )
         for one in run.adaptations if manager == "ours" else ():
             print(f"{one.at_s:7.1f} s  {one.kind}: {one.change}")

@@ -25,7 +25,15 @@ from kb.planners import Choice, Criterion, Obsolete, Optimum
 from kb.planners.optimal import OptimalPlanner
 from kb.processes import ProcessComponents, Program
 from kb.questions import Situation
-from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Reply, RequiredAction, VetoAnswer
+from kb.records import (
+    Attempt,
+    Memory,
+    Process,
+    ReconfigurationPlan,
+    Reply,
+    RequiredAction,
+    VetoAnswer,
+)
 from kb.status import Status
 from kb.store_file import StoreError
 

@@ -10,7 +10,9 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Final, NamedTuple
 
-MEASUREMENTS: Final = frozenset({"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"})
+MEASUREMENTS: Final = frozenset(
+    {"qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement"}
+)
 COMPONENT_REPORTS: Final = frozenset({"component status", "component"})
 NUMBER: Final = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 COMPONENT_VALUES: Final = dict.fromkeys(("ok", "recovered"), "component_recovered") | dict.fromkeys(
@@ -46,7 +48,9 @@ def read_diagnostics(array: object) -> Iterator[Reading | DiagnosticProblem]:
         for status in found:
             yield from _read_status(status)
     except Exception as error:  # an iterator of the caller may raise anything
-        yield DiagnosticProblem("diagnostics", type(array).__name__, f"no more can be read: {error}")
+        yield DiagnosticProblem(
+            "diagnostics", type(array).__name__, f"no more can be read: {error}"
+        )
 
 
 def _read_status(status: object) -> Iterator[Reading | DiagnosticProblem]:
@@ -57,7 +61,9 @@ def _read_status(status: object) -> Iterator[Reading | DiagnosticProblem]:
             for key, value in _pairs(_part(status, "values", ())):
                 yield _measured(key, value) if message in MEASUREMENTS else _reported(key, value)
     except Exception as error:  # an object of the caller may raise anything when it is read
-        yield DiagnosticProblem(message or "status", type(status).__name__, f"it cannot be read: {error}")
+        yield DiagnosticProblem(
+            message or "status", type(status).__name__, f"it cannot be read: {error}"
+        )
 
 
 def _measured(key: str, value: str) -> Reading | DiagnosticProblem:
@@ -72,11 +78,17 @@ def _reported(key: str, value: str) -> Reading | DiagnosticProblem:
     verb = COMPONENT_VALUES.get(value.strip().casefold())
     if verb is not None:
         return Reading(verb, (key,), value)
-    return DiagnosticProblem(key, value, f"a component status is one of {', '.join(COMPONENT_VALUES)}")
+    return DiagnosticProblem(
+        key, value, f"a component status is one of {', '.join(COMPONENT_VALUES)}"
+    )
 
 
 def _part(whole: object, name: str, default: object) -> object:
-    return whole.get(name, default) if isinstance(whole, dict | Mapping) else getattr(whole, name, default)
+    return (
+        whole.get(name, default)
+        if isinstance(whole, dict | Mapping)
+        else getattr(whole, name, default)
+    )
 
 
 def _pairs(values: object) -> Iterator[tuple[str, str]]:

@@ -29,7 +29,9 @@ def shown(value: object) -> str:
     """Write any value in short, even one whose `repr` fails."""
     try:
         return f"{value!r:.200}"
-    except Exception:  # whole numbers of thousands of digits, lists within themselves, what others have written
+    except (
+        Exception
+    ):  # whole numbers of thousands of digits, lists within themselves, what others have written
         return f"some {type(value).__name__} that cannot be shown"
 
 
@@ -111,12 +113,18 @@ def is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _number(what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True) -> Field:
+def _number(
+    what: str, fits: Callable[[float], bool], *, is_bound: bool = False, can_change: bool = True
+) -> Field:
     """Return a field for a number that fits, finite unless it is a bound; `what` is the message for other values."""
 
     def check(field: str, name: str, value: object) -> float:
         is_finite = is_number(value) and abs(value) <= sys.float_info.max
-        if is_number(value) and (is_finite or (is_bound and abs(value) == math.inf)) and fits(value):
+        if (
+            is_number(value)
+            and (is_finite or (is_bound and abs(value) == math.inf))
+            and fits(value)
+        ):
             return float(value)
         raise ModelError(f"{what.format(field=field, name=name)}, not {shown(value)}")
 
@@ -163,7 +171,9 @@ def rates(field: str, name: str, value: object) -> tuple[Rate, ...]:
             for rate, of, learns in read
         ]
     except (TypeError, ValueError, InvalidValue, ModelError) as error:
-        raise ModelError(f"{field} of {name!r} are (per s, while, learns), not {shown(value)}: {error}") from None
+        raise ModelError(
+            f"{field} of {name!r} are (per s, while, learns), not {shown(value)}: {error}"
+        ) from None
     return tuple({one.while_: one for one in given}.values())
 
 
@@ -189,7 +199,9 @@ def status_of(kind: str, given: object) -> Status:
         known = ", ".join(repr(str(one)) for one in Status)
         raise InvalidValue(f"{shown(given)} is no status; a status is one of {known}")
     if given not in STATUSES.get(kind, ()):
-        raise InvalidValue(f"a {kind} is never {given!s}; it can be {', '.join(STATUSES.get(kind, ()))}")
+        raise InvalidValue(
+            f"a {kind} is never {given!s}; it can be {', '.join(STATUSES.get(kind, ()))}"
+        )
     return Status(str(given))
 
 
@@ -205,11 +217,15 @@ def listed(what: str, values: object) -> tuple[Any, ...]:
 def parameters(configuration: str, values: object) -> Mapping[str, Any]:
     """Return the parameters of a configuration, a copy that cannot be changed."""
     if not isinstance(values, Mapping):
-        raise ModelError(f"the parameters of {configuration!r} are given as values by name, not as {values!r}")
+        raise ModelError(
+            f"the parameters of {configuration!r} are given as values by name, not as {values!r}"
+        )
     for key in values:
         if not isinstance(key, str):
             raise ModelError(f"the name of a parameter of {configuration!r} is a text, not {key!r}")
-    return MappingProxyType({key: _parameter(configuration, key, value) for key, value in values.items()})
+    return MappingProxyType(
+        {key: _parameter(configuration, key, value) for key, value in values.items()}
+    )
 
 
 def _parameter(configuration: str, key: str, value: object) -> object:
@@ -227,7 +243,12 @@ def _parameter(configuration: str, key: str, value: object) -> object:
     )
 
 
-PARAMETER_TYPES: Final[Mapping[type, str]] = {bool: "boolean", float: "double", int: "long", str: "string"}
+PARAMETER_TYPES: Final[Mapping[type, str]] = {
+    bool: "boolean",
+    float: "double",
+    int: "long",
+    str: "string",
+}
 """ROSA's words for the types of parameters."""
 
 
@@ -239,7 +260,11 @@ def parameter_type(value: Parameter) -> str:
 
 
 def _is_scalar(value: object) -> bool:
-    return abs(value) <= sys.float_info.max if isinstance(value, int | float) else isinstance(value, str)
+    return (
+        abs(value) <= sys.float_info.max
+        if isinstance(value, int | float)
+        else isinstance(value, str)
+    )
 
 
 class AttributeKind(StrEnum):
@@ -276,12 +301,18 @@ class EstimationKind(StrEnum):
     ABSOLUTE = "absolute"
 
 
-_FLAG: Final = Field(lambda field, name, it: it if type(it) is bool else flag(f"{field} of {name!r}", it))
-_TEXT: Final = Field(lambda field, name, it: it if type(it) is str else text(f"the {field} of {name!r}", it), False)
+_FLAG: Final = Field(
+    lambda field, name, it: it if type(it) is bool else flag(f"{field} of {name!r}", it)
+)
+_TEXT: Final = Field(
+    lambda field, name, it: it if type(it) is str else text(f"the {field} of {name!r}", it), False
+)
 _NUMBER: Final = Field(lambda _, __, value: finite_number(value))
 _PRIORITY: Final = Field(_priority)
 _SPAN: Final = _number("the {field} of {name!r} is a number from 0", lambda value: value >= 0)
-_AGE: Final = _number("{field} of {name!r} is a time in seconds above 0", lambda value: value > 0, is_bound=True)
+_AGE: Final = _number(
+    "{field} of {name!r} is a time in seconds above 0", lambda value: value > 0, is_bound=True
+)
 _RANGE: Final = "the {field} end of the range of {name!r} is a number"
 _BOUND: Final = _number(_RANGE, lambda _: True, is_bound=True, can_change=False)
 _AGREEMENT: Final = Field(agreement)
@@ -304,13 +335,22 @@ class Owner(Protocol):
     def actions(self) -> Mapping[str, "Action"]: ...
     def change(self, element: "Changeable | str", **fields: object) -> None: ...
     def declare(
-        self, cls: type[ElementT], name: str, constraints: Iterable["Expression"] = (), /, **given: object
+        self,
+        cls: type[ElementT],
+        name: str,
+        constraints: Iterable["Expression"] = (),
+        /,
+        **given: object,
     ) -> ElementT: ...
     def constrain_all(
         self, elements: Iterable["Constrainable"], constraints: Iterable["Expression"]
     ) -> tuple["Constraint", ...]: ...
     def add_estimation(
-        self, causer: "Estimable", attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive"
+        self,
+        causer: "Estimable",
+        attribute: "Attribute | str",
+        value: float,
+        kind: EstimationKind | str = "positive",
     ) -> "Estimation": ...
 
 
@@ -327,11 +367,15 @@ class Expression:
 
     def __post_init__(self) -> None:
         if not isinstance(self.operator, str) or self.operator not in OPERATORS:
-            raise ModelError(f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}")
+            raise ModelError(
+                f"{self.operator!r} is no comparison; there are {', '.join(OPERATORS)}"
+            )
         finite_number(self.value)
         for what, unit in (("hysteresis", "in the attribute's unit"), ("dwell", "in seconds")):
             if finite_number(getattr(self, what)) < 0:
-                raise ModelError(f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}")
+                raise ModelError(
+                    f"the {what} of {self} is a number from 0, {unit}; not {getattr(self, what)!r}"
+                )
 
     def steady(self, *, hysteresis: float = 0.0, dwell: float = 0.0) -> "Expression":
         """Return the same comparison for a constraint that a value about its threshold does not make flap.
@@ -399,7 +443,9 @@ class _Constrainable(Element):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Estimable(_Constrainable):
-    def estimate(self, attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive") -> None:
+    def estimate(
+        self, attribute: "Attribute | str", value: float, kind: EstimationKind | str = "positive"
+    ) -> None:
         """State what choosing this element does to an attribute.
 
         Args:
@@ -425,7 +471,9 @@ class Attribute(Element):
         rates: how fast it changes, as far as that is stated; see `changes`.
     """
 
-    kind: Annotated[AttributeKind, _one_of("attribute kind", AttributeKind, can_change=False)] = AttributeKind.QUALITY
+    kind: Annotated[AttributeKind, _one_of("attribute kind", AttributeKind, can_change=False)] = (
+        AttributeKind.QUALITY
+    )
     max_age: Annotated[float, _AGE] = math.inf
     when_stale: Annotated[StalePolicy, _one_of("policy for stale measurements", StalePolicy)] = (
         StalePolicy.NOT_EVALUATED
@@ -439,13 +487,17 @@ class Attribute(Element):
 
     def __post_init__(self) -> None:
         if not self.low <= self.high or self.low == math.inf or self.high == -math.inf:
-            raise ModelError(f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}")
+            raise ModelError(
+                f"the range of {self.name!r} holds no number: from {self.low!r} to {self.high!r}"
+            )
 
     def forecast(self, by: str | ForecastFunction) -> None:
         """State how this attribute is forecast where no rate applies: "constant", "trend", "periodic" or a function."""
         self.model.change(self, forecasting=by)
 
-    def changes(self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False) -> None:
+    def changes(
+        self, rate: float, *, per: str = "s", while_: "Action | str" = "", learns: bool = False
+    ) -> None:
         """State how fast this attribute changes [its unit per "s", "min" or "h"], always or while an action is done.
 
         There is one rate for each action; rates that apply at the same time add up. A rate that learns is replaced by
@@ -456,7 +508,9 @@ class Attribute(Element):
         name = while_.name if isinstance(while_, Action) else while_
         if name and name not in self.model.actions:
             raise UnknownName("action", name, self.model.actions)
-        self.model.change(self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns)))
+        self.model.change(
+            self, rates=(*self.rates, Rate(finite_number(rate) / _PER[per], name, learns))
+        )
 
     def checked(self, value: object) -> float:
         """Return a value of this attribute as a float; what is no finite number, or out of range, is refused."""
@@ -510,7 +564,9 @@ class Component(_Estimable):
         executable: the program's name there.
     """
 
-    kind: Annotated[ComponentKind, _one_of("component kind", ComponentKind, can_change=False)] = ComponentKind.PLAIN
+    kind: Annotated[ComponentKind, _one_of("component kind", ComponentKind, can_change=False)] = (
+        ComponentKind.PLAIN
+    )
     always_improve: Annotated[bool, _FLAG] = False
     stops_to_configure: Annotated[bool, _FLAG] = False
     package: Annotated[str, _TEXT] = ""
@@ -614,7 +670,9 @@ class ByName(dict[Any, T]):
         self._kind = kind
 
     def __missing__(self, name: object) -> T:
-        raise UnknownName(self._kind, name, map(str, tuple(self)))  # as of now: another thread may add to it
+        raise UnknownName(
+            self._kind, name, map(str, tuple(self))
+        )  # as of now: another thread may add to it
 
 
 def called(element: Changeable) -> str:
@@ -628,7 +686,11 @@ def meant_by(name: object, tables: Mapping[str, Mapping[str, T]], what: str, adv
     Raises:
         AmbiguousName: several kinds have such a name, and an advice what to do then is given.
     """
-    found = {kind: table[name] for kind, table in tables.items() if isinstance(name, str) and name in table}
+    found = {
+        kind: table[name]
+        for kind, table in tables.items()
+        if isinstance(name, str) and name in table
+    }
     if not found:
         raise UnknownName(what, name, [one for table in tables.values() for one in table])
     if advice and len(found) > 1:

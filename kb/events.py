@@ -27,7 +27,9 @@ class EventKind(StrEnum):
     RECORD = "record"
 
 
-_MADE: Final = frozenset({"component_configured", "component_started", "component_ended", "finish_plan", "store"})
+_MADE: Final = frozenset(
+    {"component_configured", "component_started", "component_ended", "finish_plan", "store"}
+)
 RECORDS: Final = _MADE | {"record_attempt", "finish_attempt", "record_answer", "progress"}
 """The verbs of events that are only put on record and change no fact of the state."""
 
@@ -94,18 +96,29 @@ class Event(NamedTuple):
         if self.plan is not None:
             return str(self.plan)
         if self.effects:
-            return ", ".join(f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in self.effects)
+            return ", ".join(
+                f"{name} is {'' if is_so else 'not '}selected" for _, name, is_so in self.effects
+            )
         found = _WORDS.get(self.verb)
         given = map(str, self.arguments)
-        return f"{self.verb.replace('_', ' ')}: {', '.join(given)}" if found is None else found(self)
+        return (
+            f"{self.verb.replace('_', ' ')}: {', '.join(given)}" if found is None else found(self)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return it as values that JSON can hold; `from_json` is the way back, but for the plan."""
         arguments, effects = plain(self.arguments), [list(one) for one in self.effects]
         changes = [list(map(str, one)) for one in self.changes]  # there can be many
-        written = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
+        written = {
+            "number": self.number,
+            "time": self.time,
+            "verb": self.verb,
+            "arguments": arguments,
+        }
         said = {"changes": changes, "cause": self.cause, "effects": effects, "words": self.words}
-        return written | {name: value for name, value in said.items() if value not in ([], None, "")}
+        return written | {
+            name: value for name, value in said.items() if value not in ([], None, "")
+        }
 
     @classmethod
     def from_json(cls, written: Mapping[str, Any]) -> Self:
@@ -115,7 +128,8 @@ class Event(NamedTuple):
             LookupError, TypeError, ValueError: that was no event.
         """
         changes = tuple(
-            StatusChange(kind, name, Status(old), Status(new)) for kind, name, old, new in written.get("changes", ())
+            StatusChange(kind, name, Status(old), Status(new))
+            for kind, name, old, new in written.get("changes", ())
         )
         return cls(
             int(written["number"]),
@@ -124,7 +138,9 @@ class Event(NamedTuple):
             tuple(tuple(one) if isinstance(one, list) else one for one in written["arguments"]),
             changes,
             written.get("cause"),
-            tuple((kind, name, bool(selected)) for kind, name, selected in written.get("effects", ())),
+            tuple(
+                (kind, name, bool(selected)) for kind, name, selected in written.get("effects", ())
+            ),
             None,
             str(written.get("words", "")),
         )
@@ -138,22 +154,34 @@ _WORDS: Final[Mapping[str, Callable[[Event], str]]] = {
     "measure": lambda one: f"{one.subject} is {one.arguments[1]:g}",
     "component_failed": lambda one: f"{one.subject} has failed{_of(one, 1)}",
     "component_recovered": lambda one: f"{one.subject} is recovered",
-    "component_active": lambda one: f"{one.subject} is {'active' if one.arguments[1] else f'inactive{_of(one, 2)}'}",
+    "component_active": lambda one: (
+        f"{one.subject} is {'active' if one.arguments[1] else f'inactive{_of(one, 2)}'}"
+    ),
     "component_started": lambda one: f"{one.subject} runs as process {one.arguments[1]}",
-    "component_ended": lambda one: f"{one.subject} no longer runs as process {one.arguments[1] or ''}".rstrip(),
+    "component_ended": lambda one: (
+        f"{one.subject} no longer runs as process {one.arguments[1] or ''}".rstrip()
+    ),
     "request_action": lambda one: f"{one.subject} is requested",
     "cancel_action": lambda one: f"{one.subject} is {': '.join(filter(None, one.arguments[1:]))}",
-    "assert_required": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'no longer '}asserted required",
-    "assert_selected": lambda one: f"{one.subject} is {'' if one.arguments[1] else 'not '}selected{_of(one, 2)}",
+    "assert_required": lambda one: (
+        f"{one.subject} is {'' if one.arguments[1] else 'no longer '}asserted required"
+    ),
+    "assert_selected": lambda one: (
+        f"{one.subject} is {'' if one.arguments[1] else 'not '}selected{_of(one, 2)}"
+    ),
     "note_no_choice": lambda one: (
-        f"nothing can be selected because {one.subject}" if one.subject else "something can be selected again"
+        f"nothing can be selected because {one.subject}"
+        if one.subject
+        else "something can be selected again"
     ),
     "finish_plan": lambda one: "plan {} is {}".format(*one.arguments),
     "finish_attempt": lambda one: f"attempt {one.arguments[0]} is {one.arguments[1]}{_of(one, 2)}",
     "record_answer": lambda one: (
         f"plan {one.arguments[0]} {'is vetoed' if one.arguments[1] else 'may be executed'}{_of(one, 2)}"
     ),
-    "progress": lambda one: f"{one.arguments[1]} {'is kept to be gone on with' if one.arguments[2] else 'begins anew'}",
+    "progress": lambda one: (
+        f"{one.arguments[1]} {'is kept to be gone on with' if one.arguments[2] else 'begins anew'}"
+    ),
     "store": lambda one: str(one.arguments[0]),
     "begin": lambda _: "begins with what the model states",
 }
@@ -179,12 +207,18 @@ class Log:
         time: of the last event [s].
     """
 
-    def __init__(self, memory: Memory, lock: AbstractContextManager[object], settle: Callable[[], None]) -> None:
-        self._lock = lock  # of the base that tells them: what is told meanwhile is told before or after
+    def __init__(
+        self, memory: Memory, lock: AbstractContextManager[object], settle: Callable[[], None]
+    ) -> None:
+        self._lock = (
+            lock  # of the base that tells them: what is told meanwhile is told before or after
+        )
         self.settle = settle  # called before all are looked at: what was interrupted ends
         self.last, self.begins, self.time = 0, 1, -math.inf
         self.heard: Callable[[], None] | None = None  # called when there is a new event
-        self.witnesses: tuple[Callable[[Event], None], ...] = ()  # hear of each by the thread that holds the base
+        self.witnesses: tuple[
+            Callable[[Event], None], ...
+        ] = ()  # hear of each by the thread that holds the base
         self._most, self._span = memory.events, memory.span
         self._measured: deque[Event] = deque()
         self._others: deque[Event] = deque()
@@ -193,7 +227,9 @@ class Log:
         """Add an event, unless one of its number is there already."""
         number, time = event.number, event.time
         events = self._measured if event.verb == "measure" else self._others
-        if not events or events[-1].number < number:  # no signal is handled between this and what follows
+        if (
+            not events or events[-1].number < number
+        ):  # no signal is handled between this and what follows
             events.append(event)
         while len(events) > self._most or events[0].time < time - self._span:
             self.begins = max(self.begins, events[0].number + 1)
@@ -259,7 +295,9 @@ class Publisher:
     def subscribe(self, callback: Callable[[Event], None]) -> Callable[[], None]:
         """Call a function with every event from now on; returns how to stop that."""
         if not callable(callback):
-            raise InvalidValue(f"a subscriber is called with each event; {callback!r} cannot be called")
+            raise InvalidValue(
+                f"a subscriber is called with each event; {callback!r} cannot be called"
+            )
         with self._lock:
             subscriber = _Subscriber(callback, self._log.last)
             self.is_heard = True
@@ -274,13 +312,17 @@ class Publisher:
         while any(one.heard < self._log.last for one in self._subscribers) and not self._is_held():
             turn: list[bool] = []
             try:
-                turn.extend(map(self._turn.acquire, (False,)))  # taken and noted in one step, whatever interrupts
+                turn.extend(
+                    map(self._turn.acquire, (False,))
+                )  # taken and noted in one step, whatever interrupts
                 if not turn[0]:
                     self._answered(told)
                     return
                 with self._lock:
                     last = self._log.last
-                    events = list(self._log.since(min((one.heard for one in self._subscribers), default=last)))
+                    events = list(
+                        self._log.since(min((one.heard for one in self._subscribers), default=last))
+                    )
                 for event in events:
                     depth = self._answers.pop(event.number, 0)
                     for subscriber in tuple(self._subscribers):
@@ -288,7 +330,9 @@ class Publisher:
                             self._called = get_ident(), subscriber, depth
                             _call(subscriber, event)
                 for subscriber in self._subscribers:
-                    subscriber.heard = max(subscriber.heard, last)  # even if the log has forgotten some by now
+                    subscriber.heard = max(
+                        subscriber.heard, last
+                    )  # even if the log has forgotten some by now
             finally:
                 if turn and turn[0]:
                     self._turn.release()
@@ -322,7 +366,12 @@ def _call(subscriber: _Subscriber, event: Event) -> None:
     try:
         subscriber.call(event)
     except Exception:
-        _log.error("the subscriber %r failed on %r", subscriber.call, event.text, exc_info=not subscriber.has_failed)
+        _log.error(
+            "the subscriber %r failed on %r",
+            subscriber.call,
+            event.text,
+            exc_info=not subscriber.has_failed,
+        )
         subscriber.has_failed = True  # where is logged once: it may fail on all that comes
     finally:
         subscriber.heard = event.number

@@ -47,7 +47,11 @@ class UnknownName(KnowledgeBaseError, KeyError):
     def __init__(self, kind: str, name: object, known: Iterable[str]) -> None:
         names = list(dict.fromkeys(known))
         begin = str(name)[:2].casefold()
-        likely = names if len(names) <= _MANY else [one for one in names if one.casefold().startswith(begin)]
+        likely = (
+            names
+            if len(names) <= _MANY
+            else [one for one in names if one.casefold().startswith(begin)]
+        )
         near = get_close_matches(str(name), likely, n=3)
         if near:
             hint = f"did you mean {' or '.join(repr(match) for match in near)}?"

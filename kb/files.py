@@ -24,9 +24,13 @@ class ModelFileError(ModelError):
         column: counted from 1, in characters.
     """
 
-    def __init__(self, message: str, file: str, line: int | None = None, column: int | None = None) -> None:
+    def __init__(
+        self, message: str, file: str, line: int | None = None, column: int | None = None
+    ) -> None:
         self.file, self.line, self.column = file, line, column
-        super().__init__(f"{file}: {message}" if line is None else f"{file}:{line}:{column}: {message}")
+        super().__init__(
+            f"{file}: {message}" if line is None else f"{file}:{line}:{column}: {message}"
+        )
 
 
 class DuplicateInFile(ModelFileError, DuplicateName):
@@ -68,7 +72,9 @@ def read_text(file: Path) -> str:
     except FileNotFoundError:
         beside = sorted(one.name for suffix in SUFFIXES for one in file.parent.glob(f"*{suffix}"))
         none = "there is no such file, and no other model in that folder"
-        raise ModelFileError(str(UnknownName("file", file.name, beside)) if beside else none, str(file)) from None
+        raise ModelFileError(
+            str(UnknownName("file", file.name, beside)) if beside else none, str(file)
+        ) from None
     except IsADirectoryError:
         raise ModelFileError("this is a folder; give the model file in it", str(file)) from None
     except (OSError, ValueError) as error:
@@ -78,7 +84,9 @@ def read_text(file: Path) -> str:
     except UnicodeDecodeError as error:
         before = content[: error.start]
         column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8").removeprefix(_MARK)) + 1
-        likely = "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
+        likely = (
+            "UTF-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "Latin-1 or Windows-1252"
+        )
         message = f"byte {content[error.start]:#04x} at offset {error.start} is not UTF-8, which is expected; "
         message += f"the file may be {likely}: save it as UTF-8"
         raise ModelFileError(message, str(file), before.count(b"\n") + 1, column) from None

@@ -17,7 +17,15 @@ from types import MappingProxyType
 from typing import Any, Final, Literal
 
 from kb import facts
-from kb.elements import Action, Attribute, Constraint, Element, Estimation, Parameters, finite_number
+from kb.elements import (
+    Action,
+    Attribute,
+    Constraint,
+    Element,
+    Estimation,
+    Parameters,
+    finite_number,
+)
 from kb.events import RECORDS, Event, Log, StatusChange
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.explanation import note_nothing, reading, staleness, why_selected
@@ -26,7 +34,16 @@ from kb.model import Model, amendment
 from kb.network import Network, Node, Ref
 from kb.owl import Serials
 from kb.planners import planned, reselect
-from kb.records import Attempt, Memory, Process, ReconfigurationPlan, Records, RequiredAction, VetoAnswer, finish
+from kb.records import (
+    Attempt,
+    Memory,
+    Process,
+    ReconfigurationPlan,
+    Records,
+    RequiredAction,
+    VetoAnswer,
+    finish,
+)
 from kb.state import FACTS, UNSET, History, Reason, State, infer_anew, propagate
 from kb.status import UNFEASIBLE, Status
 
@@ -41,7 +58,9 @@ _BACK: Final = 1.0
 """How far a clock may go back [s]: clocks are corrected, and threads may tell in another order than they read it."""
 
 _STATUSES: Final = ("asserted", "verdict")
-_IN_THE_MIDST: Final = "a signal handler or finalizer can ask and tell nothing in the midst of an event; do that later"
+_IN_THE_MIDST: Final = (
+    "a signal handler or finalizer can ask and tell nothing in the midst of an event; do that later"
+)
 
 _Pending = tuple[Event, Sequence[Put], bool] | Literal["open"]
 """An event that is in, the updates that must still be made, and whether it matters to a planner; or "open" for an event
@@ -94,23 +113,35 @@ class Knowledge:
         self.serials = Serials.of(model)
         self.log = Log(memory, lock, self.complete)
         self.state = State(network)
-        propagate(self.state, [node for node in network.functions.values() if not node.parts])  # all else is feasible
+        propagate(
+            self.state, [node for node in network.functions.values() if not node.parts]
+        )  # all else is feasible
         self.measurements = Measurements(self.state, memory)
         self.records = Records(memory)
         self.now = -math.inf  # all events that time causes are made until here [s]
         self.revision = 0  # number of the last event that can matter to a planner
-        self.changed_by: dict[int, int] = {}  # by node: the last event that changed its status, plans aside
-        self.feasibility: int | None = None  # number of the event that last made an action feasible or unfeasible
+        self.changed_by: dict[
+            int, int
+        ] = {}  # by node: the last event that changed its status, plans aside
+        self.feasibility: int | None = (
+            None  # number of the event that last made an action feasible or unfeasible
+        )
         self.in_words = False  # whether events of measurements have a text too
-        self.heard: Callable[[], None] = lambda: None  # called after a change of the model, without the lock
+        self.heard: Callable[[], None] = lambda: (
+            None
+        )  # called after a change of the model, without the lock
         self.pending: _Pending | None = None  # an event that was interrupted; see `finish`
-        self.telling = Lock()  # held, with the other lock, from the checks of a fact until its event is in
+        self.telling = (
+            Lock()
+        )  # held, with the other lock, from the checks of a fact until its event is in
         self._amended: facts.Amended | None = None
         self._before: Mapping[Node, Status] = {}
 
     # ---------------------------------------------------------------- putting in place
 
-    def apply(self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None) -> Event | None:
+    def apply(
+        self, time: float, verb: str, arguments: tuple[Any, ...], cause: int | None = None
+    ) -> Event | None:
         """Make an event from a verb and its arguments and apply it; None if it would change nothing."""
         if self.pending is not None:
             self.finish()
@@ -156,7 +187,9 @@ class Knowledge:
                 puts.append((measurements.put_judged, judged, time))
             changes = propagate(state, touched)
         arguments = (node.name, value)
-        event = _NEW(Event, (log.last + 1, time, "measure", arguments, tuple(changes), None, (), None, words))
+        event = _NEW(
+            Event, (log.last + 1, time, "measure", arguments, tuple(changes), None, (), None, words)
+        )
         self.pending = event, puts, bool(changes)
         if touched or thresholds.steady or log.witnesses:
             self.finish()
@@ -181,7 +214,10 @@ class Knowledge:
     def advance(self, now: float) -> None:
         """Make the events that time causes until now, each with the time at which it was due."""
         while (due := self.measurements.alarms.due(now)) is not None:
-            time, key = max(due[0], self.log.time), due[1]  # a changed model may make it due in the past
+            time, key = (
+                max(due[0], self.log.time),
+                due[1],
+            )  # a changed model may make it due in the past
             node = self.network.nodes[key if key >= 0 else ~key]
             if key < 0:
                 until = self.state.reason("asserted", node).until
@@ -242,7 +278,9 @@ class Knowledge:
         try:
             shown = finite_number(now)
         except InvalidValue as error:
-            raise InvalidValue(f"the clock gives {now!r} for the time in seconds: {error}; nothing was told") from None
+            raise InvalidValue(
+                f"the clock gives {now!r} for the time in seconds: {error}; nothing was told"
+            ) from None
         if shown < last - _BACK:
             raise InvalidValue(
                 f"the clock went back, from {last!r} s to {shown!r} s, and facts keep their order: give the knowledge "
@@ -300,11 +338,18 @@ class Knowledge:
         self.pending = "open"
 
     def _judge(
-        self, constraints: Iterable[Node], value: float | None, recent: tuple[float, ...], now: float
+        self,
+        constraints: Iterable[Node],
+        value: float | None,
+        recent: tuple[float, ...],
+        now: float,
     ) -> tuple[list[Judged], list[Node]]:
         """Judge debounced constraints by the latest measurements; returns that, and those whose verdict changed."""
         verdict = self.state.verdict
-        judged = [self.measurements.judge(one, value, recent, verdict[one.index], now) for one in constraints]
+        judged = [
+            self.measurements.judge(one, value, recent, verdict[one.index], now)
+            for one in constraints
+        ]
         changed = [(node, after) for node, after, _ in judged if after is not None]
         for node, after in changed:
             self.state.put(verdict, node.index, after)
@@ -328,10 +373,18 @@ class Knowledge:
             self.measurements.put_judged(judged, event.time)
             return None
         words = f"{node.name} is {judged[0].verdict}, after its dwell"
-        return self._put(event, touched, (self.measurements.put_judged, judged, event.time), words=words, matters=None)
+        return self._put(
+            event,
+            touched,
+            (self.measurements.put_judged, judged, event.time),
+            words=words,
+            matters=None,
+        )
 
     def _lapse(self, event: Event, ref: Ref, status: str) -> Event:
-        return self._asserted(event, ref, None, words=f"no longer asserted {status}: its time is over")
+        return self._asserted(
+            event, ref, None, words=f"no longer asserted {status}: its time is over"
+        )
 
     # ---------------------------------------------------------------- what is so
 
@@ -346,14 +399,20 @@ class Knowledge:
         return self._stated(event, node, "failed", False)
 
     def _component_active(self, event: Event, name: str, active: bool, reason: str) -> Event:
-        return self._stated(event, self.network.components[name], "active", active, "" if active else reason)
+        return self._stated(
+            event, self.network.components[name], "active", active, "" if active else reason
+        )
 
-    def _stated(self, event: Event, node: Node, column: str, is_so: bool, reason: str = "") -> Event:
+    def _stated(
+        self, event: Event, node: Node, column: str, is_so: bool, reason: str = ""
+    ) -> Event:
         self.state.put(self.state.columns[column], node.index, is_so)
         self.state.give_reason(column, node, reason)
         return self._put(event, [node])
 
-    def _assert_status(self, event: Event, ref: Ref, status: str, reason: str, until: float | None) -> Event:
+    def _assert_status(
+        self, event: Event, ref: Ref, status: str, reason: str, until: float | None
+    ) -> Event:
         words = f"asserted {status}{Reason(reason, until)}"
         return self._asserted(event, ref, Status(status), reason, until, words=words)
 
@@ -361,7 +420,14 @@ class Knowledge:
         return self._asserted(event, ref, None, words="no longer asserted")
 
     def _asserted(
-        self, event: Event, ref: Ref, status: Status | None, reason: str = "", until: float | None = None, *, words: str
+        self,
+        event: Event,
+        ref: Ref,
+        status: Status | None,
+        reason: str = "",
+        until: float | None = None,
+        *,
+        words: str,
     ) -> Event:
         node, alarms = self.network.referred(ref), self.measurements.alarms
         self.state.put(self.state.asserted, node.index, status)
@@ -386,12 +452,16 @@ class Knowledge:
 
     # ---------------------------------------------------------------- requests and plans
 
-    def _request_action(self, event: Event, name: str, preference: str | Mapping[str, float] | None) -> Event:
+    def _request_action(
+        self, event: Event, name: str, preference: str | Mapping[str, float] | None
+    ) -> Event:
         node = self.network.actions[name]
         self.state.put(self.state.requested, node.index, True)
         if preference is not None and not isinstance(preference, str):
             preference = MappingProxyType(dict(preference))
-        record = RequiredAction(name, preference, event.time, cause=event.cause, number=event.number)
+        record = RequiredAction(
+            name, preference, event.time, cause=event.cause, number=event.number
+        )
         return self._put(event, [node], (self.records.put, "requests", event.number, record))
 
     def _cancel_action(self, event: Event, name: str, result: str, reason: str) -> Event:
@@ -400,10 +470,16 @@ class Knowledge:
         words = f"{name} is {result}: {reason}" if reason else f"{name} is {result}"
         ended = (*self.records.ended, words)[-_ENDED:] if reason else self.records.ended
         end = {"result": result, "end": event.time, "reason": reason}
-        return self._put(event, [node], (self.records.end_request, record, ended, event.number, end))
+        return self._put(
+            event, [node], (self.records.end_request, record, ended, event.number, end)
+        )
 
     def _select(
-        self, event: Event, designs: Mapping[str, str], configurations: Mapping[str, str], reason: str
+        self,
+        event: Event,
+        designs: Mapping[str, str],
+        configurations: Mapping[str, str],
+        reason: str,
     ) -> Event | None:
         state, network = self.state, self.network
         chosen = [network.designs[name] for name in designs.values()]
@@ -421,7 +497,9 @@ class Knowledge:
             number = next(reversed(self.records.plans), 0) + 1
             plan = planned(state, selection, why, event.time, event.cause, number)
             put = self.records.put, "plans", number, plan
-            return self._put(event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False)
+            return self._put(
+                event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False
+            )
         if not effects and len(state.kept or ()) == before:
             return None
         return self._put(event, changes=selection.changes, effects=effects, matters=bool(effects))
@@ -432,7 +510,9 @@ class Knowledge:
 
     # ---------------------------------------------------------------- records
 
-    def _component_configured(self, event: Event, name: str, parameters: Mapping[str, Any]) -> Event:
+    def _component_configured(
+        self, event: Event, name: str, parameters: Mapping[str, Any]
+    ) -> Event:
         return self._recorded(event, self._configure(name, MappingProxyType(dict(parameters))))
 
     def _component_started(self, event: Event, name: str, pid: int) -> Event:
@@ -440,7 +520,11 @@ class Knowledge:
         return self._recorded(event, (self.records.put, "processes", event.number, process))
 
     def _component_ended(self, event: Event, name: str, pid: int | None) -> Event | None:
-        running = [one for one in self.records.processes.values() if one.component == name and one.end is None]
+        running = [
+            one
+            for one in self.records.processes.values()
+            if one.component == name and one.end is None
+        ]
         ended = [(finish, one, {"end": event.time}) for one in running if pid in (None, one.pid)]
         return self._recorded(event, *ended) if ended else None
 
@@ -448,12 +532,16 @@ class Knowledge:
         component, operation, configuration, parameters, number = command
         serial, made = next(reversed(self.records.attempts), 0) + 1, self.records.plans[plan]
         given = MappingProxyType(dict(parameters))
-        attempt = Attempt(made, component, operation, configuration, given, number, event.time, serial=serial)
+        attempt = Attempt(
+            made, component, operation, configuration, given, number, event.time, serial=serial
+        )
         return self._recorded(event, (self.records.put, "attempts", serial, attempt))
 
     def _finish_attempt(self, event: Event, serial: int, result: str, reason: str) -> Event:
         attempt = self.records.attempts[serial]
-        puts: list[Put] = [(finish, attempt, {"result": result, "reason": reason, "end": event.time})]
+        puts: list[Put] = [
+            (finish, attempt, {"result": result, "reason": reason, "end": event.time})
+        ]
         if attempt.operation == "configure" and result == "completed":
             puts.append(self._configure(attempt.component, attempt.parameters))
         return self._recorded(event, *puts)
@@ -463,7 +551,9 @@ class Knowledge:
         return self._recorded(event, (self.records.put, "answers", event.number, answer))
 
     def _progress(self, event: Event, action: str, behaviour: str, saved: str) -> Event:
-        return self._recorded(event, (self.records.progress.__setitem__, (action, behaviour), saved))
+        return self._recorded(
+            event, (self.records.progress.__setitem__, (action, behaviour), saved)
+        )
 
     def _store(self, event: Event, _: str) -> Event:
         return self._recorded(event)
@@ -486,14 +576,21 @@ class Knowledge:
 
     def _begin_with(self, fact: facts.Fact, number: int, now: float) -> None:
         if isinstance(fact, facts.MeasurementFact):
-            node, time = self.network.attributes[fact.attribute], now if fact.time is None else fact.time
+            node, time = (
+                self.network.attributes[fact.attribute],
+                now if fact.time is None else fact.time,
+            )
             if fact.latest:
                 self.measure(node, fact.value, time)
             else:
                 history = self.measurements.history(node)
                 history.add(time, fact.value, len(history.pairs))
         elif isinstance(fact, facts.StatusFact):
-            self.apply(now, "assert_status", (self.network.find(fact.element).ref, str(fact.status), "", None))
+            self.apply(
+                now,
+                "assert_status",
+                (self.network.find(fact.element).ref, str(fact.status), "", None),
+            )
         elif isinstance(fact, facts.RequiredFact):
             self.apply(now, "assert_required", (self.network.find(fact.element).ref, True))
         elif isinstance(fact, facts.SelectedFact):
@@ -533,14 +630,30 @@ class Knowledge:
     def _follow(self, change: facts.Amended) -> None:
         for element in change.elements if change.how == "removed" else ():
             if isinstance(element, Action) and element.name in self.records.required:
-                self.apply(self.now, "cancel_action", (element.name, "abandoned", "it is no longer in the model"))
+                self.apply(
+                    self.now,
+                    "cancel_action",
+                    (element.name, "abandoned", "it is no longer in the model"),
+                )
         self.state.kept = None
         self._before = {node: self.state.status[node.index] for node in self.network.present()}
-        gone = [node for node in self._before if change.how == "removed" and node.element in change.elements]
-        named = [one for one in change.elements if not isinstance(one, Estimation)] or change.elements
+        gone = [
+            node
+            for node in self._before
+            if change.how == "removed" and node.element in change.elements
+        ]
+        named = [
+            one for one in change.elements if not isinstance(one, Estimation)
+        ] or change.elements
         names = ", ".join(one.name if isinstance(one, Element) else str(one) for one in named)
         written = tuple(amendment(change.how, change.elements, self.serials))
-        event = Event(self.log.last + 1, self.now, "amend", written, words=f"{names} {change.how} in the model")
+        event = Event(
+            self.log.last + 1,
+            self.now,
+            "amend",
+            written,
+            words=f"{names} {change.how} in the model",
+        )
         self.pending = event, ((self._renew, change, gone),), True
         self.finish()
 
@@ -565,7 +678,9 @@ class Knowledge:
             (node, self._before.get(node, UNSET[node.kind]), self.state.status[node.index])
             for node in self.network.present()
         ]
-        return tuple(StatusChange(node.kind, node.name, old, new) for node, old, new in now if old is not new)
+        return tuple(
+            StatusChange(node.kind, node.name, old, new) for node, old, new in now if old is not new
+        )
 
     # ---------------------------------------------------------------- the fold, and what it is at one moment
 
@@ -592,10 +707,14 @@ class Knowledge:
         reasons = [(key, one) for key, one in self.state.reasons.items() if one != Reason()]
         return {
             "facts": {
-                name: by_ref((index, value) for index, value in enumerate(columns[name]) if value != unset)
+                name: by_ref(
+                    (index, value) for index, value in enumerate(columns[name]) if value != unset
+                )
                 for name, unset in FACTS.items()
             },
-            "reasons": [(name, here[index], *one) for (name, index), one in reasons if index in here],
+            "reasons": [
+                (name, here[index], *one) for (name, index), one in reasons if index in here
+            ],
             "parameters": {name: dict(given) for name, given in self.state.parameters.items()},
             "histories": [
                 (node.name, b64encode(history.packed(keep)).decode(), history.begins_within(keep))
@@ -623,13 +742,23 @@ class Knowledge:
             state.give_reason(name, node, text, until)
             if until is not None:
                 remembered.alarms.set(~node.index, until)
-        state.parameters.update({name: MappingProxyType(given) for name, given in written["parameters"].items()})
+        state.parameters.update(
+            {name: MappingProxyType(given) for name, given in written["parameters"].items()}
+        )
         for name, packed, begins in written["histories"]:
-            state.histories[network.attributes[name].index] = History(self._memory, b64decode(packed), begins)
-        remembered.recent.update({network.referred(ref).index: tuple(values) for ref, values in written["recent"]})
-        remembered.since.update({network.referred(ref).index: since for ref, since in written["since"]})
+            state.histories[network.attributes[name].index] = History(
+                self._memory, b64decode(packed), begins
+            )
+        remembered.recent.update(
+            {network.referred(ref).index: tuple(values) for ref, values in written["recent"]}
+        )
+        remembered.since.update(
+            {network.referred(ref).index: since for ref, since in written["since"]}
+        )
         self.records.from_json(written["records"])
-        self.changed_by.update({network.referred(ref).index: number for ref, number in written["changed_by"]})
+        self.changed_by.update(
+            {network.referred(ref).index: number for ref, number in written["changed_by"]}
+        )
         self.feasibility = written["feasibility"]
         for node in network.attributes.values():
             remembered.resume(node, time)
@@ -641,7 +770,9 @@ class Knowledge:
 
     def cause_of_choice(self, chosen: Sequence[Node]) -> int | None:
         """Return the last event that changed these choices, their owners or alternatives, or else ended a request."""
-        about = [one.index for node in chosen for whole in node.wholes for one in (whole, *whole.parts)]
+        about = [
+            one.index for node in chosen for whole in node.wholes for one in (whole, *whole.parts)
+        ]
         known = [self.changed_by[index] for index in about if index in self.changed_by]
         if not chosen and self.records.last_end is not None:
             known = [self.records.last_end[1]]

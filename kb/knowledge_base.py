@@ -56,7 +56,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def _telling(method: Callable[Concatenate["KnowledgeBase", P], T]) -> Callable[Concatenate["KnowledgeBase", P], T]:
+def _telling(
+    method: Callable[Concatenate["KnowledgeBase", P], T],
+) -> Callable[Concatenate["KnowledgeBase", P], T]:
     """Make a method tell facts: hold the lock, make the events that are due, run it, then call the subscribers.
 
     The clock, the mappings among the arguments and the subscribers are foreign code, which may wait for another
@@ -127,10 +129,14 @@ class KnowledgeBase:
         if not isinstance(model, Model):
             raise InvalidValue(f"a knowledge base is made of a kb.Model, not of {model!r}")
         if not callable(clock):
-            raise InvalidValue(f"the clock is a function that returns the time in seconds, not {clock!r}")
+            raise InvalidValue(
+                f"the clock is a function that returns the time in seconds, not {clock!r}"
+            )
         whole("keep", keep)
         if not isinstance(memory, Memory | None):
-            raise InvalidValue(f"how much is held in memory is said by a kb.Memory, not by {memory!r}")
+            raise InvalidValue(
+                f"how much is held in memory is said by a kb.Memory, not by {memory!r}"
+            )
         model.settle()
         self.model = model
         self._lock = RLock()
@@ -169,11 +175,22 @@ class KnowledgeBase:
         """Tell whether an action can be done now: its status is not "unfeasible"."""
         known, network = self._knowledge, self._knowledge.network
         revision, visited, statuses = network.revision, known.state.visited, known.state.status
-        if self.model.pending is None and known.pending is None and known.measurements.alarms.next == inf:
+        if (
+            self.model.pending is None
+            and known.pending is None
+            and known.measurements.alarms.next == inf
+        ):
             node = network.actions.get(action)
-            status = statuses[node.index] if node is not None and network.revision == revision else None
-            if status is not None and (network.revision, known.state.visited) == (revision, visited):
-                return status is not Status.UNFEASIBLE  # a single read needs no lock unless inference runs
+            status = (
+                statuses[node.index] if node is not None and network.revision == revision else None
+            )
+            if status is not None and (network.revision, known.state.visited) == (
+                revision,
+                visited,
+            ):
+                return (
+                    status is not Status.UNFEASIBLE
+                )  # a single read needs no lock unless inference runs
         return questions.is_feasible(self, action)
 
     selectable_actions = questions.selectable_actions
@@ -208,12 +225,22 @@ class KnowledgeBase:
                 (
                     node.kind,
                     node.name,
-                    state.value[node.index] if node.kind == "attribute" else state.status[node.index],
-                    ", ".join(word for word in ("required", "selected", "active") if getattr(state, word)[node.index]),
+                    state.value[node.index]
+                    if node.kind == "attribute"
+                    else state.status[node.index],
+                    ", ".join(
+                        word
+                        for word in ("required", "selected", "active")
+                        if getattr(state, word)[node.index]
+                    ),
                 )
                 for node in state.network.present()
             ]
-            return table(f"{self.model.name}: {outline(state)}", ("kind", "name", "status or value", "and"), rows)
+            return table(
+                f"{self.model.name}: {outline(state)}",
+                ("kind", "name", "status or value", "and"),
+                rows,
+            )
 
     @property
     def now(self) -> float:
@@ -282,14 +309,20 @@ class KnowledgeBase:
         node = known.network.attributes[attribute]
         of: Any = node.element
         is_plain = type(value) is float and isfinite(value) and of.low <= value <= of.high
-        number = value if is_plain else questions.number(f"{attribute} cannot be measured as", value, node)
+        number = (
+            value
+            if is_plain
+            else questions.number(f"{attribute} cannot be measured as", value, node)
+        )
         now = known.time()
         with self._lock:
             if self.store is not None:
                 self._check_open(self.store)
             known.settle(now)
             with known.telling:
-                told = known.measure(known.network.attributes[attribute], number, known.now).number  # if still there
+                told = known.measure(
+                    known.network.attributes[attribute], number, known.now
+                ).number  # if still there
         if self._publisher.is_heard:
             self._publisher.deliver(told)
 
@@ -332,7 +365,9 @@ class KnowledgeBase:
             try:
                 getattr(self, reading.verb)(*reading.arguments)
             except KnowledgeBaseError as error:
-                problems.append(DiagnosticProblem(reading.arguments[0], reading.written, str(error)))
+                problems.append(
+                    DiagnosticProblem(reading.arguments[0], reading.written, str(error))
+                )
         for problem in problems:
             _log.warning("diagnostics: %s", problem)
         with self._lock:
@@ -340,7 +375,9 @@ class KnowledgeBase:
         return tuple(problems)
 
     @_telling
-    def assert_status(self, element: Meant, status: Status | str, reason: str = "", until: float | None = None) -> None:
+    def assert_status(
+        self, element: Meant, status: Status | str, reason: str = "", until: float | None = None
+    ) -> None:
         """Set an element's status; it replaces the inferred status until it is retracted or lapses.
 
         Args:
@@ -354,7 +391,9 @@ class KnowledgeBase:
         node = self._node(element, ELEMENTS)
         wanted = status_of(node.kind, status)
         if end is not None and end <= (now := self._knowledge.now):
-            raise InvalidValue(f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}")
+            raise InvalidValue(
+                f"a status is asserted until later than now, {now!r} s by the clock; not {until!r}"
+            )
         self._tell("assert_status", node.ref, str(wanted), reason, end)
 
     @_telling
@@ -383,7 +422,11 @@ class KnowledgeBase:
 
     @_telling
     def request_action(
-        self, action: str, preference: str | Mapping[str, float] | None = None, *, cause: int | None = None
+        self,
+        action: str,
+        preference: str | Mapping[str, float] | None = None,
+        *,
+        cause: int | None = None,
     ) -> Reply:
         """Request that the robot is configured for an action; an unfeasible action is refused, with the reason.
 
@@ -502,7 +545,9 @@ class KnowledgeBase:
     @_telling
     def component_started(self, component: str, pid: int) -> Process:
         """Tell that a process of the operating system was started for a component; it need not be active yet."""
-        self._tell("component_started", self._component(component).name, whole("a process number", pid, 0))
+        self._tell(
+            "component_started", self._component(component).name, whole("a process number", pid, 0)
+        )
         return next(reversed(self._knowledge.records.processes.values()))
 
     @_telling
@@ -532,14 +577,18 @@ class KnowledgeBase:
             number: 1 for the first time that the plan gives this command.
         """
         if operation not in _OPERATIONS:
-            raise InvalidValue(f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}")
+            raise InvalidValue(
+                f"{operation!r} is no operation; an operation is one of {', '.join(_OPERATIONS)}"
+            )
         known = self._knowledge
         name, of = self._component(component).name, None
         if configuration is not None:
             of = known.network.configurations[configuration].name
         given = checked_parameters(name, parameters or {})
         whole("the number of an attempt", number)
-        self._tell("record_attempt", known.records.plan_of(plan).number, name, operation, of, given, number)
+        self._tell(
+            "record_attempt", known.records.plan_of(plan).number, name, operation, of, given, number
+        )
         return next(reversed(known.records.attempts.values()))
 
     @_telling
@@ -555,7 +604,9 @@ class KnowledgeBase:
             text("the reason why an attempt ends", reason)
         serial = attempt.serial if isinstance(attempt, Attempt) else attempt
         if type(serial) is not int:
-            raise InvalidValue(f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number")
+            raise InvalidValue(
+                f"{attempt!r} is no attempt; give one of kb.history.attempts, or its serial number"
+            )
         record = self._knowledge.records.attempts.get(serial)
         if record is None or record.end is not None:
             return False
@@ -563,7 +614,9 @@ class KnowledgeBase:
         return True
 
     @_telling
-    def record_answer(self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = "") -> VetoAnswer:
+    def record_answer(
+        self, plan: ReconfigurationPlan | int, is_vetoed: bool, reason: str = ""
+    ) -> VetoAnswer:
         """Record whether a plan was vetoed before its execution, and why."""
         flag("is_vetoed", is_vetoed, InvalidValue)
         text("the reason of an answer", reason)
@@ -587,9 +640,13 @@ class KnowledgeBase:
             return
         if verb not in _TOLD:
             known = ", ".join(sorted(_TOLD))
-            raise InvalidValue(f"{event!r} cannot be told; an event that can has one of the verbs {known}")
+            raise InvalidValue(
+                f"{event!r} cannot be told; an event that can has one of the verbs {known}"
+            )
         tell = getattr(self, _TOLD[verb])
-        caused = {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
+        caused = (
+            {"cause": event.cause} if verb in ("request_action", "cancel_action", "select") else {}
+        )
         try:
             tell(*event.arguments, **caused)
         except (AttributeError, LookupError, TypeError) as error:
@@ -602,7 +659,9 @@ class KnowledgeBase:
 
     @_telling
     def _progress(self, action: str, behaviour: str, saved: str) -> None:
-        if self._knowledge.records.progress.get((action, behaviour), "") != text("what is saved", saved):
+        if self._knowledge.records.progress.get((action, behaviour), "") != text(
+            "what is saved", saved
+        ):
             self._tell("progress", action, behaviour, saved)
 
     @_telling
@@ -667,12 +726,18 @@ class KnowledgeBase:
         return meant(self, self._knowledge.state, element, kinds, unique=True)
 
 
-def _chosen(parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None) -> list[Node]:
+def _chosen(
+    parts: Mapping[str, Node], wholes: Mapping[str, Node], given: Mapping[str, str] | None
+) -> list[Node]:
     """Return the chosen nodes from a mapping of owner to choice, by name; each choice must be a part of its owner."""
     if given is not None and not isinstance(given, Mapping):
-        raise InvalidValue(f"what is selected is given as choice by name of what it is for, not as {given!r}")
+        raise InvalidValue(
+            f"what is selected is given as choice by name of what it is for, not as {given!r}"
+        )
     chosen = [(parts[name], wholes[whole]) for whole, name in (given or {}).items()]
     for node, owner in chosen:
         if node.wholes[0] is not owner:
-            raise InvalidValue(f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}")
+            raise InvalidValue(
+                f"{node.kind} {node.name!r} is of {node.wholes[0].name!r}, not of {owner.name!r}"
+            )
     return [node for node, _ in chosen]

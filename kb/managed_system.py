@@ -1,7 +1,13 @@
 """The managed system: what the manager commands, how its answers are read, and a look at what runs."""
 
 from contextlib import suppress
-from inspect import isasyncgenfunction, iscoroutine, iscoroutinefunction, isgeneratorfunction, signature
+from inspect import (
+    isasyncgenfunction,
+    iscoroutine,
+    iscoroutinefunction,
+    isgeneratorfunction,
+    signature,
+)
 from typing import Protocol
 
 from kb.elements import ComponentKind, Parameters
@@ -65,16 +71,22 @@ def words_of(error: BaseException) -> str:
 
 def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
     """Return the answer to a command if it is None or an operation; else raise `ProtocolError`."""
-    if answer is None or (callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))):
+    if answer is None or (
+        callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))
+    ):
         return answer  # type: ignore[return-value]  # checked by the condition
-    raise wrong_answer(call, managed, answer, "None if it is done, or an operation with done() and exception()")
+    raise wrong_answer(
+        call, managed, answer, "None if it is done, or an operation with done() and exception()"
+    )
 
 
 def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
     """Return the error for a value that a protocol does not allow; a coroutine is closed, as nobody awaits it."""
     if iscoroutine(answer):
         answer.close()
-    return ProtocolError(f"{call} of {type(given).__name__} returned {answer!r:.80}; it is to return {expected}")
+    return ProtocolError(
+        f"{call} of {type(given).__name__} returned {answer!r:.80}; it is to return {expected}"
+    )
 
 
 def check_methods(what: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
@@ -87,20 +99,37 @@ def check_methods(what: str, given: object, protocol: type, optional: tuple[str,
         optional: calls of further methods that are checked if the object has them, such as "choose(kb)".
     """
     if isinstance(given, type):
-        raise ProtocolError(f"{what} is an object; {given.__name__} is a class: write {given.__name__}(...)")
-    wanted = {name: list(signature(one).parameters)[1:] for name, one in vars(protocol).items() if name[0] != "_"}
-    extra = {call.partition("(")[0]: call.partition("(")[2].rstrip(")").split(", ") for call in optional}
-    for name, arguments in (wanted | {name: one for name, one in extra.items() if hasattr(given, name)}).items():
+        raise ProtocolError(
+            f"{what} is an object; {given.__name__} is a class: write {given.__name__}(...)"
+        )
+    wanted = {
+        name: list(signature(one).parameters)[1:]
+        for name, one in vars(protocol).items()
+        if name[0] != "_"
+    }
+    extra = {
+        call.partition("(")[0]: call.partition("(")[2].rstrip(")").split(", ") for call in optional
+    }
+    for name, arguments in (
+        wanted | {name: one for name, one in extra.items() if hasattr(given, name)}
+    ).items():
         method, call = getattr(given, name, None), f"{name}({', '.join(arguments)})"
         if not callable(method):
             raise ProtocolError(f"{what} has a method {call}; {given!r:.80} has none")
-        if any(is_late(method) for is_late in (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)):
-            raise ProtocolError(f"{call} of {type(given).__name__} is async or a generator; {what} answers at once")
+        if any(
+            is_late(method)
+            for is_late in (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)
+        ):
+            raise ProtocolError(
+                f"{call} of {type(given).__name__} is async or a generator; {what} answers at once"
+            )
         with suppress(ValueError):  # a method in C may have no signature
             try:
                 signature(method).bind(*arguments)
             except TypeError as error:
-                raise ProtocolError(f"{what} is called as {call}; {type(given).__name__}.{name}: {error}") from None
+                raise ProtocolError(
+                    f"{what} is called as {call}; {type(given).__name__}.{name}: {error}"
+                ) from None
 
 
 class ActivityMonitor:
@@ -124,10 +153,14 @@ class ActivityMonitor:
         if kb.revision != self._believed_at:
             with kb.reading() as state:
                 nodes = [
-                    one for one in state.network.components.values() if one.element.kind is not ComponentKind.PLAIN
+                    one
+                    for one in state.network.components.values()
+                    if one.element.kind is not ComponentKind.PLAIN
                 ]
                 active = [(one.name, True) for one in nodes if state.active[one.index]]
-                failed = [one for one in nodes if state.failed[one.index] and not state.active[one.index]]
+                failed = [
+                    one for one in nodes if state.failed[one.index] and not state.active[one.index]
+                ]
             self._believed = [*active, *((one.name, False) for one in failed)]
             self._believed_at = kb.revision
         for name in [name for name, active in self._believed if active and self._is(name, False)]:
@@ -136,7 +169,9 @@ class ActivityMonitor:
             kb.component_active(name, False, reason)
             if was_started and not is_first:
                 kb.component_failed(name, reason)
-        for name in [name for name, active in self._believed if not active and self._is(name, True)]:
+        for name in [
+            name for name, active in self._believed if not active and self._is(name, True)
+        ]:
             kb.component_active(name, True)
 
     def _is(self, name: str, active: bool) -> bool:

@@ -68,7 +68,9 @@ class VetoGate:
 
     def __init__(self, kb: KnowledgeBase, veto: Veto) -> None:
         if not callable(veto):
-            raise InvalidValue(f"a veto is a function that is called with each plan; {veto!r} cannot be called")
+            raise InvalidValue(
+                f"a veto is a function that is called with each plan; {veto!r} cannot be called"
+            )
         self._kb = kb
         self._veto = veto
 
@@ -103,10 +105,14 @@ class VetoGate:
 
     def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
         """Undo exactly the selection that the event of the plan made, because it is not carried out."""
-        made = (event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan)
+        made = (
+            event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan
+        )
         for kind, name, is_selected in next(made, ()):
             with suppress(UnknownName):  # it was removed from the model
-                self._kb.assert_selected((kind, name), not is_selected, reason if is_selected else "")
+                self._kb.assert_selected(
+                    (kind, name), not is_selected, reason if is_selected else ""
+                )
 
 
 class ConfigurationManager:
@@ -161,7 +167,9 @@ class ConfigurationManager:
         choose = getattr(self._planner, "choose", None)
         if choose is None:
             what = type(self._planner).__name__
-            raise InvalidValue(f"{what} cannot be tried: a dry run asks its method choose(kb), which it does not have")
+            raise InvalidValue(
+                f"{what} cannot be tried: a dry run asks its method choose(kb), which it does not have"
+            )
         choice = choose(self._kb)
         return None if choice is None else self._kb.select(*choice, dry_run=True)
 

@@ -31,7 +31,9 @@ class Alarms:
         """Set the alarm of a key [s], in place of the one that it has; it can be repeated."""
         before = self._times.get(key)
         self._times[key] = time
-        if before is None or time <= before:  # one that is put off is found when it would have been due
+        if (
+            before is None or time <= before
+        ):  # one that is put off is found when it would have been due
             heapq.heappush(self._queue, (time, key))
             self.next = self._queue[0][0]
 
@@ -82,7 +84,13 @@ class Measurements:
         return (*self.recent.get(attribute.index, ()), value)[-attribute.attribute.agreement[1] :]
 
     def put(
-        self, attribute: Node, value: float, time: float, history: History, count: int, recent: tuple[float, ...]
+        self,
+        attribute: Node,
+        value: float,
+        time: float,
+        history: History,
+        count: int,
+        recent: tuple[float, ...],
     ) -> None:
         """Make a measurement the latest; it may be done again."""
         index, state, element = attribute.index, self._state, attribute.element
@@ -114,18 +122,30 @@ class Measurements:
         self.alarms.clear(attribute.index)
 
     def judge(
-        self, node: Node, value: float | None, recent: tuple[float, ...], before: Status | None, now: float
+        self,
+        node: Node,
+        value: float | None,
+        recent: tuple[float, ...],
+        before: Status | None,
+        now: float,
     ) -> Judged:
         constraint, attribute = node.constraint, node.attribute
         if value is None:
             return Judged(node, None, None)
         enough, last = attribute.agreement
         known = None if before is Status.NOT_EVALUATED else before
-        after = verdict(constraint, recent if last > 1 else (value,), enough, known) or Status.NOT_EVALUATED
+        after = (
+            verdict(constraint, recent if last > 1 else (value,), enough, known)
+            or Status.NOT_EVALUATED
+        )
         if after is before:
             return Judged(node, None, None)
         end = self.since.get(node.index, -math.inf) + constraint.dwell
-        return Judged(node, None, end) if known is not None and now < end else Judged(node, after, None)
+        return (
+            Judged(node, None, end)
+            if known is not None and now < end
+            else Judged(node, after, None)
+        )
 
     def renew(self, node: Node, now: float) -> None:
         if node.kind == "constraint":
@@ -148,7 +168,9 @@ class Measurements:
             self._expire(attribute, measured)
         recent = self.recent.get(attribute.index, ())
         steady = [one for one in attribute.constraints if is_steady(one)]
-        judged = [self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady]
+        judged = [
+            self.judge(one, value, recent, self._state.verdict[one.index], now) for one in steady
+        ]
         self.put_judged([Judged(node, None, wait) for node, _, wait in judged], now)
 
     def _begin(self, node: Node, now: float) -> None:
@@ -157,18 +179,24 @@ class Measurements:
         self._state.verdict[node.index] = None
         if is_steady(node):
             attribute = node.parts[0].index
-            judged = self.judge(node, self._state.value[attribute], self.recent.get(attribute, ()), None, now)
+            judged = self.judge(
+                node, self._state.value[attribute], self.recent.get(attribute, ()), None, now
+            )
             self._state.verdict[node.index] = judged.verdict
             self.put_judged([judged], now)
 
 
-def verdict(constraint: Constraint, values: Iterable[float], enough: int, before: Status | None) -> Status | None:
+def verdict(
+    constraint: Constraint, values: Iterable[float], enough: int, before: Status | None
+) -> Status | None:
     """Return the status of a constraint by the latest measurements that count, without its dwell.
 
     It stays what it was before (None if neither satisfied nor violated) unless enough of them say otherwise.
     """
     votes = [_side(constraint, value, before) for value in values]
-    agreed = [status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough]
+    agreed = [
+        status for status in (Status.SATISFIED, Status.VIOLATED) if votes.count(status) >= enough
+    ]
     return agreed[0] if agreed else before
 
 
@@ -183,4 +211,6 @@ def turning_point(constraint: Constraint, before: Status | None) -> float:
     if before is not Status.VIOLATED or not constraint.hysteresis:
         return constraint.value
     sign = 1 if constraint.operator in (">=", ">") else -1
-    return float(f"{constraint.value + sign * constraint.hysteresis:.15g}")  # as on paper: 0.1 and 0.2 are 0.3
+    return float(
+        f"{constraint.value + sign * constraint.hysteresis:.15g}"
+    )  # as on paper: 0.1 and 0.2 are 0.3

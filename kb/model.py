@@ -172,21 +172,36 @@ class Model:
         constraints: Iterable[Expression] = (),
     ) -> Component:
         """Declare a part of the robot; one that the manager shall switch is of kind "process" or "lifecycle"."""
-        given = {"kind": kind, "always_improve": always_improve, "stops_to_configure": stops_to_configure}
-        return self.declare(Component, name, constraints, **given, package=package, executable=executable)
+        given = {
+            "kind": kind,
+            "always_improve": always_improve,
+            "stops_to_configure": stops_to_configure,
+        }
+        return self.declare(
+            Component, name, constraints, **given, package=package, executable=executable
+        )
 
     def function(self, name: str, *, always_improve: bool = False) -> Function:
         """Declare what the robot can do as a means; `always_improve`: look for a better design even while solved."""
         return self.declare(Function, name, always_improve=always_improve)
 
     def action(
-        self, name: str, *, requires: Iterable[Function | str] = (), constraints: Iterable[Expression] = ()
+        self,
+        name: str,
+        *,
+        requires: Iterable[Function | str] = (),
+        constraints: Iterable[Expression] = (),
     ) -> Action:
         """Declare what a mission can do, and the functions (or their names) that this requires."""
         return self.declare(Action, name, constraints, functions=requires)
 
     def declare(
-        self, cls: type[ElementT], name: str, constraints: Iterable[Expression] = (), /, **given: object
+        self,
+        cls: type[ElementT],
+        name: str,
+        constraints: Iterable[Expression] = (),
+        /,
+        **given: object,
     ) -> ElementT:
         """Declare an element of a class with its constraints, or nothing if a field or a constraint is refused.
 
@@ -197,7 +212,11 @@ class Model:
         checks = CHECKS[cls]
         for field, value in given.items():
             check = checks.get(field)
-            given[field] = self._names(cls, name, field, value) if check is None else check.check(field, name, value)
+            given[field] = (
+                self._names(cls, name, field, value)
+                if check is None
+                else check.check(field, name, value)
+            )
         try:
             element = cls(name, self, **given)
         except TypeError as error:
@@ -206,7 +225,9 @@ class Model:
         if wanted:
             self._of_kind("constrained", element, Constrainable)
         if name in table:
-            raise DuplicateName(f"{kind} {name!r} is declared already; names are unique within a kind")
+            raise DuplicateName(
+                f"{kind} {name!r} is declared already; names are unique within a kind"
+            )
         if wanted or self._observers or self._batch is not None:
             self._declare(element, *[_constraint((element,), one) for one in wanted])  # type: ignore[arg-type]  # constrainable, if any
         else:
@@ -233,12 +254,18 @@ class Model:
         return added
 
     def add_estimation(
-        self, causer: Estimable, attribute: Attribute | str, value: float, kind: EstimationKind | str = "positive"
+        self,
+        causer: Estimable,
+        attribute: Attribute | str,
+        value: float,
+        kind: EstimationKind | str = "positive",
     ) -> Estimation:
         """State how the choice of the causer affects an attribute; see `Component.estimate`."""
         self._owned("the causer of an estimation", causer, Estimable)
         affected = self._reference(Attribute, attribute)
-        estimation = Estimation(affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer)
+        estimation = Estimation(
+            affected, finite_number(value), choice("estimation kind", EstimationKind, kind), causer
+        )
         self._declare(estimation)
         return estimation
 
@@ -265,11 +292,15 @@ class Model:
         """
         files = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
         if not files:
-            raise ModelError("no file is given to load a model from; give one path or several, in order")
+            raise ModelError(
+                "no file is given to load a model from; give one path or several, in order"
+            )
         in_owl = [file for file in files if _suffix(file) == ".owl"]
         if in_owl and len(in_owl) < len(files):
             others = ", ".join(str(file) for file in files if file not in in_owl)
-            raise ModelFileError(f"files of one model are all in one format; {others} is in another", str(in_owl[0]))
+            raise ModelFileError(
+                f"files of one model are all in one format; {others} is in another", str(in_owl[0])
+            )
         if in_owl:
             from kb.owl.files import load_owl
 
@@ -306,11 +337,18 @@ class Model:
                 estimation: `value`, `kind`.
         """
         element = self._meant("what is changed", element)
-        checks = {field: one.check for field, one in CHECKS[type(element)].items() if one.can_change}
+        checks = {
+            field: one.check for field, one in CHECKS[type(element)].items() if one.can_change
+        }
         if unknown := [field for field in fields if field not in checks]:
-            what, allowed = f"{KINDS[type(element)]} {called(element)!r}", ", ".join(checks) or "nothing"
+            what, allowed = (
+                f"{KINDS[type(element)]} {called(element)!r}",
+                ", ".join(checks) or "nothing",
+            )
             raise ModelError(f"{unknown[0]!r} of {what} cannot change; what can: {allowed}")
-        values = {field: checks[field](field, called(element), value) for field, value in fields.items()}
+        values = {
+            field: checks[field](field, called(element), value) for field, value in fields.items()
+        }
         self._amend("changed", [element], partial(_set, element, values))
 
     def remove(self, element: Changeable | str) -> None:
@@ -324,7 +362,9 @@ class Model:
         element = self._meant("what is removed", element)
         users = _users_of(self, element) if isinstance(element, Element) else []
         if users:
-            raise ModelError(f"{called(element)!r} is needed by {', '.join(users)}; remove that first")
+            raise ModelError(
+                f"{called(element)!r} is needed by {', '.join(users)}; remove that first"
+            )
         rests = {
             one: tuple(other for other in one.constrained if other is not element)
             for one in self.constraints
@@ -348,7 +388,9 @@ class Model:
         """Complete a change that was interrupted, unless another thread is just making it."""
         mine: list[bool] = []
         try:
-            mine.extend(map(self._changing.acquire, (False,)))  # taken and noted in one step despite interrupts
+            mine.extend(
+                map(self._changing.acquire, (False,))
+            )  # taken and noted in one step despite interrupts
             change = self.pending
             if mine[0] and change is not None:
                 observers = self._watching()
@@ -372,7 +414,12 @@ class Model:
         return f"<Model {self.name!r}>"
 
     def _repr_html_(self) -> str:
-        named = (one for cls, table in self.tables.items() if issubclass(cls, Element) for one in table.values())
+        named = (
+            one
+            for cls, table in self.tables.items()
+            if issubclass(cls, Element)
+            for one in table.values()
+        )
         rows = [(KINDS[type(one)], one.name, _facts(one)) for one in named]
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
@@ -392,7 +439,9 @@ class Model:
             return found.name
         kind = KINDS[cls]
         if given.model is not self:
-            raise ModelError(f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}")
+            raise ModelError(
+                f"{kind} {given.name!r} belongs to model {given.model.name!r}, not to {self.name!r}"
+            )
         name = given.name
         if table.get(name) is not given:
             raise ModelError(f"a {kind} is needed here, not the {type(given).__name__} {name!r}")
@@ -402,10 +451,14 @@ class Model:
         wanted = listed("constraints", values)
         for expression in wanted:
             if not isinstance(expression, Expression):
-                raise ModelError(f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}")
+                raise ModelError(
+                    f"a constraint is a comparison such as `light >= 0.5`, not {expression!r}"
+                )
             of = expression.model
             if of is not None and of is not self:
-                raise ModelError(f"{expression} compares an attribute of {of.name!r}, not of {self.name!r}")
+                raise ModelError(
+                    f"{expression} compares an attribute of {of.name!r}, not of {self.name!r}"
+                )
             self._reference(Attribute, expression.attribute)
         return wanted
 
@@ -454,7 +507,9 @@ class Model:
     def _meant(self, what: str, element: Changeable | str) -> Changeable:
         tables: dict[str, dict[str, Element]] = {KINDS[cls]: self._tables[cls] for cls in _NAMED}
         advice = "give the one meant, e.g. model."
-        found = meant_by(element, tables, "element", advice) if isinstance(element, str) else element
+        found = (
+            meant_by(element, tables, "element", advice) if isinstance(element, str) else element
+        )
         self._owned(what, found, Changeable)
         return found
 
@@ -466,7 +521,9 @@ class Model:
     def _owned(self, what: str, element: Changeable, kinds: UnionType) -> None:
         self._of_kind(what, element, kinds)
         if isinstance(element, Element) and element.model is not self:
-            raise ModelError(f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}")
+            raise ModelError(
+                f"{element.name!r} belongs to model {element.model.name!r}, not to {self.name!r}"
+            )
         if self._tables[type(element)].get(_key(element)) is not element:
             name = str(element) if isinstance(element, Constraint) else repr(called(element))
             of = "the estimation of " if isinstance(element, Estimation) else ""
@@ -490,20 +547,34 @@ def _suffix(file: Path) -> str:
     suffix = file.suffix.lower()
     if suffix not in SUFFIXES:
         given = f"in {file.suffix!r}" if file.suffix else "without a suffix"
-        raise ModelFileError(f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}", str(file))
+        raise ModelFileError(
+            f"the name of a model's file ends in {' or '.join(SUFFIXES)}, this one {given}",
+            str(file),
+        )
     return suffix
 
 
 def _users_of(model: Contents, element: Element) -> list[str]:
     given = [field for field, cls in REFERENCES.items() if isinstance(element, cls)]
-    owners = (one for cls in (Action, FunctionDesign, Configuration) for one in model.tables[cls].values())
+    owners = (
+        one for cls in (Action, FunctionDesign, Configuration) for one in model.tables[cls].values()
+    )
     users: dict[Changeable, str] = {one: f"{KINDS[type(one)]} {one.name!r}" for one in owners}
     users |= {one: f"constraint {one}" for one in model.constraints}
     users |= {one: f"an estimation of {one.attribute!r}" for one in model.estimations}
     named = ((text, getattr(one, field, ())) for one, text in users.items() for field in given)
-    found = [text for text, names in named if element.name in (names if isinstance(names, tuple) else (names,))]
+    found = [
+        text
+        for text, names in named
+        if element.name in (names if isinstance(names, tuple) else (names,))
+    ]
     rated = model.attributes.values() if isinstance(element, Action) else ()
-    return found + [f"a rate of {one.name!r}" for one in rated for rate in one.rates if rate.while_ == element.name]
+    return found + [
+        f"a rate of {one.name!r}"
+        for one in rated
+        for rate in one.rates
+        if rate.while_ == element.name
+    ]
 
 
 def _checked_fact(model: Contents, fact: object) -> Fact:
@@ -513,16 +584,24 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
     if isinstance(fact, StatusFact):
         return replace(fact, status=status_of(KINDS[type(fact.element)], fact.status))
     if isinstance(fact, RequiredFact | SelectedFact):
-        kinds, what = (_REQUIRABLE, "required") if isinstance(fact, RequiredFact) else (_SELECTABLE, "selected")
+        kinds, what = (
+            (_REQUIRABLE, "required")
+            if isinstance(fact, RequiredFact)
+            else (_SELECTABLE, "selected")
+        )
         if not isinstance(fact.element, kinds):
-            raise ModelError(f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}")
+            raise ModelError(
+                f"{KINDS[type(fact.element)]} cannot be stated to be {what}: {fact.element!r}"
+            )
         return fact
     for cls, name in _named_by(fact):
         if not isinstance(name, str) or name not in model.tables[cls]:
             raise UnknownName(KINDS[cls], name, model.tables[cls])
     given = {one.name: getattr(fact, one.name) for one in fields(fact)}
     values: dict[str, Any] = {
-        name: finite_number(at) for name, at in given.items() if name in ("time", "start", "end") and at is not None
+        name: finite_number(at)
+        for name, at in given.items()
+        if name in ("time", "start", "end") and at is not None
     }
     if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
@@ -543,7 +622,9 @@ def _named_by(fact: Fact) -> Iterator[tuple[type[Element], str]]:
         value = getattr(fact, field.name)
         if field.name == "preference" and value is not None:
             if not isinstance(value, Mapping):
-                raise ModelError(f"a preference is given as weights by name of attribute, not as {value!r}")
+                raise ModelError(
+                    f"a preference is given as weights by name of attribute, not as {value!r}"
+                )
             yield from ((Attribute, name) for name in value)
         elif field.name in REFERENCES:
             names = listed(field.name, value) if isinstance(fact, facts.PlanFact) else (value,)
@@ -567,7 +648,11 @@ def _facts(element: Element) -> str:
     said = []
     for one in fields(element):
         value = getattr(element, one.name)
-        if one.name not in ("name", "model", "estimations") and value != one.default and value not in ((), {}):
+        if (
+            one.name not in ("name", "model", "estimations")
+            and value != one.default
+            and value not in ((), {})
+        ):
             words = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
             said.append(f"{one.name.replace('_', ' ')}: {words}")
     return "; ".join(said)
@@ -590,7 +675,11 @@ def amend(model: Model, serials: owl.Serials, how: str, written: Any) -> None:  
     is_id = how == "removed"
     if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
         raise TypeError(f"{how} {written!r} is no amendment of a model")
-    known = {owl.element_id(one, serials): one for table in model.tables.values() for one in table.values()}
+    known = {
+        owl.element_id(one, serials): one
+        for table in model.tables.values()
+        for one in table.values()
+    }
     if is_id:
         model.remove(known[written])
         return
@@ -608,7 +697,12 @@ def amend(model: Model, serials: owl.Serials, how: str, written: Any) -> None:  
     values = declarer.values(type(element), given[-1])
     can_change = {one for one, field in CHECKS[type(element)].items() if field.can_change}
     model.change(
-        element, **{one.name: values.get(one.name, one.default) for one in fields(element) if one.name in can_change}
+        element,
+        **{
+            one.name: values.get(one.name, one.default)
+            for one in fields(element)
+            if one.name in can_change
+        },
     )
 
 

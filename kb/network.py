@@ -25,7 +25,15 @@ from kb.facts import Contents
 Ref = tuple[str, str] | tuple[str, str, int]
 """A reference to a node as plain data: (kind, name); for a constraint (kind, name, position) by an element it is on."""
 
-_UPWARDS: Final = ("constraint", "configuration", "component", "function design", "function", "action", "attribute")
+_UPWARDS: Final = (
+    "constraint",
+    "configuration",
+    "component",
+    "function design",
+    "function",
+    "action",
+    "attribute",
+)
 LEVELS: Final = {kind: level for level, kind in enumerate(_UPWARDS)}
 """The order in which the kinds are inferred; attributes come last because they have no status."""
 
@@ -85,7 +93,9 @@ class Thresholds:
     def __init__(self, attribute: Node) -> None:
         # kept apart: the status of these depends on earlier measurements too
         self.steady = [node for node in attribute.constraints if is_steady(node)]
-        self._nodes = sorted((node for node in attribute.constraints if not is_steady(node)), key=_turn)
+        self._nodes = sorted(
+            (node for node in attribute.constraints if not is_steady(node)), key=_turn
+        )
         self._turns = [_turn(node) for node in self._nodes]
 
     def crossed(self, old: float, new: float) -> list[Node]:
@@ -100,7 +110,11 @@ class Thresholds:
 
 def is_steady(node: Node) -> bool:
     """Tell whether the status of a constraint depends on earlier measurements too; see `kb.measurements`."""
-    return node.constraint.hysteresis > 0 or node.constraint.dwell > 0 or node.attribute.agreement != (1, 1)
+    return (
+        node.constraint.hysteresis > 0
+        or node.constraint.dwell > 0
+        or node.attribute.agreement != (1, 1)
+    )
 
 
 def _turn(node: Node) -> float:
@@ -116,7 +130,9 @@ class Network:
         self.revision = 0  # grows at each `renew`
         self.nodes: list[Node] = []
         self.thresholds = cache(Thresholds)  # of an attribute
-        self._tables: dict[type, ByName[Node]] = {cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS}
+        self._tables: dict[type, ByName[Node]] = {
+            cls: ByName(kind) for cls, kind in KINDS.items() if kind in LEVELS
+        }
         self.attributes: Mapping[str, Node] = self._tables[Attribute]
         self.components: Mapping[str, Node] = self._tables[Component]
         self.configurations: Mapping[str, Node] = self._tables[Configuration]
@@ -124,7 +140,9 @@ class Network:
         self.designs: Mapping[str, Node] = self._tables[FunctionDesign]
         self.actions: Mapping[str, Node] = self._tables[Action]
         self.constraints: Mapping[Constraint, Node] = self._tables[Constraint]
-        tables = {kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)}
+        tables = {
+            kind: self._tables[cls] for cls, kind in KINDS.items() if issubclass(cls, Element)
+        }
         self.kinds: Mapping[str, Mapping[str, Node]] = ByName("kind of element", tables)
         self.renew()
 
@@ -143,15 +161,21 @@ class Network:
             yield from tuple(table.values())
 
     def referred(self, ref: Ref) -> Node:
-        kind, name, position = ref if len(ref) == 3 else (*ref, 0) if len(ref) == 2 else (None, None, None)
+        kind, name, position = (
+            ref if len(ref) == 3 else (*ref, 0) if len(ref) == 2 else (None, None, None)
+        )
         if not (isinstance(kind, str) and isinstance(name, str) and type(position) is int):
-            what = "an element is (kind, name), a constraint (kind, name, position) by what it is on"
+            what = (
+                "an element is (kind, name), a constraint (kind, name, position) by what it is on"
+            )
             raise InvalidValue(f"{shown(ref)} stands for nothing; {what}")
         node = self.kinds[kind][name]
         if len(ref) == 2:
             return node
         if not 0 <= position < len(node.constraints):
-            raise UnknownName(f"constraint on {kind} {name!r}", position, map(str, range(len(node.constraints))))
+            raise UnknownName(
+                f"constraint on {kind} {name!r}", position, map(str, range(len(node.constraints)))
+            )
         return node.constraints[position]
 
     def renew(self) -> None:
@@ -169,9 +193,13 @@ class Network:
                     node = Node(len(self.nodes), kind, element)
                     self.nodes.append(node)
                 node.name, known[key] = str(key), node  # last: what is found by name is complete
-            for key in [key for key in known if key not in table] if len(known) > len(table) else ():
+            for key in (
+                [key for key in known if key not in table] if len(known) > len(table) else ()
+            ):
                 known.pop(key, None)
-        links: list[list[Node]] = [[] for _ in range(3 * len(self.nodes))]  # three of each node, side by side in memory
+        links: list[list[Node]] = [
+            [] for _ in range(3 * len(self.nodes))
+        ]  # three of each node, side by side in memory
 
         def join(part: Node, whole: Node) -> None:
             links[3 * whole.index + 1].append(part)
@@ -188,7 +216,9 @@ class Network:
                 join(self.functions[name], node)
         for node in self.constraints.values():
             attribute = self.attributes[node.element.attribute]
-            targets = [self._tables[type(one)][one.name] for one in dict.fromkeys(node.element.constrained)]
+            targets = [
+                self._tables[type(one)][one.name] for one in dict.fromkeys(node.element.constrained)
+            ]
             links[3 * node.index + 1].append(attribute)
             links[3 * node.index + 2] += targets
             for one in (attribute, *targets):

@@ -22,7 +22,14 @@ from kb.state import Overlay, State, propagate
 from kb.status import Status
 from kb.views import ElementView, Readable
 
-ELEMENTS: Final = ("action", "function", "component", "function design", "configuration", "constraint")
+ELEMENTS: Final = (
+    "action",
+    "function",
+    "component",
+    "function design",
+    "configuration",
+    "constraint",
+)
 """The kinds of elements that have a status; all but constraints have a name too."""
 _EXPLAINED: Final = (*ELEMENTS, "attribute")
 
@@ -62,7 +69,9 @@ def best_configuration(base: Readable, action: str) -> Choice | None:
             return None
         designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
-        return Choice(dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components))))
+        return Choice(
+            dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components)))
+        )
 
 
 def adaptable_functions(base: Readable) -> tuple[str, ...]:
@@ -71,7 +80,9 @@ def adaptable_functions(base: Readable) -> tuple[str, ...]:
         return _adaptable(state, "function")
 
 
-def adaptable_components(base: Readable, designs: Iterable[str] | Mapping[str, str] = ()) -> tuple[str, ...]:
+def adaptable_components(
+    base: Readable, designs: Iterable[str] | Mapping[str, str] = ()
+) -> tuple[str, ...]:
     """Names of the components for which a configuration has to be chosen, or may be chosen better.
 
     With designs just chosen, by name or by function, the answer is what it will be once they are selected and what is
@@ -115,7 +126,9 @@ def explain_choice(base: Readable, element: Meant) -> explanation.ChoiceExplanat
     """
     now = base.now
     with base.reading() as state:
-        return explanation.explain_choice(state, meant(base, state, element, ("function", "component")), now)
+        return explanation.explain_choice(
+            state, meant(base, state, element, ("function", "component")), now
+        )
 
 
 def outline(state: State) -> str:
@@ -127,7 +140,9 @@ def outline(state: State) -> str:
     return f"{words}, required: {', '.join(required)}" if required else words
 
 
-def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *, unique: bool = False) -> Node:
+def meant(
+    base: Readable, state: State, element: Meant, kinds: Iterable[str], *, unique: bool = False
+) -> Node:
     """Return the node that is meant; a bare name is looked for in the given kinds, in this order.
 
     Raises:
@@ -136,7 +151,9 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
     network = state.network
     if isinstance(element, ElementView):
         if element.base is not base:
-            raise InvalidValue(f"{element!r} is a view of another knowledge base; take it from this one")
+            raise InvalidValue(
+                f"{element!r} is a view of another knowledge base; take it from this one"
+            )
         element = element.element
     if isinstance(element, Element) and network.model is not element.model:
         raise InvalidValue(f"{element.name!r} belongs to another model, {element.model.name!r}")
@@ -146,10 +163,14 @@ def meant(base: Readable, state: State, element: Meant, kinds: Iterable[str], *,
             raise InvalidValue(f"{node!r} cannot be meant here; allowed are {', '.join(kinds)}")
         return node
     searched = {kind: network.kinds[kind] for kind in kinds if kind != "constraint"}
-    return meant_by(element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else "")
+    return meant_by(
+        element, searched, " or ".join(searched), "pass the view meant, e.g. kb." if unique else ""
+    )
 
 
-def preferred(network: Network, given: str | Mapping[str, float] | None) -> str | Mapping[str, float] | None:
+def preferred(
+    network: Network, given: str | Mapping[str, float] | None
+) -> str | Mapping[str, float] | None:
     """Return a preference as the name of an attribute, or finite weights by name; any other is refused."""
     if given is None or not isinstance(given, Mapping):
         return None if given is None else network.attributes[given].name
@@ -194,18 +215,24 @@ def suppose(
         attributes: values by name of attribute, e.g. `light=0.3`.
     """
     if not isinstance(measured, Mapping | None):
-        raise InvalidValue(f"what is supposed to be measured is given as values by name, not as {measured!r}")
+        raise InvalidValue(
+            f"what is supposed to be measured is given as values by name, not as {measured!r}"
+        )
     values = {**(measured or {}), **attributes}
     listings = {"failed": failed, "recovered": recovered, "requested": requested}
     for what, names in listings.items():
-        listings[what] = (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
+        listings[what] = (
+            (names,) if isinstance(names, str) else listed(f"names supposed to be {what}", names)
+        )
     then, now = (None, 0.0) if at is None else (finite_number(at), base.now)
     with base.reading() as state:
         network = state.network
         supposed: list[_Assumption] = []
         for name, value in values.items():
             node = network.attributes[name]
-            given = None if value is None else number(f"{name} cannot be supposed to be", value, node)
+            given = (
+                None if value is None else number(f"{name} cannot be supposed to be", value, node)
+            )
             supposed.append(("measured", node, given))
         for what, names in listings.items():
             table = network.actions if what == "requested" else network.components
@@ -213,8 +240,12 @@ def suppose(
         if then is not None:
             of = base.forecast
             if then < now:
-                raise InvalidValue(f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}")
-            doing = of.doing(state, None).union(node.name for what, node, _ in supposed if what == "requested")
+                raise InvalidValue(
+                    f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
+                )
+            doing = of.doing(state, None).union(
+                node.name for what, node, _ in supposed if what == "requested"
+            )
             for node in (node for name, node in network.attributes.items() if name not in values):
                 supposed.append(("forecast", node, of.at(state, node, then, now, doing)))
     return Situation(base, state, supposed, at)
@@ -229,7 +260,11 @@ class Situation:
     _overlay: Overlay
 
     def __init__(
-        self, base: Readable, state: State, assumptions: Iterable[_Assumption], at: float | None = None
+        self,
+        base: Readable,
+        state: State,
+        assumptions: Iterable[_Assumption],
+        at: float | None = None,
     ) -> None:
         self._base, self._at = base, at
         self.forecast = base.forecast
@@ -309,7 +344,9 @@ def _suppose_measured(state: State, attribute: Node, value: float | None) -> lis
         for one in attribute.constraints:
             state.verdict[one.index] = None
     for one in thresholds.steady:
-        known = None if value is None else verdict(one.constraint, [value], 1, state.verdict[one.index])
+        known = (
+            None if value is None else verdict(one.constraint, [value], 1, state.verdict[one.index])
+        )
         state.verdict[one.index] = known  # as once it has been measured for long enough
     if before is None or value is None or was_stale or was_forecast:
         return attribute.constraints

@@ -38,7 +38,9 @@ class Memory:
         for name in ("events", "measurements", "records"):
             whole(f"{name} of a memory", getattr(self, name))
         if not is_number(self.span) or not self.span > 0:
-            raise InvalidValue(f"the span of a memory is a time in seconds above 0, not {self.span!r}")
+            raise InvalidValue(
+                f"the span of a memory is a time in seconds above 0, not {self.span!r}"
+            )
 
 
 class Reply(NamedTuple):
@@ -127,9 +129,15 @@ class ReconfigurationPlan:
         return f"<ReconfigurationPlan {self} ({self.result or 'open'})>"
 
     def _repr_html_(self) -> str:
-        steps = (("stop", self.deactivate), ("start", self.activate), ("configure", self.parameters))
+        steps = (
+            ("stop", self.deactivate),
+            ("start", self.activate),
+            ("configure", self.parameters),
+        )
         rows = [(verb, name) for verb, names in steps for name in names]
-        return table(f"plan {self.number}, {self.result or 'open'}: {self.reason}", ("step", "what"), rows)
+        return table(
+            f"plan {self.number}, {self.result or 'open'}: {self.reason}", ("step", "what"), rows
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,7 +190,11 @@ class Attempt:
     serial: int = 0
 
     def __str__(self) -> str:
-        outcome = f"{self.result or 'under way'}: {self.reason}" if self.reason else self.result or "under way"
+        outcome = (
+            f"{self.result or 'under way'}: {self.reason}"
+            if self.reason
+            else self.result or "under way"
+        )
         return f"{self.operation} {self.component}, attempt {self.number}: {outcome}"
 
 
@@ -215,12 +227,20 @@ class Records:
         self.processes: dict[int, Process] = {}  # by number of the event of the start
         self.attempts: dict[int, Attempt] = {}
         self.answers: dict[int, VetoAnswer] = {}  # by number of the event
-        self.ended: tuple[str, ...] = ()  # why the latest requests ended since the last plan, in words
-        self.last_end: tuple[float, int] | None = None  # when a request ended last [s], and the number of that event
+        self.ended: tuple[
+            str, ...
+        ] = ()  # why the latest requests ended since the last plan, in words
+        self.last_end: tuple[float, int] | None = (
+            None  # when a request ended last [s], and the number of that event
+        )
         self.begins = -math.inf  # no record that ended after this time is forgotten [s]
         self.rejected = 0  # how many readings of diagnostics could not be used
-        self.progress: dict[tuple[str, str], str] = {}  # saved progress of actions; empty when they start anew
-        self._full = dict.fromkeys(("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records)
+        self.progress: dict[
+            tuple[str, str], str
+        ] = {}  # saved progress of actions; empty when they start anew
+        self._full = dict.fromkeys(
+            ("requests", "plans", "processes", "attempts", "answers"), 2 * memory.records
+        )
 
     def put(self, name: str, number: int, record: Any) -> None:  # noqa: ANN401  # of the table of that name
         """Add a record; if there are too many, the oldest records that have ended are forgotten."""
@@ -236,7 +256,10 @@ class Records:
             self._forget(name, table)
 
     def _forget(self, name: str, table: dict[int, Any]) -> None:
-        ends = {number: one.time if isinstance(one, VetoAnswer) else one.end for number, one in table.items()}
+        ends = {
+            number: one.time if isinstance(one, VetoAnswer) else one.end
+            for number, one in table.items()
+        }
         ended = [(number, end) for number, end in ends.items() if end is not None]
         horizon = max((end for _, end in ended), default=0.0) - self._memory.span
         old = [one for one in ended[: -self._memory.records] if one[0] != next(reversed(table))]
@@ -245,7 +268,9 @@ class Records:
         setattr(self, name, {number: one for number, one in table.items() if number not in gone})
         self._full[name] = len(table) - len(gone) + self._memory.records
 
-    def end_request(self, record: RequiredAction, ended: tuple[str, ...], event: int, end: Mapping[str, Any]) -> None:
+    def end_request(
+        self, record: RequiredAction, ended: tuple[str, ...], event: int, end: Mapping[str, Any]
+    ) -> None:
         finish(record, end)
         self.required.pop(record.action, None)
         self.ended = ended
@@ -255,25 +280,41 @@ class Records:
         for other in [record, *(self.open_plans.values() if result == "completed" else ())]:
             if other.end is None:
                 finish(other, {"result": result if other is record else "abandoned", "end": end})
-        self.open_plans = {number: one for number, one in self.open_plans.items() if one.end is None}
+        self.open_plans = {
+            number: one for number, one in self.open_plans.items() if one.end is None
+        }
 
-    def begin(self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float) -> None:
+    def begin(
+        self, fact: RequiredActionFact | PlanFact | ProcessFact, number: int, now: float
+    ) -> None:
         """Add a record that a model states; a missing start is the end, or now [s] if that is missing too."""
         start = fact.start if fact.start is not None else fact.end if fact.end is not None else now
         if isinstance(fact, ProcessFact):
-            self.put("processes", number, Process(fact.component, fact.pid, start, fact.end, number))
+            self.put(
+                "processes", number, Process(fact.component, fact.pid, start, fact.end, number)
+            )
             return
         end = start if fact.end is None and fact.result is not None else fact.end
         if isinstance(fact, PlanFact):
             steps, reason = (fact.activate, fact.deactivate, fact.parameters), "stated by the model"
             number = next(reversed(self.plans), 0) + 1
-            self.put("plans", number, ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number))
+            self.put(
+                "plans",
+                number,
+                ReconfigurationPlan(*steps, reason, start, end, fact.result, number=number),
+            )
             return
         weights = fact.preference
-        preference: str | Mapping[str, float] | None = MappingProxyType(dict(weights)) if weights else None
+        preference: str | Mapping[str, float] | None = (
+            MappingProxyType(dict(weights)) if weights else None
+        )
         if weights and list(weights.values()) == [1.0]:
             (preference,) = weights
-        self.put("requests", number, RequiredAction(fact.action, preference, start, end, fact.result, number=number))
+        self.put(
+            "requests",
+            number,
+            RequiredAction(fact.action, preference, start, end, fact.result, number=number),
+        )
 
     def plan_of(self, plan: object) -> ReconfigurationPlan:
         """Return a plan of these records, given by itself or by its number."""
@@ -281,16 +322,29 @@ class Records:
         found = self.plans.get(number) if type(number) is int else None
         if found is not None and plan in (found, number):
             return found
-        numbers = f"{next(iter(self.plans))} to {next(reversed(self.plans))}" if self.plans else "none yet"
-        raise InvalidValue(f"{plan!r} is not a plan of this knowledge base; give one of kb.plans (numbers: {numbers})")
+        numbers = (
+            f"{next(iter(self.plans))} to {next(reversed(self.plans))}"
+            if self.plans
+            else "none yet"
+        )
+        raise InvalidValue(
+            f"{plan!r} is not a plan of this knowledge base; give one of kb.plans (numbers: {numbers})"
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return all records as values that JSON can hold, without attempts and answers about forgotten plans."""
         known = {id(plan) for plan in self.plans.values()}
         return {
-            **{name: list(map(_written, getattr(self, name).values())) for name in ("requests", "plans", "processes")},
+            **{
+                name: list(map(_written, getattr(self, name).values()))
+                for name in ("requests", "plans", "processes")
+            },
             "attempts": [_written(one) for one in self.attempts.values() if id(one.plan) in known],
-            "answers": [[number, _written(one)] for number, one in self.answers.items() if id(one.plan) in known],
+            "answers": [
+                [number, _written(one)]
+                for number, one in self.answers.items()
+                if id(one.plan) in known
+            ],
             "ended": self.ended,
             "last_end": self.last_end,
             "progress": [[*key, saved] for key, saved in self.progress.items()],
@@ -302,14 +356,24 @@ class Records:
             for values in written[name]:
                 self.put(name, values["number"], cls(**values))
         for values in written["plans"]:
-            tuples = {name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")}
+            tuples = {
+                name: tuple(values[name]) for name in ("activate", "deactivate", "parameters")
+            }
             made = ReconfigurationPlan(**{**values, **tuples, "plain": frozenset(values["plain"])})
             self.put("plans", made.number, made)
         for values in written["attempts"]:
-            self.put("attempts", values["serial"], Attempt(**{**values, "plan": self.plans[values["plan"]]}))
+            self.put(
+                "attempts",
+                values["serial"],
+                Attempt(**{**values, "plan": self.plans[values["plan"]]}),
+            )
         for number, values in written["answers"]:
-            self.put("answers", number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]}))
-        self.progress = {(action, behaviour): saved for action, behaviour, saved in written.get("progress", ())}
+            self.put(
+                "answers", number, VetoAnswer(**{**values, "plan": self.plans[values["plan"]]})
+            )
+        self.progress = {
+            (action, behaviour): saved for action, behaviour, saved in written.get("progress", ())
+        }
         self.ended = tuple(written["ended"])
         last_end = written["last_end"]
         self.last_end = None if last_end is None else (last_end[0], last_end[1])
@@ -343,7 +407,9 @@ class HistoryView:
     attempts = _Kept[Attempt]("attempts")
     answers = _Kept[VetoAnswer]("answers")
 
-    def __init__(self, records: Records, reading: Callable[[], AbstractContextManager[object]]) -> None:
+    def __init__(
+        self, records: Records, reading: Callable[[], AbstractContextManager[object]]
+    ) -> None:
         self.records, self.reading = records, reading
 
     @property
@@ -368,12 +434,16 @@ def check_result(result: str) -> None:
         raise InvalidValue(f"{result!r} is no result; a result is one of {', '.join(RESULTS)}")
 
 
-def finish(record: RequiredAction | ReconfigurationPlan | Process | Attempt, end: Mapping[str, Any]) -> None:
+def finish(
+    record: RequiredAction | ReconfigurationPlan | Process | Attempt, end: Mapping[str, Any]
+) -> None:
     for name, value in end.items():
         object.__setattr__(record, name, value)
 
 
-def _written(record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer) -> dict[str, Any]:
+def _written(
+    record: RequiredAction | ReconfigurationPlan | Process | Attempt | VetoAnswer,
+) -> dict[str, Any]:
     return {field.name: plain(getattr(record, field.name)) for field in fields(record)}
 
 

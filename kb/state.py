@@ -55,7 +55,9 @@ class Reason(NamedTuple):
 
     def __str__(self) -> str:
         """Return the words that follow a statement: the time it ends, and the reason in brackets."""
-        lapse = "" if self.until is None else f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s"
+        lapse = (
+            "" if self.until is None else f" until {f'{self.until:.3f}'.rstrip('0').rstrip('.')} s"
+        )
         return f"{lapse} ({self.text})" if self.text else lapse
 
 
@@ -113,7 +115,9 @@ class _Supposed(Marked):
 
     def __bool__(self) -> bool:
         own = self.own
-        return any(own.values()) or (any(node not in own for node in self._below) if own else bool(self._below))
+        return any(own.values()) or (
+            any(node not in own for node in self._below) if own else bool(self._below)
+        )
 
     def __iter__(self) -> Iterator[Node]:
         own = self.own
@@ -138,7 +142,9 @@ class Users(dict[int, Marked]):
     def of(self, index: int) -> Marked:
         found = self.get(index)
         if found is None:
-            found = self[index] = Marked() if self._below is None else _Supposed(self._below.of(index))
+            found = self[index] = (
+                Marked() if self._below is None else _Supposed(self._below.of(index))
+            )
         return found
 
 
@@ -152,8 +158,12 @@ class History:
 
     def __init__(self, memory: Memory, packed: bytes = b"", begins: float | None = None) -> None:
         self._memory, self.pairs = memory, array("d", packed)
-        self.begins = -math.inf if begins is None else begins  # all measurements from this time on are held [s]
-        self.many = 4 * memory.measurements if memory.span == math.inf else 2  # `forget` is called from this length on
+        self.begins = (
+            -math.inf if begins is None else begins
+        )  # all measurements from this time on are held [s]
+        self.many = (
+            4 * memory.measurements if memory.span == math.inf else 2
+        )  # `forget` is called from this length on
 
     def __len__(self) -> int:
         return len(self.pairs) // 2
@@ -170,7 +180,9 @@ class History:
         pairs, memory = self.pairs, self._memory
         most = 2 * memory.measurements
         if pairs and (len(pairs) >= 2 * most or pairs[0] < pairs[-2] - 2 * memory.span):
-            excess = min(max(len(pairs) - most, 2 * self._place(pairs[-2] - memory.span)), len(pairs) - 2)
+            excess = min(
+                max(len(pairs) - most, 2 * self._place(pairs[-2] - memory.span)), len(pairs) - 2
+            )
             self.begins = max(self.begins, pairs[excess])
             del pairs[:excess]
 
@@ -178,7 +190,9 @@ class History:
         """Return the value that was the latest at a time [s], or None before the first."""
         place = self._place(time)
         if not place and time < self.begins:
-            raise InvalidValue(f"what was measured by {time!r} s is forgotten; memory begins at {self.begins!r} s")
+            raise InvalidValue(
+                f"what was measured by {time!r} s is forgotten; memory begins at {self.begins!r} s"
+            )
         return self.pairs[2 * place - 1] if place else None
 
     def samples(self, most: int | None = None) -> tuple[tuple[float, float], ...]:
@@ -205,7 +219,10 @@ FACTS: Final[Mapping[str, object]] = {**dict.fromkeys(_VALUES), **dict.fromkeys(
 
 _INFERRED: Final[Mapping[str, object]] = {"required": False, "served": 0, "status": Status.FEASIBLE}
 
-UNSET: Final[Mapping[str, Status]] = {**dict.fromkeys(LEVELS, Status.FEASIBLE), "constraint": Status.NOT_EVALUATED}
+UNSET: Final[Mapping[str, Status]] = {
+    **dict.fromkeys(LEVELS, Status.FEASIBLE),
+    "constraint": Status.NOT_EVALUATED,
+}
 """The status of an element of each kind while no fact about it is known."""
 
 
@@ -226,15 +243,21 @@ class State:
     value: Array[float | None]  # the latest measurement of an attribute
     time: Array[float | None]  # when that was measured [s]
     stale: Array[bool]  # an attribute's latest measurement is too old
-    verdict: Array[Status | None]  # the status of a constraint with debouncing, from all measurements
+    verdict: Array[
+        Status | None
+    ]  # the status of a constraint with debouncing, from all measurements
     failed: Array[bool]  # a component was reported as failed
     active: Array[bool]  # a component is running
     selected: Array[bool]  # a design or configuration is chosen
     requested: Array[bool]  # an action has an open request
     asserted: Array[Status | None]  # a status that replaces the inferred one
     asserted_required: Array[bool]  # stated to be required, whatever is inferred
-    required: Array[bool]  # inferred: a requested action, a function of one, a component of a selected design
-    served: Array[int]  # inferred: how many designs, selected or not, of required functions a component is in
+    required: Array[
+        bool
+    ]  # inferred: a requested action, a function of one, a component of a selected design
+    served: Array[
+        int
+    ]  # inferred: how many designs, selected or not, of required functions a component is in
     status: Array[Status]  # inferred: exactly one for each element
 
     def __init__(self, network: Network) -> None:
@@ -242,15 +265,21 @@ class State:
         self.columns: dict[str, Any] = {name: [] for name in (*FACTS, *_INFERRED)}
         for name, column in self.columns.items():
             setattr(self, name, column)
-        self.reasons: dict[tuple[str, int], Reason] = _Said()  # of a fact, by name of its array and index of the node
+        self.reasons: dict[tuple[str, int], Reason] = (
+            _Said()
+        )  # of a fact, by name of its array and index of the node
         self.parameters: dict[str, Parameters] = {}  # those last set on each component, by its name
         self.histories: dict[int, History] = {}
         self.users = Users()
-        self.adaptable = Marked()  # functions and components that need a choice, or may get a better one
+        self.adaptable = (
+            Marked()
+        )  # functions and components that need a choice, or may get a better one
         self.obsolete = Marked()  # active or selected, but for no required function
         self.lacking = Marked()  # the required components that are not active
         self.visited = 0  # how many nodes inference has visited so far
-        self.version = 0  # number of the last event that changed more here than a value and its time
+        self.version = (
+            0  # number of the last event that changed more here than a value and its time
+        )
         self.grow()
 
     @property
@@ -261,7 +290,9 @@ class State:
     def grow(self) -> None:
         for name, value in {**FACTS, **_INFERRED}.items():
             new = self.network.nodes[len(self.columns[name]) :]
-            self.columns[name] += [UNSET[node.kind] for node in new] if name == "status" else [value] * len(new)
+            self.columns[name] += (
+                [UNSET[node.kind] for node in new] if name == "status" else [value] * len(new)
+            )
 
     def forget(self, node: Node) -> None:
         """Forget all facts about a node."""
@@ -274,8 +305,13 @@ class State:
     def reason(self, column: str, node: Node) -> Reason:
         return self.reasons[column, node.index]
 
-    def give_reason(self, column: str, node: Node, text: str = "", until: float | None = None) -> None:
-        key, reason = (column, node.index), Reason(text, until) if text or until is not None else _UNSAID
+    def give_reason(
+        self, column: str, node: Node, text: str = "", until: float | None = None
+    ) -> None:
+        key, reason = (
+            (column, node.index),
+            Reason(text, until) if text or until is not None else _UNSAID,
+        )
         if self.reasons[key] != reason:
             self.put(self.reasons, key, reason)
 
@@ -361,7 +397,13 @@ def propagate(state: State, touched: Iterable[Node]) -> list[StatusChange]:
             if may_be_chosen_for:
                 state.mark(state.adaptable, node, is_adaptable(state, node))
             if (old in IMPOSSIBLE) == (new in IMPOSSIBLE):
-                wholes = state.users[index].nodes() if may_be_chosen_for else () if kind == "constraint" else wholes
+                wholes = (
+                    state.users[index].nodes()
+                    if may_be_chosen_for
+                    else ()
+                    if kind == "constraint"
+                    else wholes
+                )
             for whole in wholes:
                 agenda[whole.level][whole] = None
     return changes
@@ -387,7 +429,9 @@ def _touch(state: State, node: Node, agenda: Agenda) -> None:
         for component in node.parts:
             _use(state, component, node, selected, agenda)
     elif kind == "configuration":
-        agenda[node.wholes[0].level][node.wholes[0]] = None  # a component's status depends on which is selected
+        agenda[node.wholes[0].level][node.wholes[0]] = (
+            None  # a component's status depends on which is selected
+        )
         _mark_configuration(state, node)
 
 
@@ -436,7 +480,9 @@ def _mark_component(state: State, component: Node) -> None:
 
 def _mark_configuration(state: State, configuration: Node) -> None:
     selected = state.selected[configuration.index]
-    state.mark(state.obsolete, configuration, selected and not state.served[configuration.wholes[0].index])
+    state.mark(
+        state.obsolete, configuration, selected and not state.served[configuration.wholes[0].index]
+    )
 
 
 def is_adaptable(state: State, node: Node) -> bool:
@@ -466,14 +512,22 @@ def infer(state: State, node: Node) -> Status:
     chosen = [status[part.index] for part in node.parts if selected[part.index]] if required else ()
     if kind == "function":
         return function_status(parts, chosen, required)
-    return component_status(state.failed[index], constraints, parts, chosen, required, state.active[index])
+    return component_status(
+        state.failed[index], constraints, parts, chosen, required, state.active[index]
+    )
 
 
 def _compared(state: State, node: Node, constraint: Constraint, attribute: Node) -> Status:
     if not state.stale[attribute.index]:
         verdict = state.verdict[node.index]
-        return verdict or constraint_status(state.value[attribute.index], constraint.operator, constraint.value)
-    return Status.VIOLATED if attribute.attribute.when_stale is StalePolicy.VIOLATED else Status.NOT_EVALUATED
+        return verdict or constraint_status(
+            state.value[attribute.index], constraint.operator, constraint.value
+        )
+    return (
+        Status.VIOLATED
+        if attribute.attribute.when_stale is StalePolicy.VIOLATED
+        else Status.NOT_EVALUATED
+    )
 
 
 def infer_anew(state: State) -> None:

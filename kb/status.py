@@ -47,7 +47,18 @@ STATUSES: Mapping[str, tuple[Status, ...]] = {
 
 
 # module-level names: their lookup is faster than that of an attribute of the class
-NOT_EVALUATED, SATISFIED, VIOLATED, UNFEASIBLE, FAILURE, ERROR, IMPLICIT_ERROR, UNSOLVED, SOLVED, FEASIBLE = Status
+(
+    NOT_EVALUATED,
+    SATISFIED,
+    VIOLATED,
+    UNFEASIBLE,
+    FAILURE,
+    ERROR,
+    IMPLICIT_ERROR,
+    UNSOLVED,
+    SOLVED,
+    FEASIBLE,
+) = Status
 IMPOSSIBLE = frozenset({UNFEASIBLE, FAILURE, VIOLATED})
 """An element with one of these statuses cannot be used, nor can anything that needs it."""
 Statuses = Sequence[Status]
@@ -66,7 +77,12 @@ def configuration_status(constraints: Statuses) -> Status:
 
 
 def component_status(
-    failed: bool, constraints: Statuses, configurations: Statuses, selected: Statuses, required: bool, active: bool
+    failed: bool,
+    constraints: Statuses,
+    configurations: Statuses,
+    selected: Statuses,
+    required: bool,
+    active: bool,
 ) -> Status:
     """Status of a component, from its own constraints, all its configurations and the selected ones."""
     if failed:

@@ -31,12 +31,18 @@ _EXCESS: Final = """
         PARTITION BY subject ORDER BY number DESC) AS place FROM events WHERE verb = 'measure')
         WHERE place > ? AND number <= ?)"""
 
-_SNAPSHOT_AFTER: Final = 10_000  # the usual number of events between two snapshots; more if the state is large
+_SNAPSHOT_AFTER: Final = (
+    10_000  # the usual number of events between two snapshots; more if the state is large
+)
 _PAUSE: Final = 0.001  # the writer waits this long, so that one commit holds several events [s]
-_AHEAD: Final = 1 << 20  # how long SQLite's write-ahead log gets before it is copied into the file [bytes]
+_AHEAD: Final = (
+    1 << 20
+)  # how long SQLite's write-ahead log gets before it is copied into the file [bytes]
 _AGAIN: Final = 1.0  # how often a failed write is tried again, and the mark is forced to disk [s]
 _LONGEST_HOLD: Final = 5.0  # how long a fork waits for another thread that uses the file [s]
-_MOST_WAITING: Final = 100_000  # with more events than this to write, the store gives up: memory is limited
+_MOST_WAITING: Final = (
+    100_000  # with more events than this to write, the store gives up: memory is limited
+)
 
 _log = logging.getLogger(__name__)
 
@@ -93,7 +99,9 @@ class Store:
         except BaseException:
             self._release()
             raise
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._connection))  # else a forked child that frees it would write
+        ctypes.pythonapi.Py_IncRef(
+            ctypes.py_object(self._connection)
+        )  # else a forked child that frees it would write
 
     # ---------------------------------------------------------------- read
 
@@ -102,7 +110,9 @@ class Store:
         known.serials, found = self._serials, self._found
         with _blamed(self.path):
             if found.snapshot.number:
-                known.from_json(json.loads(found.snapshot.known), found.snapshot.number, found.snapshot.time)
+                known.from_json(
+                    json.loads(found.snapshot.known), found.snapshot.number, found.snapshot.time
+                )
             for row in found.rows:
                 known.repeat(row.event)
             self.saved = self._written
@@ -122,7 +132,11 @@ class Store:
         self.check_owner()
         only = "" if measurements else "AND verb <> 'measure'"
         with self.using, _blamed(self.path):
-            rows = () if self._closing else store_file.history(self._connection, after, self._written, only, most)
+            rows = (
+                ()
+                if self._closing
+                else store_file.history(self._connection, after, self._written, only, most)
+            )
             return [row.event for row in rows]
 
     def check_owner(self) -> None:
@@ -176,7 +190,9 @@ class Store:
             self._connection.execute(f"PRAGMA wal_autocheckpoint={_AHEAD // 4096}")  # in pages
             self._connection.execute(f"PRAGMA journal_size_limit={_AHEAD}")
             self._live(is_open=True)
-            self._connection.execute("PRAGMA wal_checkpoint(FULL)")  # so that a missing write-ahead log is noticed
+            self._connection.execute(
+                "PRAGMA wal_checkpoint(FULL)"
+            )  # so that a missing write-ahead log is noticed
         known.log.heard = self._wake.set
         self._begin()
 
@@ -186,7 +202,9 @@ class Store:
         wanted = self._knowledge.log.last
         self._wake.set()
         with self._progress:
-            self._progress.wait_for(lambda: self.saved >= wanted or self.error or self._closing, timeout)
+            self._progress.wait_for(
+                lambda: self.saved >= wanted or self.error or self._closing, timeout
+            )
         return self.saved >= wanted
 
     def close(self) -> None:
@@ -200,7 +218,9 @@ class Store:
         self._is_stopping = True
         self._wake.set()
         if self._thread is threading.current_thread():
-            self._ends_itself = True  # this thread dropped the last reference to the base, and cannot join itself
+            self._ends_itself = (
+                True  # this thread dropped the last reference to the base, and cannot join itself
+            )
             return
         unsaved = 0
         if self._thread is not None:
@@ -214,7 +234,9 @@ class Store:
                 )
         self._end()
         if unsaved:
-            raise store_file.StoreError(f"{self.error}. {unsaved} events are lost; the file is sound")
+            raise store_file.StoreError(
+                f"{self.error}. {unsaved} events are lost; the file is sound"
+            )
 
     def _end(self) -> None:
         with self.using, suppress(sqlite3.Error):
@@ -235,11 +257,15 @@ class Store:
                 os.close(descriptor)
 
     def _live(self, *, is_open: bool) -> None:
-        store_file.write_life(self._connection, self._id, is_open=is_open, last=self._written, tail=self._tail)
+        store_file.write_life(
+            self._connection, self._id, is_open=is_open, last=self._written, tail=self._tail
+        )
         self._connection.commit()
 
     def _begin(self) -> None:
-        self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
+        self._thread = threading.Thread(
+            target=self._run, name=f"store {self.path.name}", daemon=True
+        )
         self._thread.start()
         self._wake.set()
 
@@ -267,7 +293,11 @@ class Store:
             waiting = last - self._written
             batch = list(known.log.since(self._written))
             if self._needs_snapshot(batch, last):
-                snapshot = (last, known.now, json.dumps(known.to_json(self.keep), separators=(",", ":")))
+                snapshot = (
+                    last,
+                    known.now,
+                    json.dumps(known.to_json(self.keep), separators=(",", ":")),
+                )
         if (last == self.saved and snapshot is None) or self._is_given_up:
             return
         if waiting > _MOST_WAITING or len(batch) != waiting:
@@ -314,7 +344,10 @@ class Store:
             self._commit(batch, snapshot, model)
 
     def _commit(
-        self, batch: Iterable[Event], snapshot: tuple[int, float, str] | None, model: Model | None = None
+        self,
+        batch: Iterable[Event],
+        snapshot: tuple[int, float, str] | None,
+        model: Model | None = None,
     ) -> None:
         rows, before = [], self._tail
         for event in batch:
@@ -325,19 +358,31 @@ class Store:
             self._connection.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", rows)
             if snapshot is not None:
                 kept = store_file.Snapshot.of(*snapshot, others, before)
-                self._connection.execute("INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
-                self._connection.execute("DELETE FROM snapshots WHERE number < ?", (self._snapshot,))
+                self._connection.execute(
+                    "INSERT OR REPLACE INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept
+                )
+                self._connection.execute(
+                    "DELETE FROM snapshots WHERE number < ?", (self._snapshot,)
+                )
                 # events after the previous snapshot stay: they can be repeated from there
                 self._connection.execute(_EXCESS, (self.keep, self._snapshot))
             if model is not None:
-                store_file.write_about(self._connection, self._id, _declared(model), rows[-1].number)
-                store_file.write_life(self._connection, self._id, is_open=False, last=rows[-1].number, tail=before)
+                store_file.write_about(
+                    self._connection, self._id, _declared(model), rows[-1].number
+                )
+                store_file.write_life(
+                    self._connection, self._id, is_open=False, last=rows[-1].number, tail=before
+                )
             self._connection.commit()
         except BaseException:
             with suppress(sqlite3.Error):
                 self._connection.rollback()
             raise
-        self._tail, self._others, self._written = before, others, rows[-1].number if rows else self._written
+        self._tail, self._others, self._written = (
+            before,
+            others,
+            rows[-1].number if rows else self._written,
+        )
         if snapshot is not None:
             self._snapshot = snapshot[0]
 
@@ -382,7 +427,9 @@ Those of files have one: a child may not use the file; they only keep it from in
 
 def _hold() -> None:
     """Take the locks before the process is forked, so that no event is half-done in the child process."""
-    _HELD.extend(lock for lock, longest in tuple(HELD_OVER_FORKS.items()) if lock.acquire(timeout=longest))
+    _HELD.extend(
+        lock for lock, longest in tuple(HELD_OVER_FORKS.items()) if lock.acquire(timeout=longest)
+    )
 
 
 def _let_go() -> None:

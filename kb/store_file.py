@@ -37,7 +37,12 @@ _TABLES: Final = (
 WHOLE_CHECK: Final = 8 << 20
 """Up to which size the whole history is checked before a file is used; more is checked as it is read [bytes]."""
 
-BROKEN: Final = (sqlite3.Error, TypeError, ValueError, LookupError)  # what reading a damaged file may raise
+BROKEN: Final = (
+    sqlite3.Error,
+    TypeError,
+    ValueError,
+    LookupError,
+)  # what reading a damaged file may raise
 
 
 class StoreError(KnowledgeBaseError):
@@ -72,7 +77,9 @@ class Row(NamedTuple):
 
     @classmethod
     def of(cls, event: Event, before: bytes) -> Self:
-        data = json.dumps([plain(event.arguments), event.cause, event.effects], separators=(",", ":"))
+        data = json.dumps(
+            [plain(event.arguments), event.cause, event.effects], separators=(",", ":")
+        )
         subject = str(event.subject).encode("utf-8", "replace").decode()
         values = (event.number, float(event.time), event.verb, subject, data)
         return cls(*values, before, digest(before, *values))
@@ -80,7 +87,12 @@ class Row(NamedTuple):
     @property
     def event(self) -> Event:
         arguments, cause, effects = json.loads(self.data)
-        given = {"number": self.number, "time": self.time, "verb": self.verb, "arguments": arguments}
+        given = {
+            "number": self.number,
+            "time": self.time,
+            "verb": self.verb,
+            "arguments": arguments,
+        }
         return Event.from_json({**given, "cause": cause, "effects": effects})
 
 
@@ -153,8 +165,16 @@ class Survey(NamedTuple):
         return max(0, self.acknowledged - self.last)
 
     def error(self, path: Path) -> StoreError:
-        words = f", and {self.missing} that were acknowledged after it are missing" if self.missing else ""
-        sound = f"it is sound up to event {self.last}{words}" if self.declared is not None else "its model is lost"
+        words = (
+            f", and {self.missing} that were acknowledged after it are missing"
+            if self.missing
+            else ""
+        )
+        sound = (
+            f"it is sound up to event {self.last}{words}"
+            if self.declared is not None
+            else "its model is lost"
+        )
         return damaged(path, f"{self.problem}; {sound}")
 
 
@@ -181,31 +201,47 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
         problems.append("how it was closed is not as it was written")
     is_open, closed_at, closed_tail = life[0][:3] if life else (True, 0, b"")
     snapshots = [Snapshot(*one) for one in tried("SELECT * FROM snapshots ORDER BY number DESC")]
-    problems += [f"what was known after event {one.number} is damaged" for one in snapshots if not is_sound(one)]
+    problems += [
+        f"what was known after event {one.number} is damaged"
+        for one in snapshots
+        if not is_sound(one)
+    ]
     snapshot = next((one for one in snapshots if is_sound(one)), NOTHING)
     number, tail = snapshot.number, snapshot.tail
     counted = tried("SELECT COUNT(*) FROM events WHERE verb <> 'measure' AND number <= ?", number)
     if counted and counted[0][0] != snapshot.others:
-        problems.append(f"of {snapshot.others} events before {number} that are no measurements not all are there")
+        problems.append(
+            f"of {snapshot.others} events before {number} that are no measurements not all are there"
+        )
     ends, rows = {number: tail}, []
     try:
-        for one in connection.execute("SELECT * FROM events WHERE number > ? ORDER BY number", (number,)):
+        for one in connection.execute(
+            "SELECT * FROM events WHERE number > ? ORDER BY number", (number,)
+        ):
             row = Row(*one)
             if row.number != number + 1 or row.before != tail or not is_sound(row):
                 problems.append(f"event {number + 1} is not as it was written")
                 break
             if row.verb == "amend" and row.number > since:
-                problems.append(f"the model was changed at event {row.number}, and what was known then is not there")
+                problems.append(
+                    f"the model was changed at event {row.number}, and what was known then is not there"
+                )
                 break
             rows.append(row)
             number, tail = row.number, row.digest
             ends[number] = tail
     except BROKEN as error:
         problems.append(f"after event {number}: {error}")
-    marks = [one for one in (mark, Mark(own, closed_at, closed_tail)) if one is not None and one.id == own]
+    marks = [
+        one
+        for one in (mark, Mark(own, closed_at, closed_tail))
+        if one is not None and one.id == own
+    ]
     acknowledged = max(one.number for one in marks)
     if is_open and mark not in marks:
-        problems.append("the mark of what was acknowledged, a file beside it, is missing or of another store")
+        problems.append(
+            "the mark of what was acknowledged, a file beside it, is missing or of another store"
+        )
     elif any(ends.get(one.number, one.tail) != one.tail for one in marks) or acknowledged > number:
         problems.append(f"event {acknowledged} was acknowledged, and is missing or another one")
     if is_whole and not problems:
@@ -214,10 +250,14 @@ def survey(connection: sqlite3.Connection, mark: Mark | None, *, is_whole: bool)
         except BROKEN as error:
             problems.append(str(error))
     problem = problems[0] if problems else ""
-    return Survey(declared, since, own, snapshot, rows, number, tail, acknowledged, bool(is_open), problem)
+    return Survey(
+        declared, since, own, snapshot, rows, number, tail, acknowledged, bool(is_open), problem
+    )
 
 
-def history(connection: sqlite3.Connection, after: int, until: int, only: str = "", most: int = -1) -> Iterator[Row]:
+def history(
+    connection: sqlite3.Connection, after: int, until: int, only: str = "", most: int = -1
+) -> Iterator[Row]:
     """Yield records in order; each is checked, also against the one before it if that is still there."""
     order = f"SELECT * FROM events WHERE number > ? AND number <= ? {only} ORDER BY number LIMIT ?"
     before: Row | None = None
@@ -243,21 +283,31 @@ def make(path: Path, declared: str) -> bool:
             return False
         with draft(path) as part:
             connection = sqlite3.connect(part)
-            for statement in (f"PRAGMA application_id={_OWNER}", f"PRAGMA user_version={FORMAT}", *_TABLES):
+            for statement in (
+                f"PRAGMA application_id={_OWNER}",
+                f"PRAGMA user_version={FORMAT}",
+                *_TABLES,
+            ):
                 connection.execute(statement)
             own = os.urandom(16)
             values = declared, 0, own
-            connection.execute("INSERT INTO about VALUES (?, ?, ?, ?)", (*values, digest(b"", *values)))
+            connection.execute(
+                "INSERT INTO about VALUES (?, ?, ?, ?)", (*values, digest(b"", *values))
+            )
             write_life(connection, own, is_open=False, last=0, tail=b"")
             connection.commit()
             connection.close()
             return put_in_place(part, path)
     except (OSError, sqlite3.Error) as error:
         why = getattr(error, "strerror", None) or error
-        raise StoreError(f"{path}: the store cannot be made: {why}; see who may write in that folder") from None
+        raise StoreError(
+            f"{path}: the store cannot be made: {why}; see who may write in that folder"
+        ) from None
 
 
-def write_life(connection: sqlite3.Connection, own: bytes, *, is_open: bool, last: int, tail: bytes) -> None:
+def write_life(
+    connection: sqlite3.Connection, own: bytes, *, is_open: bool, last: int, tail: bytes
+) -> None:
     values = int(is_open), last, tail
     connection.execute("DELETE FROM life")
     connection.execute("INSERT INTO life VALUES (?, ?, ?, ?)", (*values, digest(own, *values)))
@@ -265,7 +315,10 @@ def write_life(connection: sqlite3.Connection, own: bytes, *, is_open: bool, las
 
 def write_about(connection: sqlite3.Connection, own: bytes, declared: str, since: int) -> None:
     values = declared, since, own
-    connection.execute("UPDATE about SET declared = ?, since = ?, id = ?, digest = ?", (*values, digest(b"", *values)))
+    connection.execute(
+        "UPDATE about SET declared = ?, since = ?, id = ?, digest = ?",
+        (*values, digest(b"", *values)),
+    )
 
 
 def put_in_place(part: Path, path: Path) -> bool:
@@ -297,22 +350,32 @@ def guarded(path: Path) -> int:
         if isinstance(error, StoreError):
             raise
         is_taken = isinstance(error, BlockingIOError)
-        raise _in_use(path) if is_taken else StoreError(f"{path}: the store cannot be read: {error.strerror}") from None
+        raise (
+            _in_use(path)
+            if is_taken
+            else StoreError(f"{path}: the store cannot be read: {error.strerror}")
+        ) from None
     return descriptor
 
 
 def _in_use(path: Path) -> StoreError:
-    return StoreError(f"{path}: the store is in use by another knowledge base or process; close that, or name another")
+    return StoreError(
+        f"{path}: the store is in use by another knowledge base or process; close that, or name another"
+    )
 
 
 def check_format(path: Path, head: bytes) -> None:
     if not head.startswith(_MAGIC) or len(head) < HEAD:
         raise StoreError(f"{path}: this is not a store; it is left unchanged. Name another file")
     if int.from_bytes(head[68:72], "big") != _OWNER:
-        raise StoreError(f"{path}: this is the database of another program; it is left unchanged. Name another file")
+        raise StoreError(
+            f"{path}: this is the database of another program; it is left unchanged. Name another file"
+        )
     found = int.from_bytes(head[60:64], "big")
     if found != FORMAT:
-        which = "a newer version; update" if found > FORMAT else "an older version; open it with that"
+        which = (
+            "a newer version; update" if found > FORMAT else "an older version; open it with that"
+        )
         raise StoreError(f"{path}: the store has format {found}, of {which}, or name another file")
 
 
@@ -321,7 +384,9 @@ def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
     log = beside(path, "wal")
     content = log.read_bytes() if log.exists() else None
     try:
-        connection = sqlite3.connect(path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False)
+        connection = sqlite3.connect(
+            path, timeout=0.0, isolation_level="EXCLUSIVE", check_same_thread=False
+        )
     except sqlite3.Error as error:
         raise StoreError(f"{path}: the store cannot be opened: {error}") from None
     try:
@@ -330,7 +395,9 @@ def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
         found = survey(connection, Mark.read(path), is_whole=path.stat().st_size <= WHOLE_CHECK)
         if found.problem:
             raise found.error(path)
-        connection.execute(f"PRAGMA user_version={FORMAT}")  # a file that may only be read is not noticed before that
+        connection.execute(
+            f"PRAGMA user_version={FORMAT}"
+        )  # a file that may only be read is not noticed before that
         connection.rollback()
     except BaseException as error:
         _leave(connection, log, content)
@@ -339,7 +406,9 @@ def opened(path: Path) -> tuple[sqlite3.Connection, Survey]:
         if "locked" in str(error):
             raise _in_use(path) from None
         if isinstance(error, sqlite3.OperationalError):
-            raise StoreError(f"{path}: the store cannot be opened for writing: {error}; see who may write it") from None
+            raise StoreError(
+                f"{path}: the store cannot be opened for writing: {error}; see who may write it"
+            ) from None
         raise damaged(path, error) from None
     return connection, found
 

@@ -173,7 +173,9 @@ class _SelectableView(_StatusView):
     def reason(self) -> str:
         """The reason that was given with its selection; empty without a reason, or if it is not selected."""
         with self.base.reading() as state:
-            return state.reason("selected", self.node).text if state.selected[self.node.index] else ""
+            return (
+                state.reason("selected", self.node).text if state.selected[self.node.index] else ""
+            )
 
 
 class DesignView(_SelectableView):

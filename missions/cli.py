@@ -13,22 +13,55 @@ from missions.commands import FAILED, WRONG_USE, complain
 __all__ = ["app", "main"]
 
 COMMANDS: Final = {
-    "new": ("new:new", "Write a package with model, task logic, world and tests that runs at once."),
+    "new": (
+        "new:new",
+        "Write a package with model, task logic, world and tests that runs at once.",
+    ),
     "list": (":list_missions", "List the missions."),
     "settings": (":list_settings", "List what `rosa run MISSION --set NAME=VALUE` takes."),
-    "run": ("run:run", "Run a mission, say what happened and why, and exit with 0 if it did what it was for."),
-    "watch": ("run:watch", "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."),
-    "bridge": ("robots:bridge", "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree."),
-    "mcp": ("robots:mcp", "Serve the questions of a robot's knowledge base to assistants (Model Context Protocol)."),
-    "replay": ("recordings:replay", "Decide once more what was recorded; exit with 1 if that differs."),
+    "run": (
+        "run:run",
+        "Run a mission, say what happened and why, and exit with 0 if it did what it was for.",
+    ),
+    "watch": (
+        "run:watch",
+        "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements.",
+    ),
+    "bridge": (
+        "robots:bridge",
+        "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree.",
+    ),
+    "mcp": (
+        "robots:mcp",
+        "Serve the questions of a robot's knowledge base to assistants (Model Context Protocol).",
+    ),
+    "replay": (
+        "recordings:replay",
+        "Decide once more what was recorded; exit with 1 if that differs.",
+    ),
     "record": ("recordings:record", "Look at a recording, or put it in another form."),
     "check": ("check:check", "Judge a model, and say what to do about each finding."),
-    "plan": ("check:plan", "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."),
-    "verify": ("check:verify", "Say what holds in everything that can happen; exit with 0 if all of it does."),
+    "plan": (
+        "check:plan",
+        "Plan, say why actions are out and why there is no plan, and exit with 0 if there is one.",
+    ),
+    "verify": (
+        "check:verify",
+        "Say what holds in everything that can happen; exit with 0 if all of it does.",
+    ),
     "campaign": ("experiments:campaign", "Run missions with many managers, settings and seeds."),
-    "report": ("experiments:report", "Say what came of a campaign; or show a run, or two side by side, as a page."),
-    "learn": ("experiments:learn", "Suggest changes of a model, each with its interval; --apply writes them."),
-    "effort": ("experiments:effort", "Count what it takes to write a model, beside the counts of the ROSA paper."),
+    "report": (
+        "experiments:report",
+        "Say what came of a campaign; or show a run, or two side by side, as a page.",
+    ),
+    "learn": (
+        "experiments:learn",
+        "Suggest changes of a model, each with its interval; --apply writes them.",
+    ),
+    "effort": (
+        "experiments:effort",
+        "Count what it takes to write a model, beside the counts of the ROSA paper.",
+    ),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }
 """The sub-commands: where each is in `missions.commands`, and its help. It is imported only when it is called."""
@@ -70,7 +103,8 @@ def _say_version(is_asked: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version.")
+        bool,
+        typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
     pass
@@ -84,8 +118,12 @@ def main() -> None:
     from pathlib import Path
 
     sys.path.append(str(Path.cwd()))  # so that module:NAME finds your own missions
-    logging.basicConfig(level=logging.ERROR, format="rosa: %(message)s")  # the console shows less severe messages
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))  # so that drafts of files are removed
+    logging.basicConfig(
+        level=logging.ERROR, format="rosa: %(message)s"
+    )  # the console shows less severe messages
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM)
+    )  # so that drafts of files are removed
     try:
         app()
     except OSError as error:  # standard output is closed, or the disk is full

@@ -1,8 +1,21 @@
 """Behaviours of py_trees that ask a knowledge base which actions are feasible, and request the actions that they do."""
 
 from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction, forget_progress
-from rosa_bt.composites import ForAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
-from rosa_bt.exceptions import ExportError, RegistryError, RosaBtError, TraceError, TreeChangeError, XmlError
+from rosa_bt.composites import (
+    ForAction,
+    do_until_unfeasible,
+    feasible_then_act,
+    first_feasible,
+    switch_safely,
+)
+from rosa_bt.exceptions import (
+    ExportError,
+    RegistryError,
+    RosaBtError,
+    TraceError,
+    TreeChangeError,
+    XmlError,
+)
 from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
 from rosa_bt.trees import TreeRunner
 from rosa_bt.worth import Decision, Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner

@@ -38,7 +38,10 @@ def halt(root: Behaviour) -> None:
     """
     running = [one for one in root.iterate() if one.status is Status.RUNNING]
     interrupt: BaseException | None = None
-    for behaviour in (*running, *running):  # the second round stops those whose stop was interrupted
+    for behaviour in (
+        *running,
+        *running,
+    ):  # the second round stops those whose stop was interrupted
         try:
             if behaviour.status is Status.RUNNING:
                 behaviour.stop(Status.INVALID)
@@ -55,7 +58,11 @@ def halt(root: Behaviour) -> None:
 
 
 _SAVE_S: Final = 1.0  # interval at which the progress of a running action goes to the store [s]
-_RESULTS: Final = {Status.SUCCESS: "completed", Status.FAILURE: "failed", Status.INVALID: "abandoned"}
+_RESULTS: Final = {
+    Status.SUCCESS: "completed",
+    Status.FAILURE: "failed",
+    Status.INVALID: "abandoned",
+}
 
 
 @dataclass(slots=True)
@@ -82,7 +89,9 @@ def _ledger(kb: KnowledgeBase) -> _Ledger:
     found = _ledgers.get(kb)
     if found is None:
         found = _ledgers.setdefault(kb, _Ledger())
-        found.progress |= {(_EARLIER, *key): json.loads(saved) for key, saved in kb.history.progress.items()}
+        found.progress |= {
+            (_EARLIER, *key): json.loads(saved) for key, saved in kb.history.progress.items()
+        }
         for action in kb.store.left if kb.store is not None else ():
             if action in kb.actions:
                 kb.cancel_action(action, "abandoned", "the program that requested it has ended")
@@ -207,7 +216,9 @@ class ActionRequest:
             return
         others = _ledger(kb).holders.setdefault(action, {})
         others.pop(self._token, None)
-        if not others and action in kb.actions:  # removing an action from the model cancels its request
+        if (
+            not others and action in kb.actions
+        ):  # removing an action from the model cancels its request
             if status is Status.INVALID:
                 reason = "" if kb.is_feasible(action) else kb.why(kb.actions[action])
             kb.cancel_action(action, _RESULTS[status], "" if status is Status.SUCCESS else reason)
@@ -278,7 +289,9 @@ class KbBehaviour(Careful):
         return self._advance()
 
     def _advance(self) -> Status:
-        with self.kb.reading():  # all its questions are answered at one moment, which the trace can name
+        with (
+            self.kb.reading()
+        ):  # all its questions are answered at one moment, which the trace can name
             self.known = self.kb.log.last
             if self.status is not Status.RUNNING:
                 self.initialise()
@@ -314,7 +327,9 @@ class ActionBehaviour(PortsMixin, KbBehaviour):
         super().__init__(name, kb)
         self.given: Final = action
         if action is not None:
-            kb.is_feasible(action)  # an unknown action is found here, not in the middle of a mission
+            kb.is_feasible(
+                action
+            )  # an unknown action is found here, not in the middle of a mission
 
     @property
     def action(self) -> str:
@@ -334,21 +349,32 @@ class IsActionFeasible(ActionBehaviour):
         kb.UnknownName: no such action; the message lists the nearest ones.
     """
 
-    def __init__(self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0) -> None:
+    def __init__(
+        self, name: str, kb: KnowledgeBase, action: str | None = None, *, during: float = 0.0
+    ) -> None:
         super().__init__(name, kb, action)
-        self.during, self.ends_too_soon = during, False  # ends_too_soon: feasible now, but not for as long as `during`
+        self.during, self.ends_too_soon = (
+            during,
+            False,
+        )  # ends_too_soon: feasible now, but not for as long as `during`
 
     def update(self) -> Status:
         action, self.ends_too_soon = self.action, False
         if not self.kb.is_feasible(action):
             return self._answer(why(self.kb, action))
-        began = [one.start for one in self.kb.required_actions if one.action == action] if self.during else []
+        began = (
+            [one.start for one in self.kb.required_actions if one.action == action]
+            if self.during
+            else []
+        )
         left = self.during - sum(self.kb.now - start for start in began)
         if left <= 0.0:
             return self._answer("")
         until = self.kb.feasible_until(action, left)
         self.ends_too_soon = (until.at if began else until.earliest) is not None
-        return self._answer(f"{action} takes {left:.3g} s and is {until}" if self.ends_too_soon else "")
+        return self._answer(
+            f"{action} takes {left:.3g} s and is {until}" if self.ends_too_soon else ""
+        )
 
 
 class HasStatus(KbBehaviour):
@@ -367,21 +393,36 @@ class HasStatus(KbBehaviour):
         kb.InvalidValue: an element of this kind never has this status.
     """
 
-    def __init__(self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str) -> None:
+    def __init__(
+        self, name: str, kb: KnowledgeBase, element: str | StatusView, status: str
+    ) -> None:
         super().__init__(name, kb)
         if isinstance(element, str):
-            tables: dict[str, Mapping[str, StatusView]] = {"action": kb.actions, "function": kb.functions}
-            tables |= {"component": kb.components, "function design": kb.designs, "configuration": kb.configurations}
+            tables: dict[str, Mapping[str, StatusView]] = {
+                "action": kb.actions,
+                "function": kb.functions,
+            }
+            tables |= {
+                "component": kb.components,
+                "function design": kb.designs,
+                "configuration": kb.configurations,
+            }
             element = meant_by(element, tables, "element", "pass the view meant, e.g. kb.")
         possible = STATUSES[element.node.kind]
         if status not in possible:
             known = ", ".join(repr(str(one)) for one in possible)
-            raise InvalidValue(f"{element.node.kind} {element.name!r} is never {status!r}; it can be {known}")
+            raise InvalidValue(
+                f"{element.node.kind} {element.name!r} is never {status!r}; it can be {known}"
+            )
         self.element, self.wanted = element, status
 
     def update(self) -> Status:
         status = self.element.status
-        return self._answer("" if status == self.wanted else f"{self.element.name} is not {self.wanted} but {status}")
+        return self._answer(
+            ""
+            if status == self.wanted
+            else f"{self.element.name} is not {self.wanted} but {status}"
+        )
 
 
 class Measurement(KbBehaviour):
@@ -417,10 +458,16 @@ class Measurement(KbBehaviour):
     def update(self) -> Status:
         attribute, measured = self.attribute, self.attribute.value
         if measured is None or attribute.is_stale:
-            self.feedback_message = f"{attribute.name} is not measured{'' if measured is None else ' any more'}"
+            self.feedback_message = (
+                f"{attribute.name} is not measured{'' if measured is None else ' any more'}"
+            )
             return self._unknown
         holds = OPERATORS[self.operator](measured, self.value)
-        return self._answer("" if holds else f"{attribute.name} {measured:.6g} is not {self.operator} {self.value:.6g}")
+        return self._answer(
+            ""
+            if holds
+            else f"{attribute.name} {measured:.6g} is not {self.operator} {self.value:.6g}"
+        )
 
 
 class RosaAction(ActionBehaviour):
@@ -445,7 +492,9 @@ class RosaAction(ActionBehaviour):
     """
 
     BOOKKEEPING = "_saved_s"
-    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {"preference": PortInformation(str, False, "attribute to favour", "")}
+    INPUT_PORTS = ActionBehaviour.INPUT_PORTS | {
+        "preference": PortInformation(str, False, "attribute to favour", "")
+    }
 
     def __init__(
         self,
@@ -527,7 +576,11 @@ class RosaAction(ActionBehaviour):
         if not self._has_begun:
             self._begin()
         status = self._updated()
-        if status is Status.RUNNING and self.kb.store is not None and self.kb.now >= self._saved_s + _SAVE_S:
+        if (
+            status is Status.RUNNING
+            and self.kb.store is not None
+            and self.kb.now >= self._saved_s + _SAVE_S
+        ):
             self._save(status)
         return status
 

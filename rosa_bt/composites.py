@@ -10,7 +10,14 @@ from py_trees.common import Status
 from py_trees.decorators import Decorator
 
 from kb import KnowledgeBase, UnknownName
-from rosa_bt.behaviours import ActionBehaviour, ActionRequest, Careful, IsActionFeasible, RosaAction, halt
+from rosa_bt.behaviours import (
+    ActionBehaviour,
+    ActionRequest,
+    Careful,
+    IsActionFeasible,
+    RosaAction,
+    halt,
+)
 from rosa_bt.exceptions import TreeChangeError, in_words
 
 
@@ -149,7 +156,9 @@ class DoUntilUnfeasible(_Parts):
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
     """
 
-    def __init__(self, name: str, task: Behaviour, meanwhile: Behaviour, *, memory: bool = False) -> None:
+    def __init__(
+        self, name: str, task: Behaviour, meanwhile: Behaviour, *, memory: bool = False
+    ) -> None:
         super().__init__(name, [task, meanwhile])
         self.memory = memory
 
@@ -239,7 +248,9 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
     if not isinstance(task, RosaAction):
         if not during:
             return task
-        raise TreeChangeError(f"{task.name!r} is not a RosaAction; give `during` to the actions in it instead")
+        raise TreeChangeError(
+            f"{task.name!r} is not a RosaAction; give `during` to the actions in it instead"
+        )
     condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
 
@@ -249,7 +260,9 @@ def unguarded(root: Behaviour) -> list[RosaAction]:
 
     A node stops its action if it is a `ForAction`, or a sequence without memory with an `IsActionFeasible` before it.
     """
-    actions = [one for one in root.iterate() if isinstance(one, RosaAction) and one.even_if_unfeasible]
+    actions = [
+        one for one in root.iterate() if isinstance(one, RosaAction) and one.even_if_unfeasible
+    ]
     return [one for one in actions if not _is_guarded(one)]
 
 
@@ -260,14 +273,23 @@ def _is_guarded(action: RosaAction) -> bool:
         is_sequence = isinstance(parent, composites.Sequence) and not parent.memory
         if is_sequence or getattr(parent, "is_reactive_sequence", False):
             before = parent.children[: parent.children.index(node)]
-        asked = [one.action for child in before for one in child.iterate() if isinstance(one, IsActionFeasible)]
-        if action.action in asked or (isinstance(parent, ForAction) and parent.action == action.action):
+        asked = [
+            one.action
+            for child in before
+            for one in child.iterate()
+            if isinstance(one, IsActionFeasible)
+        ]
+        if action.action in asked or (
+            isinstance(parent, ForAction) and parent.action == action.action
+        ):
             return True
         node = parent
     return False
 
 
-def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = False, during: float = 0.0) -> Behaviour:
+def first_feasible(
+    name: str, tasks: Sequence[Behaviour], *, memory: bool = False, during: float = 0.0
+) -> Behaviour:
     """Return a selector that does the first of several actions that is feasible and does not fail.
 
     Args:
@@ -277,11 +299,18 @@ def first_feasible(name: str, tasks: Sequence[Behaviour], *, memory: bool = Fals
             takes over in the tick in which it becomes feasible.
         during: how long each action takes [s]; for an action of another duration, pass `feasible_then_act(...)`.
     """
-    return composites.Selector(name, memory=memory, children=[feasible_then_act(task, during) for task in tasks])
+    return composites.Selector(
+        name, memory=memory, children=[feasible_then_act(task, during) for task in tasks]
+    )
 
 
 def do_until_unfeasible(
-    task: Behaviour, meanwhile: Behaviour, *, memory: bool = False, name: str | None = None, during: float = 0.0
+    task: Behaviour,
+    meanwhile: Behaviour,
+    *,
+    memory: bool = False,
+    name: str | None = None,
+    during: float = 0.0,
 ) -> DoUntilUnfeasible:
     """Return a composite that does a task, and something else while the task is unfeasible; then the task goes on.
 
@@ -293,7 +322,9 @@ def do_until_unfeasible(
         during: how long the task takes [s], if it is an action; it starts only if it will stay feasible for that long.
     """
     name = name or f"{task.name}, or else {meanwhile.name}"
-    return DoUntilUnfeasible(name, feasible_then_act(task, during), feasible_then_act(meanwhile), memory=memory)
+    return DoUntilUnfeasible(
+        name, feasible_then_act(task, during), feasible_then_act(meanwhile), memory=memory
+    )
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
@@ -331,9 +362,13 @@ def _switched(
 ) -> Behaviour:
     parent = task.parent
     if parent is not None and not isinstance(parent, composites.Composite | Decorator):
-        raise TreeChangeError(f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition")
+        raise TreeChangeError(
+            f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition"
+        )
     task.parent = None
-    switch = SafeSwitch(f"switch to {task.action}" if needed else f"note {task.action}", task, needed, posture)
+    switch = SafeSwitch(
+        f"switch to {task.action}" if needed else f"note {task.action}", task, needed, posture
+    )
     if parent is None:
         return switch
     parent.children[parent.children.index(task)] = switch

@@ -61,10 +61,16 @@ def ascii_tree(root: Behaviour) -> str:
 
 def dot_tree(root: Behaviour) -> str:
     """Return a tree as a graph in the DOT language of Graphviz, which `dot -Tsvg` draws."""
-    lines = ["digraph tree {", "  rankdir=LR;", '  node [shape=box, style="rounded,filled", fontname="sans-serif"];']
+    lines = [
+        "digraph tree {",
+        "  rankdir=LR;",
+        '  node [shape=box, style="rounded,filled", fontname="sans-serif"];',
+    ]
     for number, row in enumerate(_rows(root)):
         label = "\\n".join(line.replace("\\", "\\\\").replace('"', '\\"') for line in row.lines)
-        lines.append(f'  n{number} [label="{label}", fillcolor="{_FILLS[row.status]}", color="{row.edge}"];')
+        lines.append(
+            f'  n{number} [label="{label}", fillcolor="{_FILLS[row.status]}", color="{row.edge}"];'
+        )
         if row.parent >= 0:
             lines.append(f"  n{row.parent} -> n{number};")
     return "\n".join([*lines, "}", ""])
@@ -98,15 +104,27 @@ def _rows(root: Behaviour) -> list[_Row]:
     pending = [(root, -1, "", "", False)]
     while pending:
         behaviour, parent, lead, below, is_idle = pending.pop()
-        status = Status.INVALID if is_idle and behaviour.status is not Status.RUNNING else behaviour.status
+        status = (
+            Status.INVALID
+            if is_idle and behaviour.status is not Status.RUNNING
+            else behaviour.status
+        )
         reason = _feasibility(behaviour)
         is_said = reason in said
         said.add(reason)
         feasibility = "unfeasible" if is_said and reason != "feasible" and reason else reason
         feedback = _plain(behaviour.feedback_message)
-        notes = [feasibility, feedback] if feedback not in said and not reason.endswith(feedback) else [feasibility]
-        edge = _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
-        title = " ".join(filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)]))
+        notes = (
+            [feasibility, feedback]
+            if feedback not in said and not reason.endswith(feedback)
+            else [feasibility]
+        )
+        edge = (
+            _PLAIN if not feasibility else _FEASIBLE if feasibility == "feasible" else _UNFEASIBLE
+        )
+        title = " ".join(
+            filter(None, [f"[{_MARKS[status]}]", _kind(behaviour), _plain(behaviour.name)])
+        )
         for child in reversed(behaviour.children):
             step, rest = ("`-- ", "    ") if child is behaviour.children[-1] else ("|-- ", "|   ")
             pending.append((child, len(rows), below + step, below + rest, status is Status.INVALID))

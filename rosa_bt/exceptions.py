@@ -57,6 +57,10 @@ def line_in_words(error: Exception, *ours: str) -> str:
     """Return the last line of the user's code in a traceback, as `; tree.py, line 3`, or nothing if there is none."""
     own = (*_OURS, *ours, *stdlib_module_names)
     frames = [
-        one for one in walk_tb(error.__traceback__) if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
+        one
+        for one in walk_tb(error.__traceback__)
+        if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
     ]
-    return "".join(f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:])
+    return "".join(
+        f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:]
+    )

@@ -107,13 +107,24 @@ class Trace:
     ticks: tuple[Tick, ...]
 
     def __str__(self) -> str:
-        ticks = (_tick_line(tick, before) for before, tick in pairwise([None, *self.ticks]) if tick is not None)
+        ticks = (
+            _tick_line(tick, before)
+            for before, tick in pairwise([None, *self.ticks])
+            if tick is not None
+        )
         return "".join([_first_line(self.model), *ticks])
 
     def statuses(self, name: str) -> tuple[Status, ...]:
         """Return the statuses of all behaviours with this name, in the order of ticks; skipped ones are left out."""
-        visits = [visit for tick in self.ticks for visit in tick.visited if tick.tree[visit.node].name == name]
-        return tuple(Status[visit.status] for visit in visits if visit.status != Status.INVALID.name)
+        visits = [
+            visit
+            for tick in self.ticks
+            for visit in tick.visited
+            if tick.tree[visit.node].name == name
+        ]
+        return tuple(
+            Status[visit.status] for visit in visits if visit.status != Status.INVALID.name
+        )
 
 
 class TraceVisitor(VisitorBase):
@@ -129,7 +140,9 @@ class TraceVisitor(VisitorBase):
         keep: how many of the last ticks to keep in memory, at least 1.
     """
 
-    def __init__(self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT) -> None:
+    def __init__(
+        self, kb: KnowledgeBase, path: str | Path | None = None, *, keep: int = _KEPT
+    ) -> None:
         super().__init__(full=False)
         if keep < 1:
             raise ValueError(f"keep is a number of ticks from 1, not {keep!r}")
@@ -169,7 +182,9 @@ class TraceVisitor(VisitorBase):
     def finalise(self) -> None:
         if not all(node in self._numbers for node, _, _ in self._seen):
             self._number()
-        visited = tuple([Visit(self._numbers[node], status.name, text) for node, status, text in self._seen])
+        visited = tuple(
+            [Visit(self._numbers[node], status.name, text) for node, status, text in self._seen]
+        )
         self._write(visited, is_interrupted=False)
 
     def interrupt(self) -> None:
@@ -178,7 +193,9 @@ class TraceVisitor(VisitorBase):
 
     def _write(self, visited: tuple[Visit, ...], *, is_interrupted: bool) -> None:
         with self._kb.reading():
-            events = [Event(*one[:7]) for one in self._kb.log.since(self._done)]  # without what is not in a file
+            events = [
+                Event(*one[:7]) for one in self._kb.log.since(self._done)
+            ]  # without what is not in a file
             time = float(self._kb.now)
         if not is_interrupted:  # later events are of the next tick
             last = max([self._begun, *self._known, *self._own])
@@ -189,7 +206,9 @@ class TraceVisitor(VisitorBase):
         before = self._ticks[-1] if self._ticks else None
         if before is not None and visited == before.visited:
             visited = before.visited  # keep one copy in memory
-        tick = Tick(self._count, time, self._tree, visited, told, tuple(chain(*whys)), is_interrupted)
+        tick = Tick(
+            self._count, time, self._tree, visited, told, tuple(chain(*whys)), is_interrupted
+        )
         if self._file is not None:
             self._file.write(_tick_line(tick, before))
         self._ticks.append(tick)
@@ -200,7 +219,9 @@ class TraceVisitor(VisitorBase):
     def _place(self, number: int) -> int | None:
         if number <= self._begun or number in self._own:
             return -1 if number <= self._begun else None
-        return next((place for place, known in enumerate(self._known) if known >= number), len(self._known))
+        return next(
+            (place for place, known in enumerate(self._known) if known >= number), len(self._known)
+        )
 
     def _witness(self, event: Event) -> None:
         """Note whether the tree told the event, and why actions became unfeasible with it, as it is explained now."""
@@ -232,14 +253,22 @@ class TraceVisitor(VisitorBase):
             behaviour, depth = pending.pop()
             depths[behaviour] = depth
             pending += [(child, depth + 1) for child in reversed(behaviour.children)]
-        for behaviour, _, _ in self._seen:  # a step of a plan may have left the tree before the end of the tick
+        for (
+            behaviour,
+            _,
+            _,
+        ) in self._seen:  # a step of a plan may have left the tree before the end of the tick
             depths.setdefault(behaviour, 1)
         self._numbers = {behaviour: number for number, behaviour in enumerate(depths)}
-        self._tree = tuple(Node(depth, type(one).__name__, one.name) for one, depth in depths.items())
+        self._tree = tuple(
+            Node(depth, type(one).__name__, one.name) for one, depth in depths.items()
+        )
 
 
 def _unfeasible(event: Event) -> list[str]:
-    return [one.name for one in event.changes if _turns(one) and one.new is ElementStatus.UNFEASIBLE]
+    return [
+        one.name for one in event.changes if _turns(one) and one.new is ElementStatus.UNFEASIBLE
+    ]
 
 
 def _turns(change: StatusChange) -> bool:
@@ -280,7 +309,9 @@ def read_trace(path: str | Path) -> Trace:
     """
     try:
         found = Path(path).read_bytes()
-        whole = found.rpartition(b"\n")[0] or found  # the last line is incomplete if the program was killed
+        whole = (
+            found.rpartition(b"\n")[0] or found
+        )  # the last line is incomplete if the program was killed
         lines = whole.decode().splitlines()
     except (OSError, ValueError) as error:
         raise TraceError(f"cannot read the trace {path}: {error}") from error
@@ -295,7 +326,9 @@ def read_trace(path: str | Path) -> Trace:
                 continue
             version, model = line["rosa_bt_trace"], str(line["model"])
         except Exception as error:  # a wrong line may raise anything
-            raise TraceError(f"{path}:{number}: not a line of a trace ({type(error).__name__}: {error})") from None
+            raise TraceError(
+                f"{path}:{number}: not a line of a trace ({type(error).__name__}: {error})"
+            ) from None
         if version != _VERSION:
             how = f"this program reads version {_VERSION}; `pytest --update-traces` writes a golden one anew"
             raise TraceError(f"{path} has version {version}; {how}")
@@ -304,15 +337,27 @@ def read_trace(path: str | Path) -> Trace:
 
 def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
     tree = tuple(Node(*node) for node in line["tree"]) if "tree" in line else before.tree
-    visited = tuple(Visit(*visit) for visit in line["visited"]) if "visited" in line else before.visited
+    visited = (
+        tuple(Visit(*visit) for visit in line["visited"]) if "visited" in line else before.visited
+    )
     told = tuple(Told(Event.from_json(event), place) for event, place in line.get("events", ()))
     reasons = tuple(map(str, line.get("reasons", ())))
     for visit in visited if "tree" in line or "visited" in line else ():
         if visit.node not in range(len(tree)) or visit.status not in Status.__members__:
-            raise ValueError(f"{visit} is of no behaviour of the tree, or has no status of py_trees")
+            raise ValueError(
+                f"{visit} is of no behaviour of the tree, or has no status of py_trees"
+            )
     if not all(isinstance(place, int | None) for _, place in told):
         raise ValueError("the place of an event is a number or null")
-    tick = Tick(int(line["tick"]), float(line["time"]), tree, visited, told, reasons, line.get("interrupted") is True)
+    tick = Tick(
+        int(line["tick"]),
+        float(line["time"]),
+        tree,
+        visited,
+        told,
+        reasons,
+        line.get("interrupted") is True,
+    )
     tuple(tick.decisions)  # raises if an event lacks arguments
     return tick
 
@@ -332,7 +377,9 @@ def replay_trace(trace: Trace, model: Model, build: Callable[[KnowledgeBase], Be
         kb.KnowledgeBaseError: an event names something that the model does not have.
     """
     if trace.ticks and trace.ticks[0].number:
-        raise TraceError(f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file")
+        raise TraceError(
+            f"the trace begins at tick {trace.ticks[0].number}; keep all ticks, or write them to a file"
+        )
     first = min((event.number for tick in trace.ticks for event, _ in tick.events), default=1)
     if first != 1:
         raise TraceError(f"the trace begins at event {first}; the log no longer held those before")
@@ -370,18 +417,25 @@ class _Replay(TraceVisitor):
         self._stop_following = kb.subscribe(lambda event: self._follow())
 
     def tell(self, events: Iterable[Event]) -> None:
-        thread, self._thread = self._thread, None  # so that these events do not count as told by the tree
+        thread, self._thread = (
+            self._thread,
+            None,
+        )  # so that these events do not count as told by the tree
         for event in events:
             self._now[0] = event.time
             try:
                 self._kb.tell(event)
             except InvalidValue as error:
-                raise TraceError(f"{event.verb}{event.arguments!r} cannot be told again: {error}") from error
+                raise TraceError(
+                    f"{event.verb}{event.arguments!r} cannot be told again: {error}"
+                ) from error
         self._thread = thread
 
     def expect(self, tick: Tick) -> None:
         self._tick = tick
-        self._within = deque((event, place) for event, place in tick.events if place is not None and place >= 0)
+        self._within = deque(
+            (event, place) for event, place in tick.events if place is not None and place >= 0
+        )
         self._own_events = [event for event, place in tick.events if place is None]
         self._now[0] = self._own_events[0].time if self._own_events else tick.time
 
@@ -403,7 +457,13 @@ class _Replay(TraceVisitor):
         if self._thread is None:
             return
         last = self._kb.log.last
-        while self._within and self._within[0][1] <= len(self._seen) and self._within[0][0].number == last + 1:
+        while (
+            self._within
+            and self._within[0][1] <= len(self._seen)
+            and self._within[0][0].number == last + 1
+        ):
             self.tell([self._within.popleft()[0]])
             last = self._kb.log.last
-        self._now[0] = next((one.time for one in self._own_events if one.number > last), self._tick.time)
+        self._now[0] = next(
+            (one.time for one in self._own_events if one.number > last), self._tick.time
+        )

@@ -18,8 +18,14 @@ from rosa_bt.exceptions import in_words
 
 Handler = Callable[[BehaviourTree], None]
 
-_HARMLESS: Final = frozenset({Failure, Running, Selector, Sequence, Success})  # they raise nothing; a subclass may
-_CAREFUL: Final = (KbBehaviour, RosaAction, ForAction)  # these handle exceptions, unless a subclass overrides that
+_HARMLESS: Final = frozenset(
+    {Failure, Running, Selector, Sequence, Success}
+)  # they raise nothing; a subclass may
+_CAREFUL: Final = (
+    KbBehaviour,
+    RosaAction,
+    ForAction,
+)  # these handle exceptions, unless a subclass overrides that
 
 
 class GuardedTree(BehaviourTree):
@@ -35,7 +41,9 @@ class GuardedTree(BehaviourTree):
         self._present: dict[Behaviour, None] = {}
         self._guard_all()
 
-    def tick(self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None) -> None:
+    def tick(
+        self, pre_tick_handler: Handler | None = None, post_tick_handler: Handler | None = None
+    ) -> None:
         """Tick once, with handlers and visitors as in py_trees; if one raises, halt the tree and raise that."""
         try:
             for handler in filter(None, [pre_tick_handler, *self.pre_tick_handlers]):
@@ -80,7 +88,9 @@ class GuardedTree(BehaviourTree):
             found += 1
             if behaviour not in present:
                 present[behaviour] = None
-                if behaviour not in _guarded and (behaviour is self.root or not _is_trusted(behaviour)):
+                if behaviour not in _guarded and (
+                    behaviour is self.root or not _is_trusted(behaviour)
+                ):
                     _guard(behaviour)
             pending += behaviour.children
         if found != len(present):
@@ -92,14 +102,19 @@ class GuardedTree(BehaviourTree):
         for behaviour in [one for one in before if one not in self._present]:
             halt(behaviour)
         for behaviour in self._present:
-            if isinstance(behaviour, Selector | Sequence) and behaviour.current_child not in behaviour.children:
+            if (
+                isinstance(behaviour, Selector | Sequence)
+                and behaviour.current_child not in behaviour.children
+            ):
                 halt(behaviour)
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
     """Tell whether a behaviour needs no guard; with a guard for each, a tick takes about a third longer."""
     kind = type(behaviour)
-    as_ours = any(issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop) for one in _CAREFUL)
+    as_ours = any(
+        issubclass(kind, one) and (kind.tick, kind.stop) == (one.tick, one.stop) for one in _CAREFUL
+    )
     return as_ours or kind in _HARMLESS
 
 
@@ -201,7 +216,9 @@ class TreeRunner:
 
     def put_off(self, until: float) -> float:
         """Leave out the ticks that are due before a time [s]; return the time of the last one left out [s]."""
-        self._ticks = max(self._ticks, int((until - self._start) / self._period) - 1)  # the quotient may be rounded up
+        self._ticks = max(
+            self._ticks, int((until - self._start) / self._period) - 1
+        )  # the quotient may be rounded up
         while self.due < until - 1e-9:  # the two may be rounded differently
             self._ticks += 1
         return self._start + (self._ticks - 1) * self._period

@@ -128,7 +128,10 @@ class Lookahead:
     """
 
     def __init__(
-        self, kb: KnowledgeBase, worth: Worth | Callable[[], Worth] | None = None, period: float = 1.0
+        self,
+        kb: KnowledgeBase,
+        worth: Worth | Callable[[], Worth] | None = None,
+        period: float = 1.0,
     ) -> None:
         self._kb, self._given, self._period = kb, worth, period
         self.latest = Decision()
@@ -141,12 +144,17 @@ class Lookahead:
         kb, (revision, time) = self._kb, self._asked
         if self._begun is not None:
             errand, until, put_off = self._begun
-            is_done = all((kb.attributes[name].value or 0.0) >= 0.95 * full for name, full in errand.restores.items())
+            is_done = all(
+                (kb.attributes[name].value or 0.0) >= 0.95 * full
+                for name, full in errand.restores.items()
+            )
             if kb.now < until and kb.is_feasible(errand.action) and not is_done:
                 return self.latest
             self._begun = None
             for action in [kb.actions[name] for name in put_off if name in kb.actions]:
-                if self.latest.reason in kb.why(action):  # what somebody else has asserted meanwhile stays
+                if self.latest.reason in kb.why(
+                    action
+                ):  # what somebody else has asserted meanwhile stays
                     kb.retract_status(action)
         elif kb.revision == revision and kb.now < time + self._period:
             return self.latest
@@ -223,19 +231,29 @@ class WorthPlanner(PriorityPlanner):
         by_priority = choice.configurations.get(wanted.component, wanted.name)
         if by_priority == wanted.name or wanted.status is Status.UNFEASIBLE:
             return choice
-        return Choice(choice.designs, {**choice.configurations, wanted.component: wanted.name}, decision.reason)
+        return Choice(
+            choice.designs,
+            {**choice.configurations, wanted.component: wanted.name},
+            decision.reason,
+        )
 
 
 def _check(kb: KnowledgeBase, worth: Worth) -> None:
     """Raise if the model does not have a name, or a number is not finite or out of its range."""
     finite_number(worth.deadline)
-    for action, spread in [(one.action, one.spread) for group in (worth.gains, worth.errands) for one in group]:
+    for action, spread in [
+        (one.action, one.spread) for group in (worth.gains, worth.errands) for one in group
+    ]:
         kb.is_feasible(action)
         if not 0.0 <= finite_number(spread) < 1.0:
-            raise InvalidValue(f"the spread of {action} is a share from 0 to below 1, not {spread!r}")
+            raise InvalidValue(
+                f"the spread of {action} is a share from 0 to below 1, not {spread!r}"
+            )
     for attribute in (*worth.keep, *(name for errand in worth.errands for name in errand.restores)):
         kb.attributes[attribute]
-    for action, (name, rate) in [(gain.action, one) for gain in worth.gains for one in _rates(gain)]:
+    for action, (name, rate) in [
+        (gain.action, one) for gain in worth.gains for one in _rates(gain)
+    ]:
         if finite_number(rate) < 0.0 or (name and not kb.configurations[name]):
             raise InvalidValue(f"what {action} gains in a second is 0 or more, not {rate!r}")
 
@@ -276,7 +294,11 @@ class _Course(NamedTuple):
     def tail(self) -> str:
         if self.still is not None:
             return f"it would stand still from {self.still:.0f} s"
-        return f"it leaves again at {self.errands[1][0]:.0f} s" if self.errands[1:] else "that lasts to the end"
+        return (
+            f"it leaves again at {self.errands[1][0]:.0f} s"
+            if self.errands[1:]
+            else "that lasts to the end"
+        )
 
 
 _State = tuple[float, float, _Levels, int]
@@ -294,7 +316,9 @@ class _Question:
     def __init__(self, kb: KnowledgeBase, worth: Worth, steps: int) -> None:
         self._kb, self._worth, self._steps, self._left = kb, worth, steps, worth.deadline - kb.now
         self._h = self._left / steps
-        self._names = list(dict.fromkeys(name for errand in worth.errands for name in errand.restores))
+        self._names = list(
+            dict.fromkeys(name for errand in worth.errands for name in errand.restores)
+        )
         values = {name: kb.attributes[name].value for name in self._names}
         unmeasured = [f"{name} is not measured" for name, value in values.items() if value is None]
         self.unknown = unmeasured[0] if unmeasured else ""
@@ -310,7 +334,11 @@ class _Question:
         """Return how fast levels change while an action is done; an empty name stands for waiting."""
         slopes: _Slopes = []
         for name, level in zip(self._names, self._levels, strict=True):
-            element, span, doing = self._kb.model.attributes[name], _SLOPE_S, (action,) if action else ()
+            element, span, doing = (
+                self._kb.model.attributes[name],
+                _SLOPE_S,
+                (action,) if action else (),
+            )
             now = self._kb.forecast(name, 0.0, doing=doing).value  # the measured level may be old
             level = level if now is None else now
             ahead = self._kb.forecast(name, span, doing=doing)
@@ -318,22 +346,40 @@ class _Question:
                 span /= 2
                 ahead = self._kb.forecast(name, span, doing=doing)
             self.unknown = self.unknown or (ahead.reason if ahead.value is None else "")
-            ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
+            ends = [
+                ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)
+            ]
             slopes.append(tuple([0.0 if end is None else (end - level) / span for end in ends]))
         return slopes
 
     def _ways_of(self, gain: Gain) -> Iterator[_Way]:
         kb, action, names = self._kb, self._kb.actions[gain.action], self._names
-        is_low = any(one.attribute in names and one.status is Status.VIOLATED for one in action.constraints)
+        is_low = any(
+            one.attribute in names and one.status is Status.VIOLATED for one in action.constraints
+        )
         if not is_low and not kb.is_feasible(gain.action):
             return  # it cannot be foreseen when it is feasible again
         slopes = self._slopes(gain.action)
         for name, rate in _rates(gain):
-            constraints = (*action.constraints, *(kb.configurations[name].constraints if name else ()))
-            needed = [one for one in constraints if one.attribute in names and one.operator in _LEAST]
-            least = [max([one.value for one in needed if one.attribute == each], default=-inf) for each in names]
-            held = [[(True,) * 3] * self._steps, *(self._holding(one) for one in constraints if one not in needed)]
-            rates = [[rate * all(mask[side] for mask in now) for now in zip(*held, strict=True)] for side in range(3)]
+            constraints = (
+                *action.constraints,
+                *(kb.configurations[name].constraints if name else ()),
+            )
+            needed = [
+                one for one in constraints if one.attribute in names and one.operator in _LEAST
+            ]
+            least = [
+                max([one.value for one in needed if one.attribute == each], default=-inf)
+                for each in names
+            ]
+            held = [
+                [(True,) * 3] * self._steps,
+                *(self._holding(one) for one in constraints if one not in needed),
+            ]
+            rates = [
+                [rate * all(mask[side] for mask in now) for now in zip(*held, strict=True)]
+                for side in range(3)
+            ]
             yield _Way(gain, name, rates, slopes, least)
 
     def _holding(self, constraint: ConstraintView) -> list[tuple[bool, ...]]:
@@ -344,7 +390,9 @@ class _Question:
             ahead = self._kb.forecast(constraint.attribute, step * self._h)
             if ahead.value is None:
                 return found[:1] * self._steps
-            ends = [ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)]
+            ends = [
+                ahead.value if end is None else end for end in (ahead.low, ahead.value, ahead.high)
+            ]
             ends = ends if constraint.operator in _LEAST else ends[::-1]
             found.append(tuple([compare(end, constraint.value) for end in ends]))
         return found
@@ -353,12 +401,17 @@ class _Question:
         """Find the best course; if `is_late`, errands start only when no action can gain anything."""
         self._side, self._is_late = side, is_late
         self._known: dict[_State, tuple[float, int]] = {}
-        self._rates = [[rate * (1 + side * way.gain.spread) for rate in way.rates[1 + side]] for way in self._ways]
+        self._rates = [
+            [rate * (1 + side * way.gain.spread) for rate in way.rates[1 + side]]
+            for way in self._ways
+        ]
         self._top = max(map(max, self._rates))
         self._free = self._without_levels()
         kb, doing = self._kb, -1
         for number, (gain, name, *_) in enumerate(self._ways):
-            if kb.actions[gain.action].is_required and (not name or kb.configurations[name].is_selected):
+            if kb.actions[gain.action].is_required and (
+                not name or kb.configurations[name].is_selected
+            ):
                 doing = number
         start = state = round(self._left, 6), round(self._worth.away, 3), self._levels, doing
         errands, still = list[tuple[float, str]](), None
@@ -377,7 +430,10 @@ class _Question:
         for step in range(self._steps - 1, -1, -1):
             row, possible = [], [number for number, rates in enumerate(self._rates) if rates[step]]
             for before in (*range(len(self._ways)), -1):
-                moves = [(self._worked(before, one, step, self._h) + free[-1][one][0], one) for one in possible]
+                moves = [
+                    (self._worked(before, one, step, self._h) + free[-1][one][0], one)
+                    for one in possible
+                ]
                 row.append(max(moves, default=(free[-1][before][0], -1)))
             free.append(row)
         return free[::-1]
@@ -407,7 +463,9 @@ class _Question:
         left, _, levels, before = state
         if left <= _ROUNDING:
             return 0.0, -1
-        if not self._kept and all(self._lasting(levels, way) >= left - _ROUNDING for way in self._ways):
+        if not self._kept and all(
+            self._lasting(levels, way) >= left - _ROUNDING for way in self._ways
+        ):
             return self._freely(left, before)
         best, move = -inf, -1
         for number in range(len(self._ways) + len(self._errands)):
@@ -416,7 +474,11 @@ class _Question:
             after = self._after(state, number)
             if after is not None:
                 is_way = number < len(self._ways)
-                now = self._worked(before, number, self._step(left), left - after[0]) if is_way else 0.0
+                now = (
+                    self._worked(before, number, self._step(left), left - after[0])
+                    if is_way
+                    else 0.0
+                )
                 value = now + self._bound(after)
                 if value > best + _NOISE and (value := now + self._best(after)[0]) > best + _NOISE:
                     best, move = value, number
@@ -432,16 +494,29 @@ class _Question:
             way = self._ways[move]
             if not self._rates[move][self._step(left)] or self._lasting(levels, way) < 0.999 * time:
                 return None
-            levels, away = self._worn(levels, way.slopes, time), round(max(0.0, away + way.gain.away * time), 3)
-            arriving = (self._arrives(levels, away, one, self._kept) for one in range(len(self._errands)))
-            return (round(left - time, 6), away, levels, move) if not self._kept or any(arriving) else None
+            levels, away = (
+                self._worn(levels, way.slopes, time),
+                round(max(0.0, away + way.gain.away * time), 3),
+            )
+            arriving = (
+                self._arrives(levels, away, one, self._kept) for one in range(len(self._errands))
+            )
+            return (
+                (round(left - time, 6), away, levels, move)
+                if not self._kept or any(arriving)
+                else None
+            )
         number = move - len(self._ways)
         there, back = self._takes(number, away)
         is_left = self._is_late or self._arrives(levels, away, number, range(len(self._names)))
         if there >= left or not is_left:
             return None
-        arrived = zip(self._names, self._worn(levels, self._errand_slopes[number], there), strict=True)
-        restored = tuple([self._errands[number].restores.get(name, level) for name, level in arrived])
+        arrived = zip(
+            self._names, self._worn(levels, self._errand_slopes[number], there), strict=True
+        )
+        restored = tuple(
+            [self._errands[number].restores.get(name, level) for name, level in arrived]
+        )
         left = round(max(0.0, left - max(there + back, _FINEST_S)), 6)
         return left, away, self._worn(restored, self._errand_slopes[number], back), -1
 
@@ -488,12 +563,22 @@ class _Question:
         if not self._ways:
             return Decision(reason="as without looking ahead, since nothing can be gained")
         worst, best, course = self._solved(-1), self._solved(1), self._solved(0)
-        numbers, unit = (course.worth, worst.worth, best.worth), f" {self._worth.unit}" if self._worth.unit else ""
+        numbers, unit = (
+            (course.worth, worst.worth, best.worth),
+            f" {self._worth.unit}" if self._worth.unit else "",
+        )
         expected = f"{course.worth:.3g}{unit} ({worst.worth:.3g} to {best.worth:.3g})"
         if course.first >= len(self._ways):
             late = self._solved(0, is_late=True)
-            when = f"leaving at {late.errands[0][0]:.0f} s, when it has to, " if late.errands else "not leaving "
-            action, now = self._errands[course.first - len(self._ways)].action, self._worth.deadline - self._left
+            when = (
+                f"leaving at {late.errands[0][0]:.0f} s, when it has to, "
+                if late.errands
+                else "not leaving "
+            )
+            action, now = (
+                self._errands[course.first - len(self._ways)].action,
+                self._worth.deadline - self._left,
+            )
             reason = f"{action} now: leaving at {now:.0f} s {course.tail} and gains {expected}; "
             reason += f"{when}{late.tail} and gains {late.worth:.3g}{unit}"
             return Decision(action, None, *numbers, reason, course.errands)
@@ -501,4 +586,6 @@ class _Question:
         doing, name, *_ = self._ways[course.first] if course.first >= 0 else (None, "")
         what = " in ".join(filter(None, (doing.action if doing else "waiting", name)))
         reason = f"{what} now: that gains {expected}{later}"
-        return Decision(doing.action if doing else None, name or None, *numbers, reason, course.errands)
+        return Decision(
+            doing.action if doing else None, name or None, *numbers, reason, course.errands
+        )

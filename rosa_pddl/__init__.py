@@ -1,7 +1,17 @@
 """Decides what to do next: plans in PDDL with unified-planning, and executes and replans in a py_trees behaviour."""
 
 from rosa_pddl.belief import LastingFeasibility
-from rosa_pddl.domain import Attempt, Domain, Feasibility, Outcome, PlanningResult, Schema, State, Step, TimedStep
+from rosa_pddl.domain import (
+    Attempt,
+    Domain,
+    Feasibility,
+    Outcome,
+    PlanningResult,
+    Schema,
+    State,
+    Step,
+    TimedStep,
+)
 from rosa_pddl.engines import register_engine
 from rosa_pddl.exceptions import (
     GoalError,

@@ -28,7 +28,13 @@ from rosa_pddl.domain import (
     numbers_in,
 )
 from rosa_pddl.exceptions import SensingError, UnknownObjectError, UnsupportedPddlError
-from rosa_pddl.problem import feasible_atoms, initial_state, lock_of, parameters_of, without_feasibility
+from rosa_pddl.problem import (
+    feasible_atoms,
+    initial_state,
+    lock_of,
+    parameters_of,
+    without_feasibility,
+)
 from rosa_pddl.resource_usage import usage_of
 from rosa_pddl.validate import affected_atoms, binding_of, changes, ended, started
 
@@ -117,15 +123,25 @@ class Belief:
             name, mark, kind = str(text).partition(" - ")
             if mark and is_there is not (("object", name.lower()) in self.domain.inside):
                 if not isinstance(is_there, bool):
-                    raise SensingError(f"sense returned {is_there!r} for {text!r}, expected True or False")
+                    raise SensingError(
+                        f"sense returned {is_there!r} for {text!r}, expected True or False"
+                    )
                 yield name, kind, is_there
 
     def observe(self) -> State:
         """Update the belief with the percepts; return the believed state, with the facts about feasibility."""
         sensed, facts = self._read(), self._now.facts
         # called several times a tick, mostly with nothing changed, which must be quick in large worlds
-        if self._taken_in is None or self._taken_in[0] is not facts or self._taken_in[1] is not sensed:
-            computed = {text: one for text, one in sensed.numbers.items() if head_of(text) in self.domain.computed}
+        if (
+            self._taken_in is None
+            or self._taken_in[0] is not facts
+            or self._taken_in[1] is not sensed
+        ):
+            computed = {
+                text: one
+                for text, one in sensed.numbers.items()
+                if head_of(text) in self.domain.computed
+            }
             known = numbers_in(facts if computed else ()).items()
             old = [number_fact(text, value) for text, value in known if text in computed]
             true = {atom for atom, holds in sensed.facts.items() if holds}
@@ -137,7 +153,10 @@ class Belief:
 
     def start(self, key: object, step: Step, state: State) -> None:
         """Believe the start effects of a step; `end` or `give_up` with the same key finishes it."""
-        before, facts = self._now.facts, without_feasibility(self.domain, started(self.domain, step, state))
+        before, facts = (
+            self._now.facts,
+            without_feasibility(self.domain, started(self.domain, step, state)),
+        )
         undos = {**self._now.undos, key: (before - facts, facts - before)}
         self._now = replace(self._now, facts=facts, undos=undos)
 
@@ -169,16 +188,23 @@ class Belief:
             for name, amount in zip(self.domain.limited, usage.uses_of(step), strict=True):
                 used = usage.value(amount, numbers)
                 if used and f"({name})" not in self.sensed.numbers:
-                    known = {**known, f"({name})": float(usage.value(("n", f"({name})"), numbers) + used)}
+                    known = {
+                        **known,
+                        f"({name})": float(usage.value(("n", f"({name})"), numbers) + used),
+                    }
         except UnsupportedPddlError:
-            return self._now.numbers  # with an unknown limit or amount nothing can be planned anyway
+            return (
+                self._now.numbers
+            )  # with an unknown limit or amount nothing can be planned anyway
         return known
 
     def _read(self) -> _Sensed:
         try:
             answer = self._sense()
             if not isinstance(answer, Mapping):
-                raise SensingError(f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}")
+                raise SensingError(
+                    f"sense returned {answer!r}, expected a mapping such as {{'(lit room)': True}}"
+                )
             if answer != self._answer:
                 self.sensed = self._sorted(answer)
                 self._now = replace(self._now, numbers={**self._now.numbers, **self.sensed.numbers})
@@ -193,17 +219,23 @@ class Belief:
         numbers: dict[str, float] = {}
         for text, value in answer.items():
             if not isinstance(text, str):
-                raise SensingError(f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first")
+                raise SensingError(
+                    f"sense returned {text!r}: {value!r}, expected a text such as '(lit room)' first"
+                )
             if " - " in text:
                 continue  # an object, which the executor has added already
             try:
                 atom = self.domain.atom(text)
-            except UnknownObjectError as error:  # the world may have more objects; other errors are raised
+            except (
+                UnknownObjectError
+            ) as error:  # the world may have more objects; other errors are raised
                 if len(self.passed_over) < _MOST_PASSED_OVER:
                     self.passed_over[f"what is sensed is passed over: {error}"] = None
                 continue
             is_number = head_of(atom) in self._numeric
-            known = value.item() if hasattr(value, "item") else value  # numpy's values are accepted, too
+            known = (
+                value.item() if hasattr(value, "item") else value
+            )  # numpy's values are accepted, too
             if isinstance(known, bool) is is_number or not isinstance(known, bool | int | float):
                 expected = "a number" if is_number else "True or False"
                 raise SensingError(f"sense returned {value!r} for {atom}, expected {expected}")
@@ -239,8 +271,13 @@ class LastingFeasibility:
         """Return the forecast for each action that is feasible now, by its fact `(action_feasible ...)`."""
         now = self._kb.now, self._kb.log.last
         if self._known[0] != now:
-            feasible = [(atom, one) for atom, one in self._actions.items() if self._kb.is_feasible(one)]
-            self._known = now, {atom: self._kb.feasible_until(one, _AHEAD_S) for atom, one in feasible}
+            feasible = [
+                (atom, one) for atom, one in self._actions.items() if self._kb.is_feasible(one)
+            ]
+            self._known = (
+                now,
+                {atom: self._kb.feasible_until(one, _AHEAD_S) for atom, one in feasible},
+            )
         return self._known[1]
 
 
@@ -258,7 +295,10 @@ class FeasibilityEvents:
         found = None
         if self._log is not None and self._log.last != self._seen:
             for event in self._log.since(self._seen):
-                if any(change.kind == "action" and change.name in self._actions for change in event.changes):
+                if any(
+                    change.kind == "action" and change.name in self._actions
+                    for change in event.changes
+                ):
                     found = event.number
             self._seen = self._log.last
         return found
@@ -375,9 +415,14 @@ def _limited(domain: Domain, step: Step, action: str, effect: UpThing) -> UpThin
     if not domain.makes_feasible(effect) or domain.feasible_atom(action) not in affected:
         return effect
     problem, manager = domain.up_problem, domain.up_problem.environment.expression_manager
-    things = [problem.object(domain.inside["object", name.lower()]) for name in (*step.arguments, action)]
+    things = [
+        problem.object(domain.inside["object", name.lower()]) for name in (*step.arguments, action)
+    ]
     places = [*parameters_of(domain, domain.schema_of[step.schema]), effect.fluent.arg(0)]
-    same = [manager.Equals(place, manager.ObjectExp(thing)) for place, thing in zip(places, things, strict=True)]
+    same = [
+        manager.Equals(place, manager.ObjectExp(thing))
+        for place, thing in zip(places, things, strict=True)
+    ]
     made = effect.clone()
     made.set_condition(manager.And(effect.condition, manager.Not(manager.And(same))))
     return made

@@ -269,11 +269,22 @@ class Domain:
             if action not in kb.actions:
                 file, line = self.places["object", action]
                 hint = nearest(action, kb.actions)
-                raise PddlError(f"the knowledge base does not know the action {action!r}; {hint}", file, line or None)
+                raise PddlError(
+                    f"the knowledge base does not know the action {action!r}; {hint}",
+                    file,
+                    line or None,
+                )
         unplanned = [name for name in kb.actions if name not in self.rosa_actions]
-        findings = [f"the action {name!r} of the knowledge base is never planned: {self.file}" for name in unplanned]
+        findings = [
+            f"the action {name!r} of the knowledge base is never planned: {self.file}"
+            for name in unplanned
+        ]
         schemas = self.schema_of.values()
-        idle = [action for action in self.rosa_actions if not any(self.may_do(one, action) for one in schemas)]
+        idle = [
+            action
+            for action in self.rosa_actions
+            if not any(self.may_do(one, action) for one in schemas)
+        ]
         return (
             *self.oversights,
             *findings,
@@ -285,7 +296,9 @@ class Domain:
         if schema.action is None or schema.action not in dict(schema.parameters):
             return schema.action == action
         kind = f"{schema.name.lower()}_action"
-        if ("predicate", kind) not in self.inside or self.up_problem.fluent(self.inside["predicate", kind]).arity != 1:
+        if ("predicate", kind) not in self.inside or self.up_problem.fluent(
+            self.inside["predicate", kind]
+        ).arity != 1:
             return True
         value = self.up_problem.explicit_initial_values.get(self.expression(f"({kind} {action})"))
         return value is not None and value.is_true()
@@ -324,7 +337,9 @@ class Domain:
     def numeric(self) -> frozenset[str]:
         """The names of the numeric facts, as the files spell them."""
         fluents = self.up_problem.fluents
-        return frozenset(self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type())
+        return frozenset(
+            self.outside[fluent.name] for fluent in fluents if not fluent.type.is_bool_type()
+        )
 
     def duration_s(self, schema: str) -> float:
         """Return the shortest declared duration of an action [s]: 0 if instantaneous, infinite if not constant."""
@@ -342,13 +357,18 @@ class Domain:
 
     def makes_feasible(self, effect: UpThing) -> bool:
         """Whether an effect may make ROSA actions feasible."""
-        return self.outside[effect.fluent.fluent().name].lower() == FEASIBLE and not effect.value.is_false()
+        return (
+            self.outside[effect.fluent.fluent().name].lower() == FEASIBLE
+            and not effect.value.is_false()
+        )
 
     def objects_of(self, type_name: str) -> tuple[str, ...]:
         """Return the objects of a type or of its subtypes, in the order of the files."""
         return tuple(name for name, types in self.types.items() if type_name.lower() in types)
 
-    def bindings(self, variables: Iterable[UpThing], outer: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    def bindings(
+        self, variables: Iterable[UpThing], outer: Mapping[str, Any]
+    ) -> Iterator[dict[str, Any]]:
         """Yield the outer binding, extended by each choice of objects for the variables of a quantifier."""
         choices = {one.name: self.objects_of(self.outside[one.type.name]) for one in variables}
         for chosen in product(*choices.values()):
@@ -359,7 +379,11 @@ class Domain:
         given = tuple(arguments)
         known = self.schema_of[schema]
         names = [name for name, _ in known.parameters]
-        action = dict(zip(names, given, strict=True)).get(known.action, known.action) if known.action else None
+        action = (
+            dict(zip(names, given, strict=True)).get(known.action, known.action)
+            if known.action
+            else None
+        )
         return Step(schema, given, action)
 
     def stated(self, fact: str) -> tuple[UpThing, UpThing]:
@@ -373,7 +397,9 @@ class Domain:
         """Return an atom as a unified-planning expression."""
         name, *arguments = atom[1:-1].split()
         fluent = self.up_problem.fluent(self.inside["predicate", name.lower()])
-        return fluent(*(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments))
+        return fluent(
+            *(self.up_problem.object(self.inside["object", word.lower()]) for word in arguments)
+        )
 
     def _canonical(self, text: str) -> str:
         words = text.strip().removeprefix("(").removesuffix(")").split()
@@ -386,17 +412,23 @@ class Domain:
         fluent = self.up_problem.fluent(self.inside["predicate", words[0].lower()])
         expected = [self.outside[parameter.type.name] for parameter in fluent.signature]
         if len(expected) != len(arguments):
-            raise UnknownNameError(f"{text!r} has {len(arguments)} arguments, {predicate!r} takes {len(expected)}")
+            raise UnknownNameError(
+                f"{text!r} has {len(arguments)} arguments, {predicate!r} takes {len(expected)}"
+            )
         for argument, type_name in zip(arguments, expected, strict=True):
             if type_name.lower() not in self.types[argument]:
                 known = ", ".join(self.objects_of(type_name)) or "none"
-                raise UnknownNameError(f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}")
+                raise UnknownNameError(
+                    f"{argument!r} in {text!r} is not of type {type_name!r}; of that type: {known}"
+                )
         return "(" + " ".join([predicate, *arguments]) + ")"
 
     def spelling(self, kind: str, word: str, text: str) -> str:
         """Return the name of a predicate, object, type or action as the files spell it; errors quote `text`."""
         if (kind, word.lower()) not in self.inside:
-            known = [self.outside[inner] for (other, _), inner in self.inside.items() if other == kind]
+            known = [
+                self.outside[inner] for (other, _), inner in self.inside.items() if other == kind
+            ]
             error = UnknownObjectError if kind == "object" else UnknownNameError
             raise error(f"{self.file} has no {kind} {word!r} (in {text!r}); {nearest(word, known)}")
         return self.outside[self.inside[kind, word.lower()]]

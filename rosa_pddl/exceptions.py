@@ -15,7 +15,9 @@ class PddlError(RosaPddlError):
     Line and column are counted from 1; None when unknown.
     """
 
-    def __init__(self, message: str, file: str | Path, line: int | None = None, column: int | None = None) -> None:
+    def __init__(
+        self, message: str, file: str | Path, line: int | None = None, column: int | None = None
+    ) -> None:
         self.message = message
         self.file = str(file)
         self.line = line
@@ -65,7 +67,9 @@ def nearest(name: str, known: Iterable[str]) -> str:
     if not names:
         return "there are none"
     by_lower = {candidate.lower(): candidate for candidate in names}
-    close = [by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)]
+    close = [
+        by_lower[match] for match in get_close_matches(name.lower(), by_lower, n=3, cutoff=0.5)
+    ]
     if close:
         return "nearest: " + ", ".join(close)
     shown = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")

@@ -6,7 +6,14 @@ from dataclasses import replace
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from rosa_pddl.belief import Belief, ExpectedEffects, FeasibilityEvents, LastingFeasibility, Sense, UnmetEffect
+from rosa_pddl.belief import (
+    Belief,
+    ExpectedEffects,
+    FeasibilityEvents,
+    LastingFeasibility,
+    Sense,
+    UnmetEffect,
+)
 from rosa_pddl.domain import Domain, Feasibility, State, Step
 from rosa_pddl.exceptions import MissingBehaviourError, UnknownNameError, nearest
 from rosa_pddl.goals import Goals
@@ -110,14 +117,20 @@ def _check_factories(domain: Domain, behaviours: Mapping[str, Factory]) -> None:
     given = ", ".join(sorted(behaviours)) or "none"
     for schema in domain.schemas:
         if schema not in behaviours:
-            message = f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            message = (
+                f"no behaviour for the PDDL action {schema!r} of {domain.file}; given: {given}"
+            )
             raise MissingBehaviourError(f"{message} ({nearest(schema, behaviours)})")
         if not callable(behaviours[schema]):
             message = f"no behaviour can be made for {schema!r} from {behaviours[schema]!r}"
-            raise MissingBehaviourError(f"{message}; expected what makes one for each step, such as a lambda")
+            raise MissingBehaviourError(
+                f"{message}; expected what makes one for each step, such as a lambda"
+            )
     for name in behaviours:
         if name not in domain.schemas:
-            message = f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
+            message = (
+                f"a behaviour is given for {name!r}, but {domain.file} has no such PDDL action"
+            )
             raise UnknownNameError(f"{message}; {nearest(name, domain.schemas)}")
 
 
@@ -153,7 +166,9 @@ class PlanExecutor(Behaviour):
         UnknownNameError: a behaviour is given for a PDDL action that the domain does not have.
     """
 
-    BOOKKEEPING = "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy"
+    BOOKKEEPING = (
+        "_cause _took_s _findings _ticked _found_valid _factories _setup_arguments _policy"
+    )
 
     def __init__(
         self,
@@ -184,7 +199,9 @@ class PlanExecutor(Behaviour):
         self._monitor = PlanMonitor(self._effects, self._belief, forecasts)
         self._client = PlannerClient(self._planner, clock, delay_s)
         clash = shared_components(kb) if self._policy.side_by_side else None
-        self._replanning = Replanning(self.goals, self._monitor, self._client, self._policy, clash, memory)
+        self._replanning = Replanning(
+            self.goals, self._monitor, self._client, self._policy, clash, memory
+        )
         self._setbacks = self._replanning.setbacks
         self._setup_arguments: dict[str, object] = {}
         self._running: list[RunningStep] = []
@@ -224,10 +241,15 @@ class PlanExecutor(Behaviour):
 
     def remove_object(self, name: str) -> None:
         """Remove an object and stop the steps that use it, between ticks; UnknownNameError if it cannot be removed."""
-        domain, name = without_object(self._domain, name), self._domain.spelling("object", name, name)
+        domain, name = (
+            without_object(self._domain, name),
+            self._domain.spelling("object", name, name),
+        )
         self._release([one for one in self._running if name in one.step.arguments])
         self._use(domain)
-        if self._plan is not None and any(name in step.arguments for step in self._plan.unfinished_steps):
+        if self._plan is not None and any(
+            name in step.arguments for step in self._plan.unfinished_steps
+        ):
             self._want(Decision(f"{name} is gone", is_needed=True))
 
     def _use(self, domain: Domain) -> None:
@@ -259,7 +281,12 @@ class PlanExecutor(Behaviour):
         """Whether the next tick does no more than tick the running steps, unless there is news, whatever the time."""
         is_going_on = self.status == Status.RUNNING and not self._replanning.is_busy
         is_planned = not self._replanning.had_no_plan and not self._setbacks.weights
-        return is_going_on and is_planned and self.goals.version == self._seen_goals and not self._monitor.is_forecast
+        return (
+            is_going_on
+            and is_planned
+            and self.goals.version == self._seen_goals
+            and not self._monitor.is_forecast
+        )
 
     def catch_up(self) -> None:
         """Wait for the planner's answer if it is due by now; for lock-step simulation, called before the tick.
@@ -362,15 +389,28 @@ class PlanExecutor(Behaviour):
             flaw = self._flaw(self._plan, self._belief.observe())
             news = news_of(self._expected, (state, self._belief.numbers), self._replanning.matters)
             decision = decide(self._policy, flaw=flaw, goals_changed=goals_changed, news=news)
-            self._want(decision if decision is None or goals_changed else replace(decision, cause=self._cause))
+            self._want(
+                decision
+                if decision is None or goals_changed
+                else replace(decision, cause=self._cause)
+            )
 
     def _flaw(self, plan: PlanExecution, state: State) -> str | None:
         """Return in words why the rest of the plan no longer works; checked again only when something has changed."""
         now = (state, self._belief.numbers)
-        if self._found_valid is None or self._found_valid[0] is not plan or self._found_valid[1] != now:
-            if self._replanning.had_no_plan and self._replanning.why_no_plan(self._unstarted(state)) is None:
+        if (
+            self._found_valid is None
+            or self._found_valid[0] is not plan
+            or self._found_valid[1] != now
+        ):
+            if (
+                self._replanning.had_no_plan
+                and self._replanning.why_no_plan(self._unstarted(state)) is None
+            ):
                 return "the state changed"
-            flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(plan)
+            flaw = plan.prediction(self._effects.domain, state).flaw or self._monitor.overspent(
+                plan
+            )
             self._found_valid = (plan, now) if flaw is None else None
             if flaw is not None:
                 return flaw
@@ -400,16 +440,23 @@ class PlanExecutor(Behaviour):
                 self.feedback_message = why
                 return Status.FAILURE
             changed = Decision("the state changed", is_needed=True, cause=self._cause)
-            self._want(changed if self._replanning.had_no_plan else Decision("start", is_needed=True))
+            self._want(
+                changed if self._replanning.had_no_plan else Decision("start", is_needed=True)
+            )
         asked = self._replanning.ask_if_allowed(planned_from, self._shares_left())
         if asked is not None:
             self._ended_meanwhile.clear()
             self.feedback_message = asked
         elif not self._replanning.is_busy:
             waiting = [] if self._running or self._plan is None else self._plan.startable
-            steps = [self._plan.steps[number] for number in waiting] if self._plan is not None else []
+            steps = (
+                [self._plan.steps[number] for number in waiting] if self._plan is not None else []
+            )
             doing = [str(step) for step in self.current_steps]
-            doing += [f"{step} again in {self._setbacks.wait_s(step):.2g} s, as it failed" for step in steps]
+            doing += [
+                f"{step} again in {self._setbacks.wait_s(step):.2g} s, as it failed"
+                for step in steps
+            ]
             self.feedback_message = ", ".join(doing)
         return Status.RUNNING
 
@@ -464,7 +511,11 @@ class PlanExecutor(Behaviour):
             if flaw is not None:
                 self._want(Decision(flaw, is_needed=True))
                 break
-            rested = [one for one in self._plan.startable if not self._setbacks.wait_s(self._plan.steps[one])]
+            rested = [
+                one
+                for one in self._plan.startable
+                if not self._setbacks.wait_s(self._plan.steps[one])
+            ]
             if not rested:
                 break
             begun.append(self._begin(self._plan, rested[0], state))
@@ -522,7 +573,10 @@ class PlanExecutor(Behaviour):
         """Replan if the rest of the plan needs an action that a step did not make feasible as expected."""
         domain, state = self._effects.domain, self._belief.observe()
         expected = state | {self._domain.feasible_atom(one.action) for one in unmet}
-        if plan.prediction(domain, state).flaw is not None and plan.prediction(domain, expected).flaw is None:
+        if (
+            plan.prediction(domain, state).flaw is not None
+            and plan.prediction(domain, expected).flaw is None
+        ):
             self._want(Decision("; ".join(map(str, unmet)), is_needed=True))
 
     def _release(self, steps: Iterable[RunningStep]) -> None:
@@ -534,14 +588,20 @@ class PlanExecutor(Behaviour):
             self._show_children()
 
     def _show_children(self) -> None:
-        self.children = [running.behaviour for running in self._running if running.behaviour is not None]
+        self.children = [
+            running.behaviour for running in self._running if running.behaviour is not None
+        ]
 
     def _shares_left(self) -> Mapping[Step, float]:
         """Return which share of each running step is left, by how long such a step last took or is declared."""
         now_s, shares = self._clock(), dict[Step, float]()
         for running in self._running:
-            whole_s = self._took_s.get(running.step.schema, self._domain.duration_s(running.step.schema))
-            shares[running.step] = max(1.0 - (now_s - running.began_s) / whole_s, 0.0) if whole_s else 1.0
+            whole_s = self._took_s.get(
+                running.step.schema, self._domain.duration_s(running.step.schema)
+            )
+            shares[running.step] = (
+                max(1.0 - (now_s - running.began_s) / whole_s, 0.0) if whole_s else 1.0
+            )
         return shares
 
     def _drop_plan(self) -> None:

@@ -14,7 +14,17 @@ from typing import Final
 from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Domain
 from rosa_pddl.exceptions import PddlError, nearest
 from rosa_pddl.reader import build_domain
-from rosa_pddl.syntax import ANY, CHANGES, COMPARISONS, Node, Source, formula, listed, nodes_of, typed
+from rosa_pddl.syntax import (
+    ANY,
+    CHANGES,
+    COMPARISONS,
+    Node,
+    Source,
+    formula,
+    listed,
+    nodes_of,
+    typed,
+)
 
 _CONNECTIVES: Final = ("and", "or", "not", "imply", "when")
 _COMPUTING: Final = (*COMPARISONS, *CHANGES, "=", "+", "-", "*", "/")
@@ -100,12 +110,16 @@ class Declarations:
         PddlError: a declaration makes no sense; the message names it.
     """
 
-    def __init__(self, name: str, schemas: Iterable[ActionSchema], problem: DeclaredProblem) -> None:
+    def __init__(
+        self, name: str, schemas: Iterable[ActionSchema], problem: DeclaredProblem
+    ) -> None:
         self.name = name
         self.schemas = tuple(schemas)
         self.problem = problem
         self._place = f"declarations of {name}"
-        self._title = re.sub(r"[^A-Za-z0-9_-]+", "_", name)  # a mission may have any name, a domain of PDDL may not
+        self._title = re.sub(
+            r"[^A-Za-z0-9_-]+", "_", name
+        )  # a mission may have any name, a domain of PDDL may not
         _check_texts(problem, self._place)
         for one in self.schemas:
             _check(one)
@@ -114,15 +128,22 @@ class Declarations:
         for name in problem.limits:
             if name not in self._resources:
                 hint = nearest(name, self._resources)
-                raise PddlError(f"{name!r} is limited, but no action uses it up; {hint}", self._place)
+                raise PddlError(
+                    f"{name!r} is limited, but no action uses it up; {hint}", self._place
+                )
         if not problem.goal:
-            raise PddlError("there is no goal; state what shall be so, such as goal=('(found treasure)',)", self._place)
+            raise PddlError(
+                "there is no goal; state what shall be so, such as goal=('(found treasure)',)",
+                self._place,
+            )
 
     @property
     def rosa_actions(self) -> tuple[str, ...]:
         """The ROSA actions that a PDDL action does or makes feasible."""
         done = [one.rosa_action for one in self.schemas if one.rosa_action is not None]
-        return tuple(dict.fromkeys([*done, *(name for one in self.schemas for name in one.makes_feasible)]))
+        return tuple(
+            dict.fromkeys([*done, *(name for one in self.schemas for name in one.makes_feasible)])
+        )
 
     @property
     def domain_pddl(self) -> str:
@@ -158,7 +179,12 @@ class Declarations:
 
     def _listed_objects(self, *, constant: bool) -> Iterator[str]:
         """Yield objects with their types: either the constants, which actions name, or all others."""
-        words = {word.lower for one in self.schemas for formula in _formulas(one) for word in nodes_of(formula)}
+        words = {
+            word.lower
+            for one in self.schemas
+            for formula in _formulas(one)
+            for word in nodes_of(formula)
+        }
         for name, kind in self._objects:
             yield from (name, "-", kind) if (name.lower() in words) is constant else ()
 
@@ -169,7 +195,11 @@ class Declarations:
         return listed(
             "define",
             listed("domain", self._title),
-            listed(":requirements", *requirements, *[":numeric-fluents"] * bool(numbers or self._has_costs)),
+            listed(
+                ":requirements",
+                *requirements,
+                *[":numeric-fluents"] * bool(numbers or self._has_costs),
+            ),
             listed(":types", *self._types()),
             listed(":constants", *self._listed_objects(constant=True)),
             listed(":predicates", *predicates),
@@ -182,9 +212,14 @@ class Declarations:
         facts = [listed(f"{action}_action", action) for action in self.rosa_actions]
         numbers = {**{f"({name})": 0.0 for name in self._resources}, **problem.numbers}
         facts += [_parsed(fact, self._place) for fact in problem.facts]
-        facts += [listed("=", _parsed(atom, self._place), _number(value)) for atom, value in numbers.items()]
+        facts += [
+            listed("=", _parsed(atom, self._place), _number(value))
+            for atom, value in numbers.items()
+        ]
         goals = [_parsed(text, self._place) for text in problem.goal]
-        goals += [listed("<=", listed(name), _number(limit)) for name, limit in problem.limits.items()]
+        goals += [
+            listed("<=", listed(name), _number(limit)) for name, limit in problem.limits.items()
+        ]
         return listed(
             "define",
             listed("problem", self._title),
@@ -202,7 +237,9 @@ class Declarations:
         predicates: dict[str, list[list[str]]] = {name.lower(): [[ACTION_TYPE]] for name in own}
         numbers: dict[str, list[list[str]]] = {}
         for scope, formulas in ((_scope(one), _formulas(one)) for one in self.schemas):
-            for atom, kinds, is_number in chain.from_iterable(_atoms(one, {**objects, **scope}) for one in formulas):
+            for atom, kinds, is_number in chain.from_iterable(
+                _atoms(one, {**objects, **scope}) for one in formulas
+            ):
                 (numbers if is_number else predicates).setdefault(atom.head, []).append(kinds)
         for amount in self.problem.limits.values():
             numbers |= {_parsed(amount, self._place).head: [[]]} if isinstance(amount, str) else {}
@@ -219,25 +256,43 @@ class Declarations:
 
     def _written(self, lists: Node) -> str:
         self.load()  # raises PddlError if it is not correct PDDL
-        sections = [str(node).replace(" :", "\n    :") for node in lists.children[2:] if node.children[1:]]
-        return "\n ".join([f"; Generated from the {self._place}.\n(define {lists.children[1]}", *sections]) + ")\n"
+        sections = [
+            str(node).replace(" :", "\n    :") for node in lists.children[2:] if node.children[1:]
+        ]
+        return (
+            "\n ".join(
+                [f"; Generated from the {self._place}.\n(define {lists.children[1]}", *sections]
+            )
+            + ")\n"
+        )
 
 
 def _declared(name: str, uses: Sequence[Sequence[str]]) -> Node:
     """Declare a predicate or number, given the types of the arguments in each of its uses."""
     kinds = (kinds[0] if len({*kinds}) == 1 else "object" for kinds in zip(*uses, strict=False))
-    return listed(name, *chain.from_iterable((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1)))
+    return listed(
+        name,
+        *chain.from_iterable((f"?x{number}", "-", kind) for number, kind in enumerate(kinds, 1)),
+    )
 
 
 def _formulas(schema: ActionSchema) -> Iterator[Node]:
-    texts = (*schema.start, *schema.over_all, *schema.end, *schema.start_effects, *schema.end_effects)
+    texts = (
+        *schema.start,
+        *schema.over_all,
+        *schema.end,
+        *schema.start_effects,
+        *schema.end_effects,
+    )
     yield from (_parsed(text, _of(schema)) for text in texts)
     amounts = [one for one in (schema.cost, *schema.uses.values()) if isinstance(one, str)]
     yield from (listed("+", _parsed(one, _of(schema))) for one in amounts)
     yield from (listed("+", listed(name)) for name in schema.uses)
 
 
-def _atoms(node: Node, scope: _Scope, is_number: bool = False) -> Iterator[tuple[Node, list[str], bool]]:
+def _atoms(
+    node: Node, scope: _Scope, is_number: bool = False
+) -> Iterator[tuple[Node, list[str], bool]]:
     """Yield each atom and each number of a formula, with the types of its arguments, and whether it is a number."""
     head, rest = node.head, node.children[1:]
     if head in ("forall", "exists") and rest:
@@ -252,13 +307,17 @@ def _atoms(node: Node, scope: _Scope, is_number: bool = False) -> Iterator[tuple
 
 def _parsed(text: str, place: str) -> Node:
     if not text.strip().startswith("("):
-        raise PddlError(f"found {text!r}, expected a formula such as '({text.strip() or 'lit ?room'})'", place)
+        raise PddlError(
+            f"found {text!r}, expected a formula such as '({text.strip() or 'lit ?room'})'", place
+        )
     return formula(text, f"{place}, in {text!r}")
 
 
 def _typed(nodes: Iterable[Node]) -> _Scope:
     found = typed(Source("parameters", ANY), nodes)
-    return {name.lower: "object" if kind is None or kind.is_list else str(kind) for name, kind in found}
+    return {
+        name.lower: "object" if kind is None or kind.is_list else str(kind) for name, kind in found
+    }
 
 
 def _of(schema: ActionSchema) -> str:
@@ -280,7 +339,9 @@ def _check(schema: ActionSchema) -> None:
         if isinstance(value, int | float) and not 0.0 <= value < float("inf"):
             raise PddlError(f"{key} is {value:g}, expected a number that is not negative", place)
     if schema.duration_s is None and (schema.over_all or schema.end or schema.start_effects):
-        message = "over_all, end and start_effects are for an action that takes time; state duration_s"
+        message = (
+            "over_all, end and start_effects are for an action that takes time; state duration_s"
+        )
         raise PddlError(message, place)
 
 
@@ -289,7 +350,9 @@ def _parameters(schema: ActionSchema) -> Node:
     own = ["?a"] if schema.rosa_action is not None else []
     own += [f"?a{number}" for number in range(1, len(schema.makes_feasible) + 1)]
     given = (_parsed(f"({text})", _of(schema)).children for text in schema.parameters)
-    return listed(*(word for one in own for word in (one, "-", ACTION_TYPE)), *chain.from_iterable(given))
+    return listed(
+        *(word for one in own for word in (one, "-", ACTION_TYPE)), *chain.from_iterable(given)
+    )
 
 
 def _scope(schema: ActionSchema) -> _Scope:
@@ -300,13 +363,19 @@ def _action(schema: ActionSchema, has_costs: bool) -> Node:
     def formulas(*texts: str) -> list[Node]:
         return [_parsed(text, _of(schema)) for text in texts]
 
-    own = formulas(f"({schema.rosa_action}_action ?a)", f"({FEASIBLE} ?a)") if schema.rosa_action is not None else []
+    own = (
+        formulas(f"({schema.rosa_action}_action ?a)", f"({FEASIBLE} ?a)")
+        if schema.rosa_action is not None
+        else []
+    )
     start, effects = formulas(*schema.start), formulas(*schema.end_effects)
     for number, action in enumerate(schema.makes_feasible, start=1):
         start += formulas(f"({action}_action ?a{number})")
         effects += formulas(f"({FEASIBLE} ?a{number})")
     amounts = {**({"total-cost": schema.cost or 0} if has_costs else {}), **schema.uses}
-    effects += [listed("increase", listed(name), _number(amount)) for name, amount in amounts.items()]
+    effects += [
+        listed("increase", listed(name), _number(amount)) for name, amount in amounts.items()
+    ]
     parameters = _parameters(schema)
     if schema.duration_s is None:
         parts = (":precondition", listed("and", *own, *start), ":effect", listed("and", *effects))
@@ -316,7 +385,9 @@ def _action(schema: ActionSchema, has_costs: bool) -> Node:
     changes = (*_at("at start", formulas(*schema.start_effects)), *_at("at end", effects))
     duration = listed("=", "?duration", _number(schema.duration_s))
     parts = (":condition", listed("and", *conditions), ":effect", listed("and", *changes))
-    return listed(":durative-action", schema.name, ":parameters", parameters, ":duration", duration, *parts)
+    return listed(
+        ":durative-action", schema.name, ":parameters", parameters, ":duration", duration, *parts
+    )
 
 
 def _at(when: str, formulas: Iterable[Node]) -> list[Node]:

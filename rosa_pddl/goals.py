@@ -9,7 +9,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 from numbers import Real
 
-from rosa_pddl.domain import FEASIBLE, Domain, PlanningResult, Schema, UpThing, atoms_in, exact, fluents_in, head_of
+from rosa_pddl.domain import (
+    FEASIBLE,
+    Domain,
+    PlanningResult,
+    Schema,
+    UpThing,
+    atoms_in,
+    exact,
+    fluents_in,
+    head_of,
+)
 from rosa_pddl.exceptions import GoalError, nearest
 from rosa_pddl.problem import lock_of
 from rosa_pddl.syntax import Goal, conditions
@@ -58,7 +68,9 @@ class Goals:
             UnknownNameError: the text has a name that the domain does not have.
         """
         if worth is not None and not (isinstance(worth, Real) and 0.0 < worth < float("inf")):
-            raise GoalError(f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached")
+            raise GoalError(
+                f"{text} is worth {worth}, expected more than 0; leave it out if it must be reached"
+            )
         before = dict(self._goals)
         self._put(text, worth)
         self.version += before != self._goals
@@ -109,7 +121,9 @@ class Goals:
 
     def _read(self, text: str, worth: float | None = None) -> tuple[Goal, ...]:
         if not isinstance(text, str):
-            raise GoalError(f"{text!r} is no goal, expected a condition as text such as '(inspected north)'")
+            raise GoalError(
+                f"{text!r} is no goal, expected a condition as text such as '(inspected north)'"
+            )
         # the thread of a planner may be using the same environment of unified-planning
         with lock_of(self._domain):
             return conditions(self._domain, text, worth)
@@ -131,7 +145,11 @@ class Relevance:
         if self._seen != self._goals.version:
             self._seen = self._goals.version
             self._look()
-        return atom in self._feasible if self._domain.is_feasibility(atom) else head_of(atom) in self._names
+        return (
+            atom in self._feasible
+            if self._domain.is_feasibility(atom)
+            else head_of(atom) in self._names
+        )
 
     def _look(self) -> None:
         domain = self._domain
@@ -145,19 +163,31 @@ class Relevance:
             for schema in domain.schema_of.values():
                 effects = schema.start_effects + schema.end_effects
                 if any(effect.fluent.fluent() in needed for effect in effects):
-                    looks = [part for effect in effects for part in (effect.condition, effect.value)]
+                    looks = [
+                        part for effect in effects for part in (effect.condition, effect.value)
+                    ]
                     atoms = [*atoms_in((*schema.start, *schema.over_all, *schema.end, *looks))]
                     needed |= {atom.fluent() for atom in atoms}
                     of_others = any(
                         domain.outside[atom.fluent().name].lower() == FEASIBLE
-                        and not (atom.arg(0).is_parameter_exp() and atom.arg(0).parameter().name == schema.action)
+                        and not (
+                            atom.arg(0).is_parameter_exp()
+                            and atom.arg(0).parameter().name == schema.action
+                        )
                         for atom in atoms
                     )
-                    used.update(known if of_others else [one for one in known if domain.may_do(schema, one)])
+                    used.update(
+                        known if of_others else [one for one in known if domain.may_do(schema, one)]
+                    )
         self._names = frozenset(domain.outside[fluent.name] for fluent in needed)
-        in_goals = any(domain.is_feasibility(goal.text) or FEASIBLE in goal.text.lower() for goal in self._goals)
+        in_goals = any(
+            domain.is_feasibility(goal.text) or FEASIBLE in goal.text.lower()
+            for goal in self._goals
+        )
         relevant = known if in_goals else used
-        self._feasible = frozenset(atom for atom, action in domain.feasibility.items() if action in relevant)
+        self._feasible = frozenset(
+            atom for atom, action in domain.feasibility.items() if action in relevant
+        )
 
 
 class SoftGoals:
@@ -172,16 +202,25 @@ class SoftGoals:
         manager = self._problem.environment.expression_manager
         self._inside, self._outside = dict(base.inside), dict(base.outside)
         settling, each = self._fluent("settling"), None if base.metric == "cost" else manager.Int(1)
-        never = manager.Not(settling)  # after a collect or forgo, no other kind of action may follow
+        never = manager.Not(
+            settling
+        )  # after a collect or forgo, no other kind of action may follow
         self._schemas = {
-            name: replace(one, start=(*one.start, never), over_all=(*one.over_all, never), cost=one.cost or each)
+            name: replace(
+                one,
+                start=(*one.start, never),
+                over_all=(*one.over_all, never),
+                cost=one.cost or each,
+            )
             for name, one in base.schema_of.items()
         }
         self._collected_by: dict[str, Goal] = {}
         self.goal: UpThing = manager.TRUE()
         for number, goal in enumerate(goals):
             this = self._fluent(f"settled_{number}")
-            collect = self._action(f"collect_{number}", (self.goal, goal.expression), (settling, this), 0)
+            collect = self._action(
+                f"collect_{number}", (self.goal, goal.expression), (settling, this), 0
+            )
             self._collected_by[collect] = goal
             self._action(f"forgo_{number}", (self.goal,), (settling, this), goal.worth or 0.0)
             self.goal = this
@@ -199,14 +238,20 @@ class SoftGoals:
         real = self._base.schema_of
         schedule = tuple(timed for timed in result.schedule if timed.step.schema in real)
         steps = tuple(step for step in result.steps if step.schema in real)
-        reached = tuple(self._collected_by[step.schema] for step in result.steps if step.schema in self._collected_by)
+        reached = tuple(
+            self._collected_by[step.schema]
+            for step in result.steps
+            if step.schema in self._collected_by
+        )
         return replace(result, steps=steps, schedule=schedule), reached
 
     def _fluent(self, name: str) -> UpThing:
         unique = self._unique("predicate", name)
         return self._problem.add_fluent(unique, default_initial_value=False)()
 
-    def _action(self, name: str, needed: tuple[UpThing, ...], made: tuple[UpThing, ...], cost: float) -> str:
+    def _action(
+        self, name: str, needed: tuple[UpThing, ...], made: tuple[UpThing, ...], cost: float
+    ) -> str:
         from unified_planning.model import Effect
 
         unique, manager = self._unique("action", name), self._problem.environment.expression_manager

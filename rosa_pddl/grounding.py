@@ -12,7 +12,18 @@ from operator import itemgetter, mul
 from threading import Lock
 from typing import Any, TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, Outcome, State, Step, Trouble, UpThing, exact, head_of, numbers_in
+from rosa_pddl.domain import (
+    Domain,
+    Exact,
+    Outcome,
+    State,
+    Step,
+    Trouble,
+    UpThing,
+    exact,
+    head_of,
+    numbers_in,
+)
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.exceptions import UnsupportedPddlError
 from rosa_pddl.instances import (
@@ -65,7 +76,9 @@ class _Ready:
 class _Rules:
     """Makes conditions for the search: rules derive an atom for each disjunction, and numbers are compared."""
 
-    def __init__(self, layers: Mapping[str, int], name: str, number: Callable[[object], Number]) -> None:
+    def __init__(
+        self, layers: Mapping[str, int], name: str, number: Callable[[object], Number]
+    ) -> None:
         self._layers, self._name, self._number = layers, name, number
         self._known: dict[Node, str] = {}
         self.rules: list[Rule] = []
@@ -76,7 +89,11 @@ class _Rules:
         needs = [part[2] for part in parts if part[0] == "atom" and part[1]]
         needs += [self._derived(part) for part in parts if part[0] == "or"]
         denies = [part[2] for part in parts if part[0] == "atom" and not part[1]]
-        tests = [(kind, *map(self._number, numbers)) for kind, *numbers in parts if kind not in ("atom", "or")]
+        tests = [
+            (kind, *map(self._number, numbers))
+            for kind, *numbers in parts
+            if kind not in ("atom", "or")
+        ]
         return Condition(frozenset(needs), frozenset(denies), tuple(tests))
 
     def _derived(self, node: tuple[Any, ...]) -> str:
@@ -104,19 +121,30 @@ class Grounded:
         go_on: called now and then during grounding; an error that it raises stops the grounding.
     """
 
-    def __init__(self, domain: Domain, base: State, state: State, go_on: Callable[[int], None]) -> None:
+    def __init__(
+        self, domain: Domain, base: State, state: State, go_on: Callable[[int], None]
+    ) -> None:
         self.domain, self.base = domain, base
         self._usage, patterns = usage_of(domain), _instantaneous(domain)
         rows, found = reach(patterns, [row_of(atom) for atom in sorted(base)], go_on)
         self._asked = frozenset(name for pattern in patterns for name in _names(pattern))
-        self._possible = frozenset(text_of_row(name, row) for name, known in rows.items() for row in known)
+        self._possible = frozenset(
+            text_of_row(name, row) for name, known in rows.items() for row in known
+        )
         instances = [
-            one for pattern, each in zip(patterns, found, strict=True) for one in self._instances(pattern, each)
+            one
+            for pattern, each in zip(patterns, found, strict=True)
+            for one in self._instances(pattern, each)
         ]
         self._numbers = {
             text: k
             for k, text in enumerate(
-                dict.fromkeys(one[2] for instance in instances for one in instance.effects if one[1] not in _TRUTHS)
+                dict.fromkeys(
+                    one[2]
+                    for instance in instances
+                    for one in instance.effects
+                    if one[1] not in _TRUTHS
+                )
             )
         }
         in_order = _changing(instances)
@@ -124,20 +152,30 @@ class Grounded:
         self._layers = {one.effects[0][2]: one.layer for one in instances if one.layer}
         self._known, self._constants = numbers_in(state), dict[str, Exact | None]()
         self._rules = _Rules(self._layers, "or", self._number)
-        ready = [self._operator(number, one) for number, one in enumerate(instances)]  # rules come last
-        self._operators, self._axioms = ([one for one in ready if bool(one.layer) is axiom] for axiom in (False, True))
+        ready = [
+            self._operator(number, one) for number, one in enumerate(instances)
+        ]  # rules come last
+        self._operators, self._axioms = (
+            [one for one in ready if bool(one.layer) is axiom] for axiom in (False, True)
+        )
         self._frozen_atoms = self._possible - self._changing
         self._growing = {head for one in instances for head, more in one.growth.items() if more > 0}
         operations = [one.operation for one in self._operators]
         self._is_conditional = any(one.effects for one in operations)
-        conditions = [one.condition for one in operations] + [rule.condition for rule in self._rules.rules]
+        conditions = [one.condition for one in operations] + [
+            rule.condition for rule in self._rules.rules
+        ]
         conditions += [given for one in operations for given, *_ in one.effects]
-        self._is_numeric = any(one.tests for one in conditions) or any(one.changes for one in operations)
+        self._is_numeric = any(one.tests for one in conditions) or any(
+            one.changes for one in operations
+        )
         atoms = dict.fromkeys((*in_order, *(rule.atom for rule in self._rules.rules)))
         self._index = {atom: number for number, atom in enumerate(atoms)}
         self._text = lru_cache(maxsize=None)(self._text_of)
         amounts = [amount for one in self._operators for amount in (one.cost, *one.uses)]
-        self._mentioned = tuple(dict.fromkeys(text for amount in amounts for text in numeric_facts(amount)))
+        self._mentioned = tuple(
+            dict.fromkeys(text for amount in amounts for text in numeric_facts(amount))
+        )
         self._graph = lru_cache(maxsize=4)(self._graph_of)
         self._wanted = lru_cache(maxsize=64)(self._compiled_goal)
 
@@ -163,7 +201,12 @@ class Grounded:
     def search_task(self, problem: Problem, numbers: Numbers) -> tuple[TaskGraph, Task]:
         """Return the graph and the task for a problem's state, goal and limits, with the given numbers."""
         start, goal, rules, frozen = self._fitted(problem)
-        mentioned = tuple([self._usage.known(text, numbers) if text in numbers else None for text in self._mentioned])
+        mentioned = tuple(
+            [
+                self._usage.known(text, numbers) if text in numbers else None
+                for text in self._mentioned
+            ]
+        )
         weights = frozenset(problem.weights.items())
         graph, task, scales = self._graph(goal, rules, frozen, mentioned, weights)
         left = self._usage.remaining(numbers)
@@ -180,12 +223,18 @@ class Grounded:
         One more number is 1 until the first step: if a running step is the first one, only its remaining time counts.
         """
         steps, first = [self.step(one.number) for one in task.operations], len(task.start.numbers)
-        if any(not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one))) for one in steps):
+        if any(
+            not self._numbers.keys().isdisjoint(numeric_facts(self._usage.duration_of(one)))
+            for one in steps
+        ):
             raise Trouble(
-                Outcome.UNSUPPORTED, "how long steps take changes, which is not planned with what is forecast"
+                Outcome.UNSUPPORTED,
+                "how long steps take changes, which is not planned with what is forecast",
             )
         takes = [self._usage.takes_s(step, numbers) for step in steps]
-        shares = [1 - exact(problem.shares[step]) if step in problem.shares else 0 for step in steps]
+        shares = [
+            1 - exact(problem.shares[step]) if step in problem.shares else 0 for step in steps
+        ]
         saved = map(mul, takes, shares)
         times, _ = whole([*takes, *saved, *map(exact, problem.until.values())])
         pairs, left = zip(times, times[len(steps) :], strict=False), [1, *times[2 * len(steps) :]]
@@ -194,17 +243,25 @@ class Grounded:
         for one, (whole_s, done_s) in zip(task.operations, pairs, strict=False):
             takes_s: Number = ("-", whole_s, ("*", done_s, ("n", first))) if done_s else whole_s
             tests = [
-                ("<=", takes_s, ("n", places[atom])) for atom in places if atom in self._operators[one.number].needed
+                ("<=", takes_s, ("n", places[atom]))
+                for atom in places
+                if atom in self._operators[one.number].needed
             ]
             made = [(_ALWAYS, atom) for atom in one.adds] + [
                 (given, atom) for given, atom, truth in one.effects if truth
             ]
             changes = [Change(_ALWAYS, place, True, ("-", 0, takes_s)) for place in places.values()]
-            changes += [Change(given, places[atom], False, _FOR_EVER) for given, atom in made if atom in places]
+            changes += [
+                Change(given, places[atom], False, _FOR_EVER)
+                for given, atom in made
+                if atom in places
+            ]
             changes.append(Change(_ALWAYS, first, False, 0))
             operations.append(one.extended(tests, changes))
         start = SearchState(task.start.atoms, (*task.start.numbers, *left))
-        return Task(start, task.goal, tuple(operations), task.amounts, task.limits, task.rules, task.more)
+        return Task(
+            start, task.goal, tuple(operations), task.amounts, task.limits, task.rules, task.more
+        )
 
     def written(self, problem: Problem, numbers: Numbers) -> tuple[str, str, Fraction] | None:
         """Return the task as text for Fast Downward, and the heuristic for optimal search; None if the goal holds.
@@ -213,13 +270,18 @@ class Grounded:
         """
         start, goal, made, frozen = self._fitted(problem)
         if self._is_numeric or any(one.tests for one in (goal, *(rule.condition for rule in made))):
-            raise Trouble(Outcome.UNSUPPORTED, "Fast Downward plans without numbers that rise and fall")
+            raise Trouble(
+                Outcome.UNSUPPORTED, "Fast Downward plans without numbers that rise and fall"
+            )
         ready = self._weighed(frozen, problem.weights)
         exact = self._values_of([one.cost for one in ready], "costs", numbers)
         costs, _ = whole(exact)
         dearest, lost = max(costs, default=0), Fraction()
         if dearest > _MOST_COST:
-            costs, lost = [cost * _MOST_COST // dearest for cost in costs], Fraction(max(exact)) / _MOST_COST
+            costs, lost = (
+                [cost * _MOST_COST // dearest for cost in costs],
+                Fraction(max(exact)) / _MOST_COST,
+            )
         if not (goal.needs or goal.denies):
             return None
         rules = self._rules_of(made, frozen)
@@ -229,14 +291,24 @@ class Grounded:
         text = ["begin_version\n3\nend_version\nbegin_metric\n1\nend_metric\n", f"{len(index)}\n"]
         for atom, number in index.items():
             values = f"2\nAtom v{number}\nNegatedAtom v{number}\n"
-            text.append(f"begin_variable\nvar{number}\n{layers.get(atom, -1)}\n{values}end_variable\n")
-        text += ["0\nbegin_state\n", *("01"[atom not in start.atoms] + "\n" for atom in index), "end_state\n"]
+            text.append(
+                f"begin_variable\nvar{number}\n{layers.get(atom, -1)}\n{values}end_variable\n"
+            )
+        text += [
+            "0\nbegin_state\n",
+            *("01"[atom not in start.atoms] + "\n" for atom in index),
+            "end_state\n",
+        ]
         text += [f"begin_goal\n{_facts(goal, index)}\nend_goal\n{len(ready)}\n"]
         text += [
-            f"{self._text(one.operation.number)}{cost}\nend_operator\n" for one, cost in zip(ready, costs, strict=True)
+            f"{self._text(one.operation.number)}{cost}\nend_operator\n"
+            for one, cost in zip(ready, costs, strict=True)
         ]
         text.append(f"{len(rules)}\n")
-        text += [f"begin_rule\n{_facts(one.condition, index)}\n{index[one.atom]} 1 0\nend_rule\n" for one in rules]
+        text += [
+            f"begin_rule\n{_facts(one.condition, index)}\n{index[one.atom]} 1 0\nend_rule\n"
+            for one in rules
+        ]
         is_blind = self._bits(problem.state) <= _FEW_BITS or self._is_conditional or rules
         return "".join(text), "blind" if is_blind else "lmcut", lost
 
@@ -248,7 +320,10 @@ class Grounded:
         effects = sorted((*sure, *one.effects), key=itemgetter(2))
         lines = [f"begin_operator\n{number}\n{_facts(one.condition, index)}\n{len(effects)}\n"]
         for given, atom, truth in effects:
-            lines.append(f"{_facts(given, index)} {index[atom]} -1 {0 if truth else 1}".replace("\n", " ") + "\n")
+            lines.append(
+                f"{_facts(given, index)} {index[atom]} -1 {0 if truth else 1}".replace("\n", " ")
+                + "\n"
+            )
         return "".join(lines)
 
     def _bits(self, state: State) -> float:
@@ -274,7 +349,10 @@ class Grounded:
         denies = frozenset([str(one[2]) for one in parts if one[0] == "atom" and not one[1]])
         effects = list[_Effect]()
         for effect in pattern.effects:
-            condition, text = self._bound(effect.condition, row), text_of_row(effect.name, bound(effect.words, row))
+            condition, text = (
+                self._bound(effect.condition, row),
+                text_of_row(effect.name, bound(effect.words, row)),
+            )
             if condition is not False and (effect.kind != "delete" or text in self._possible):
                 effects.append((condition, effect.kind, text, bound_number(effect.amount, row)))
         made = {text for condition, kind, text, _ in effects if kind == "add" and condition is True}
@@ -283,10 +361,16 @@ class Grounded:
             one
             for one in effects
             if not (one[1] == "delete" and one[2] in made)
-            and (one[1] != "add" or one[2] not in needs - deleted or self.domain.is_feasibility(one[2]))
+            and (
+                one[1] != "add"
+                or one[2] not in needs - deleted
+                or self.domain.is_feasibility(one[2])
+            )
         ]
         others = joined(True, [one for one in parts if one[0] != "atom"])
-        step = Step(pattern.name, tuple(row)) if pattern.layer else self.domain.step(pattern.name, row)
+        step = (
+            Step(pattern.name, tuple(row)) if pattern.layer else self.domain.step(pattern.name, row)
+        )
         return _Instance(step, needs, denies, others, kept, pattern.layer)
 
     def _bound(self, node: Node, row: Sequence[str], state: State | None = None) -> Node:
@@ -313,7 +397,12 @@ class Grounded:
         taken = self._rules.taken
         others = taken(one.others)
         needs, denies = others.needs | (one.needs & self._changing), others.denies | one.denies
-        deletes, adds, effects, changes = set[str](), set[str](), list[tuple[Condition, str, bool]](), list[Change]()
+        deletes, adds, effects, changes = (
+            set[str](),
+            set[str](),
+            list[tuple[Condition, str, bool]](),
+            list[Change](),
+        )
         for given, kind, text, amount in one.effects:
             if kind not in _TRUTHS:
                 value = self._number(amount)
@@ -325,7 +414,9 @@ class Grounded:
                 effects.append((taken(given), text, kind == "add"))
         condition = Condition(needs, denies, others.tests)
         done = frozenset(deletes), frozenset(adds), tuple(effects), tuple(changes)
-        amounts = () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
+        amounts = (
+            () if one.layer else (self._usage.cost_of(one.step), self._usage.uses_of(one.step))
+        )
         operation, lasting = Operation(number, condition, *done), one.needs - self._changing
         return _Ready(one.step, one.needs, lasting, operation, one.layer, *amounts)
 
@@ -352,7 +443,9 @@ class Grounded:
         goal = rules.taken(wanted)
         if goal.needs & goal.denies:
             raise Trouble(Outcome.UNSOLVABLE_PROVEN)
-        start = SearchState(state & self._changing, tuple([known.get(text) for text in self._numbers]))
+        start = SearchState(
+            state & self._changing, tuple([known.get(text) for text in self._numbers])
+        )
         return start, goal, tuple(rules.rules), state & self._frozen_atoms
 
     def _compiled_goal(self, goals: tuple[UpThing, ...]) -> Node:
@@ -371,24 +464,38 @@ class Grounded:
 
         Its graph is returned too, and kept with all that it has computed.
         """
-        numbers = {text: value for text, value in zip(self._mentioned, mentioned, strict=True) if value is not None}
+        numbers = {
+            text: value
+            for text, value in zip(self._mentioned, mentioned, strict=True)
+            if value is not None
+        }
         ready = self._weighed(frozen, dict(weights))
         changed = self._numbers.keys()
-        varying = [one.cost if changed and changed & set(numeric_facts(one.cost)) else 0 for one in ready]
+        varying = [
+            one.cost if changed and changed & set(numeric_facts(one.cost)) else 0 for one in ready
+        ]
         fixed = [0 if more else one.cost for one, more in zip(ready, varying, strict=True)]
         amounts = [self._values_of(fixed, "costs", numbers)]
         for index, name in enumerate(self.domain.limited):
-            amounts.append(self._values_of([one.uses[index] for one in ready], f"uses of {name}", numbers))
+            amounts.append(
+                self._values_of([one.uses[index] for one in ready], f"uses of {name}", numbers)
+            )
         columns, (scale, *scales) = zip(*map(whole, amounts), strict=True)
         more = [number and ("*", scale, self._number(number, numbers)) for number in varying]
         operations, limits = tuple([one.operation for one in ready]), (0,) * len(scales)
         each, rules = tuple(zip(*columns, strict=True)), self._rules_of(rules, frozen)
-        task = Task(_NO_STATE, goal, operations, each, limits, rules, tuple(more) if any(more) else ())
+        task = Task(
+            _NO_STATE, goal, operations, each, limits, rules, tuple(more) if any(more) else ()
+        )
         return TaskGraph(task), task, tuple(scales)
 
     def _rules_of(self, rules: Iterable[Rule], frozen: State) -> tuple[Rule, ...]:
         own = [one for one in self._axioms if one.lasting <= frozen]
-        made = [Rule(one.layer, one.operation.condition, atom) for one in own for atom in one.operation.adds]
+        made = [
+            Rule(one.layer, one.operation.condition, atom)
+            for one in own
+            for atom in one.operation.adds
+        ]
         return tuple(sorted((*self._rules.rules, *made, *rules), key=lambda rule: rule.layer))
 
     def _values_of(self, made_of: Sequence[Number], what: str, numbers: Numbers) -> list[Exact]:
@@ -406,7 +513,10 @@ class Grounded:
         if not weights:
             return possible
         left = [one for one in possible if weights.get(one.step, 1)]
-        return [replace(one, cost=("*", weights[one.step], one.cost)) if one.step in weights else one for one in left]
+        return [
+            replace(one, cost=("*", weights[one.step], one.cost)) if one.step in weights else one
+            for one in left
+        ]
 
 
 _Effect: TypeAlias = tuple[Node, str, str, object]
@@ -427,7 +537,11 @@ class _Instance:
     def growth(self) -> Counter[str]:
         """For each predicate, by how much the action may increase the number of true atoms."""
         made = Counter(head_of(text) for _, kind, text, _ in self.effects if kind == "add")
-        made.subtract(head_of(text) for given, kind, text, _ in self.effects if kind == "delete" and given is True)
+        made.subtract(
+            head_of(text)
+            for given, kind, text, _ in self.effects
+            if kind == "delete" and given is True
+        )
         return made
 
 
@@ -442,7 +556,9 @@ def _changing(instances: Iterable[_Instance]) -> list[str]:
 
 def _facts(condition: Condition, index: Mapping[str, int]) -> str:
     """Return a condition in Fast Downward's format."""
-    facts = [f"{index[atom]} 0" for atom in condition.needs] + [f"{index[atom]} 1" for atom in condition.denies]
+    facts = [f"{index[atom]} 0" for atom in condition.needs] + [
+        f"{index[atom]} 1" for atom in condition.denies
+    ]
     return "\n".join([str(len(facts)), *sorted(facts)])
 
 
@@ -486,7 +602,9 @@ class Groundings:
         known = self._made.get(problem.domain)
         return known if known is not None and known.covers(problem.state) else None
 
-    def ask(self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()) -> Grounded:
+    def ask(
+        self, problem: Problem, process: ProcessHandle, limit_s: float, changing: Iterable[str] = ()
+    ) -> Grounded:
         """Return a task that covers the problem, made within `limit_s` [s] if need be; raises Trouble or Cancelled."""
         deadline, domain = time.monotonic() + limit_s, problem.domain
 
@@ -496,7 +614,9 @@ class Groundings:
                 message = f"the task of {domain.name} was not grounded in {limit_s:.3g} s; allow more or ask for less"
                 raise Trouble(Outcome.OUT_OF_TIME, message)
             if instances > _MOST_INSTANCES:
-                message = f"{domain.name} has more than {_MOST_INSTANCES} actions with their arguments"
+                message = (
+                    f"{domain.name} has more than {_MOST_INSTANCES} actions with their arguments"
+                )
                 raise Trouble(Outcome.OUT_OF_MEMORY, f"{message}; name fewer objects")
 
         go_on()
@@ -505,8 +625,13 @@ class Groundings:
         try:
             named, known = frozenset(changing), self._made.get(domain)
             if known is None or not known.covers(problem.state) or not named <= known.base:
-                base, atoms = known.base if known else State(), [one for one in problem.state if one[:3] != "(= "]
-                known = Grounded(domain, base.union(domain.feasibility, named, atoms), problem.state, go_on)
+                base, atoms = (
+                    known.base if known else State(),
+                    [one for one in problem.state if one[:3] != "(= "],
+                )
+                known = Grounded(
+                    domain, base.union(domain.feasibility, named, atoms), problem.state, go_on
+                )
             self._made.pop(domain, None)
             if len(self._made) >= _MOST_DOMAINS:
                 self._made.pop(next(iter(self._made)))

@@ -52,7 +52,9 @@ class ActionPattern:
 # ---------------------------------------------------------------- conditions without unified-planning
 
 
-def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth: bool = True) -> Node:
+def compiled(
+    domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth: bool = True
+) -> Node:
     """Return a formula, or its negation, with quantifiers expanded over their objects."""
     if formula.is_bool_constant():
         return bool(formula.constant_value()) is truth
@@ -61,21 +63,33 @@ def compiled(domain: Domain, formula: UpThing, scope: Mapping[str, Word], truth:
     if formula.is_not():
         return compiled(domain, formula.arg(0), scope, not truth)
     if formula.is_and() or formula.is_or():
-        return joined(formula.is_and() is truth, [compiled(domain, one, scope, truth) for one in formula.args])
+        return joined(
+            formula.is_and() is truth, [compiled(domain, one, scope, truth) for one in formula.args]
+        )
     if formula.is_implies():
-        parts = compiled(domain, formula.arg(0), scope, not truth), compiled(domain, formula.arg(1), scope, truth)
+        parts = (
+            compiled(domain, formula.arg(0), scope, not truth),
+            compiled(domain, formula.arg(1), scope, truth),
+        )
         return joined(not truth, parts)
     if formula.is_iff():
-        both = [[compiled(domain, one, scope, value) for value in (True, False)] for one in formula.args]
+        both = [
+            [compiled(domain, one, scope, value) for value in (True, False)] for one in formula.args
+        ]
         (first, not_first), (second, not_second) = both if truth else (both[0], both[1][::-1])
         return joined(False, [joined(True, [first, second]), joined(True, [not_first, not_second])])
     if formula.is_exists() or formula.is_forall():
         scopes = domain.bindings(formula.variables(), scope)
-        return joined(formula.is_forall() is truth, [compiled(domain, formula.arg(0), one, truth) for one in scopes])
+        return joined(
+            formula.is_forall() is truth,
+            [compiled(domain, formula.arg(0), one, truth) for one in scopes],
+        )
     if formula.is_equals() and formula.arg(0).type.is_user_type():
         one, other = _words(domain, formula, scope)
         return (
-            (one == other) is truth if isinstance(one, str) and isinstance(other, str) else ("same", truth, one, other)
+            (one == other) is truth
+            if isinstance(one, str) and isinstance(other, str)
+            else ("same", truth, one, other)
         )
     kind = "<" if formula.is_lt() else "<=" if formula.is_le() else "="
     left, right = (compiled_number(domain, one, scope) for one in formula.args)
@@ -90,7 +104,9 @@ def compiled_number(domain: Domain, number: UpThing, scope: Mapping[str, Word]) 
         return exact(Fraction(number.constant_value()))
     if number.is_fluent_exp():
         return "n", domain.outside[number.fluent().name], _words(domain, number, scope)
-    return _ARITHMETIC[number.node_type.name], *(compiled_number(domain, one, scope) for one in number.args)
+    return _ARITHMETIC[number.node_type.name], *(
+        compiled_number(domain, one, scope) for one in number.args
+    )
 
 
 def joined(is_and: bool, parts: Iterable[Node]) -> Node:
@@ -120,7 +136,9 @@ def _words(domain: Domain, thing: UpThing, scope: Mapping[str, Word]) -> tuple[W
         if one.is_object_exp():
             found.append(domain.outside[one.object().name])
         else:
-            found.append(scope[(one.parameter() if one.is_parameter_exp() else one.variable()).name])
+            found.append(
+                scope[(one.parameter() if one.is_parameter_exp() else one.variable()).name]
+            )
     return tuple(found)
 
 
@@ -159,7 +177,12 @@ def text_of_row(name: str, row: Row) -> str:
 
 def patterns_of(domain: Domain, actions: Iterable[UpThing]) -> tuple[ActionPattern, ...]:
     """Return instantaneous actions of unified-planning as patterns."""
-    return tuple([_pattern(domain, domain.outside[one.name], one.preconditions, one.effects) for one in actions])
+    return tuple(
+        [
+            _pattern(domain, domain.outside[one.name], one.preconditions, one.effects)
+            for one in actions
+        ]
+    )
 
 
 def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
@@ -167,7 +190,9 @@ def axioms_of(domain: Domain) -> tuple[ActionPattern, ...]:
     found = []
     for name, one in domain.axioms.items():
         spelled = domain.outside[domain.inside["predicate", name]]
-        scope: dict[str, Word] = {each.variable().name: place for place, each in enumerate(one.variables)}
+        scope: dict[str, Word] = {
+            each.variable().name: place for place, each in enumerate(one.variables)
+        }
         choices = tuple(domain.objects_of(domain.outside[each.type.name]) for each in one.variables)
         effect = Effect(True, "add", spelled, tuple(scope.values()))
         for way in one.condition.args if one.condition.is_or() else (one.condition,):
@@ -197,19 +222,26 @@ def _may_hold(node: Node, rows: Mapping[str, Mapping[Row, None]]) -> bool:
     return any(parts) if node[0] == "or" else all(parts)
 
 
-def _pattern(domain: Domain, schema: str, conditions: Iterable[UpThing], changes: Iterable[UpThing]) -> ActionPattern:
+def _pattern(
+    domain: Domain, schema: str, conditions: Iterable[UpThing], changes: Iterable[UpThing]
+) -> ActionPattern:
     parameters = domain.schema_of[schema].parameters
     scope: dict[str, Word] = {name: number for number, (name, _) in enumerate(parameters)}
     needs = joined(True, [compiled(domain, one, scope) for one in conditions])
     effects = [made for one in changes for made in _effects(domain, one, scope)]
-    return ActionPattern(schema, tuple(domain.objects_of(kind) for _, kind in parameters), needs, tuple(effects))
+    return ActionPattern(
+        schema, tuple(domain.objects_of(kind) for _, kind in parameters), needs, tuple(effects)
+    )
 
 
 def _effects(domain: Domain, effect: UpThing, scope: Mapping[str, Word]) -> Iterator[Effect]:
     """Yield the effect for each choice of objects for its variables; effects on resources are left out."""
     name = domain.outside[effect.fluent.fluent().name]
     for inner in domain.bindings(effect.forall, scope):
-        condition, words = compiled(domain, effect.condition, inner), _words(domain, effect.fluent, inner)
+        condition, words = (
+            compiled(domain, effect.condition, inner),
+            _words(domain, effect.fluent, inner),
+        )
         if effect.fluent.type.is_bool_type():
             yield Effect(condition, "add" if effect.value.is_true() else "delete", name, words)
         elif name in domain.computed:
@@ -244,14 +276,18 @@ _Rows: TypeAlias = dict[str, dict[Row, None]]
 
 
 def reach(
-    patterns: Sequence[ActionPattern], facts: Iterable[tuple[str, Row]], go_on: Callable[[int], None]
+    patterns: Sequence[ActionPattern],
+    facts: Iterable[tuple[str, Row]],
+    go_on: Callable[[int], None],
 ) -> tuple[_Rows, list[dict[Row, None]]]:
     """Return the rows of each predicate that are reachable from facts, and the possible arguments of each action.
 
     `go_on` is called now and then with the number of instantiations, and may raise to stop the work.
     """
     instances = [dict[Row, None]() for _ in patterns]
-    rules = [rule for one, known in zip(patterns, instances, strict=True) for rule in _rules(one, known)]
+    rules = [
+        rule for one, known in zip(patterns, instances, strict=True) for rule in _rules(one, known)
+    ]
     return _Join(rules, go_on).closed(facts), instances
 
 
@@ -259,7 +295,10 @@ def _rules(pattern: ActionPattern, instances: dict[Row, None]) -> Iterator[_Rule
     added = [one for one in pattern.effects if one.kind == "add"]
     sure = [(one.name, one.words) for one in added if one.condition is True]
     others = [one for one in added if one.condition is not True]
-    follows = [(joined(True, [pattern.needs, one.condition]), [(one.name, one.words)], None) for one in others]
+    follows = [
+        (joined(True, [pattern.needs, one.condition]), [(one.name, one.words)], None)
+        for one in others
+    ]
     choices = [dict.fromkeys(one) for one in pattern.choices]
     for needs, heads, known in ((pattern.needs, sure, instances), *follows):
         parts = conjuncts_of(needs)
@@ -308,7 +347,9 @@ class _Join:
             return
         look = looks[at]
         words = [look.words[place] for place in look.known]
-        key: Any = tuple([word if isinstance(word, str) else binding[word] for word in words])  # all are known
+        key: Any = tuple(
+            [word if isinstance(word, str) else binding[word] for word in words]
+        )  # all are known
         for row in self._index[look.name][look.known].get(key, ()):
             inner = _matched(rule, look, row, binding)
             if inner is not None:
@@ -316,13 +357,18 @@ class _Join:
 
     def _complete(self, rule: _Rule, binding: _Binding) -> None:
         """Add what follows from a binding, for every choice of objects for its unbound variables."""
-        choices = [rule.choices[place] if thing is None else (thing,) for place, thing in enumerate(binding)]
+        choices = [
+            rule.choices[place] if thing is None else (thing,)
+            for place, thing in enumerate(binding)
+        ]
         for row in product(*choices):
             self._work += 1
             if self._work % _BETWEEN_LOOKS == 0:
                 self._go_on(self._work)
             are_apart = [
-                truth is (one == other) for truth, *words in rule.apart for one, other in [bound((*words,), row)]
+                truth is (one == other)
+                for truth, *words in rule.apart
+                for one, other in [bound((*words,), row)]
             ]
             if all(are_apart) and (rule.instances is None or row not in rule.instances):
                 if rule.instances is not None:
@@ -342,7 +388,13 @@ class _Join:
             number = min(left, key=unknown)
             left.remove(number)
             name, words = rule.body[number]
-            places = tuple([place for place, word in enumerate(words) if isinstance(word, str) or word in known])
+            places = tuple(
+                [
+                    place
+                    for place, word in enumerate(words)
+                    if isinstance(word, str) or word in known
+                ]
+            )
             known.update(word for word in words if not isinstance(word, str))
             looks.append(_Look(name, words, places))
             if number != first:

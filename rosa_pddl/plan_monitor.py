@@ -77,7 +77,11 @@ class PlanExecution:
 
     @classmethod
     def of(
-        cls, domain: Domain, result: PlanningResult, goals: tuple[Goal, ...], clash: Clash | None = None
+        cls,
+        domain: Domain,
+        result: PlanningResult,
+        goals: tuple[Goal, ...],
+        clash: Clash | None = None,
     ) -> "PlanExecution":
         """Order a plan: a schedule by what its steps need from one another, other plans one step after the other.
 
@@ -95,7 +99,9 @@ class PlanExecution:
             waits = [
                 one
                 for one in before
-                if clash is None or clash(steps[one], step) or _interfere(touched[one], touched[number])
+                if clash is None
+                or clash(steps[one], step)
+                or _interfere(touched[one], touched[number])
             ]
             after.append(frozenset(StepEvent(one, True) for one in waits))
         return cls(steps, one_after_the_other(len(steps)), tuple(after), goals)
@@ -118,12 +124,18 @@ class PlanExecution:
 
     @property
     def remaining(self) -> tuple[int, ...]:
-        return tuple(number for number in range(len(self.steps)) if StepEvent(number, False) not in self.happened)
+        return tuple(
+            number
+            for number in range(len(self.steps))
+            if StepEvent(number, False) not in self.happened
+        )
 
     @property
     def running(self) -> tuple[int, ...]:
         started = {one.number for one in self.happened}
-        return tuple(number for number in sorted(started) if StepEvent(number, True) not in self.happened)
+        return tuple(
+            number for number in sorted(started) if StepEvent(number, True) not in self.happened
+        )
 
     @property
     def unfinished_steps(self) -> tuple[Step, ...]:
@@ -133,7 +145,9 @@ class PlanExecution:
         """Return the number of an equal step that may start now, or None."""
         return next((number for number in self.startable if self.steps[number] == step), None)
 
-    def ends_s(self, takes_s: Callable[[Step], float], shares: Mapping[Step, float]) -> tuple[float, ...]:
+    def ends_s(
+        self, takes_s: Callable[[Step], float], shares: Mapping[Step, float]
+    ) -> tuple[float, ...]:
         """Return the time from now to the earliest end of each step [s], given the shares left of running steps."""
         at = dict[StepEvent, float]()
         for event in self.events:
@@ -148,27 +162,45 @@ class PlanExecution:
         return tuple(at[StepEvent(number, True)] for number in range(len(self.steps)))
 
     def prediction(
-        self, domain: Domain, state: State, until: Mapping[str, float] | None = None, ends_s: Sequence[float] = ()
+        self,
+        domain: Domain,
+        state: State,
+        until: Mapping[str, float] | None = None,
+        ends_s: Sequence[float] = (),
     ) -> Prediction:
         """Predict the rest of the plan from the current state; `until` and `ends_s` are as in `replay`."""
-        left = ([event for event in moment if event not in self.happened] for moment in self.moments)
-        flaw, facts = replay(domain, self.steps, filter(None, left), state, self.running, until, ends_s)
-        missed = (goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression]))
+        left = (
+            [event for event in moment if event not in self.happened] for moment in self.moments
+        )
+        flaw, facts = replay(
+            domain, self.steps, filter(None, left), state, self.running, until, ends_s
+        )
+        missed = (
+            goal.text for goal in self.goals if not goal_holds(domain, facts, [goal.expression])
+        )
         unreached = None if flaw else next(missed, None)
-        return Prediction(flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts)
+        return Prediction(
+            flaw or (unreached and f"the rest of the plan does not reach {unreached}"), facts
+        )
 
 
-def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]) -> PlanExecution:
+def _scheduled(
+    domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal, ...]
+) -> PlanExecution:
     timed = sorted(schedule, key=lambda one: one.start_s)
 
     def rank(event: StepEvent) -> tuple[int, StepEvent]:
         """Order the events of one moment: first ends, then starts, then the ends of instantaneous steps."""
         return (1 if not event.is_end else 0 if timed[event.number].duration_s > 0.0 else 2), event
 
-    in_time = tuple(tuple(_in_turn(domain, timed, sorted(moment, key=rank))) for moment in moments(timed))
+    in_time = tuple(
+        tuple(_in_turn(domain, timed, sorted(moment, key=rank))) for moment in moments(timed)
+    )
     events = tuple(chain.from_iterable(in_time))
     touched = [_touched(domain, one.step) for one in timed]
-    at_events = {event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events}
+    at_events = {
+        event: _touched(domain, timed[event.number].step, [event.is_end]) for event in events
+    }
     after = tuple(
         frozenset(
             event
@@ -178,12 +210,18 @@ def _scheduled(domain: Domain, schedule: Sequence[TimedStep], goals: tuple[Goal,
         for number in range(len(timed))
     )
     return PlanExecution(
-        tuple(one.step for one in timed), in_time, _not_too_early(domain, timed, touched, after), goals
+        tuple(one.step for one in timed),
+        in_time,
+        _not_too_early(domain, timed, touched, after),
+        goals,
     )
 
 
 def _not_too_early(
-    domain: Domain, timed: Sequence[TimedStep], touched: Sequence[_Touched], after: Sequence[frozenset[StepEvent]]
+    domain: Domain,
+    timed: Sequence[TimedStep],
+    touched: Sequence[_Touched],
+    after: Sequence[frozenset[StepEvent]],
 ) -> tuple[frozenset[StepEvent], ...]:
     """Let a step that provides something only while it runs, such as light, wait for what its first user waits for.
 
@@ -193,7 +231,9 @@ def _not_too_early(
     for number, one in enumerate(timed):
         lent = _lent(domain, one.step)
         users = [
-            user for user in range(len(timed)) if lent & touched[user][0] and StepEvent(number, False) in after[user]
+            user
+            for user in range(len(timed))
+            if lent & touched[user][0] and StepEvent(number, False) in after[user]
         ]
         if users and one.duration_s > 0.0:
             waiting = _waiting_for(waits, number)
@@ -205,7 +245,9 @@ def _lent(domain: Domain, step: Step) -> frozenset[str]:
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     given = [effect for effect in schema.start_effects if not effect.value.is_false()]
     taken = [effect for effect in schema.end_effects if not effect.value.is_true()]
-    return frozenset(affected_atoms(domain, given, binding)) & frozenset(affected_atoms(domain, taken, binding))
+    return frozenset(affected_atoms(domain, given, binding)) & frozenset(
+        affected_atoms(domain, taken, binding)
+    )
 
 
 def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]:
@@ -217,7 +259,9 @@ def _waiting_for(waits: Sequence[frozenset[StepEvent]], number: int) -> set[int]
     return found
 
 
-def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]) -> Iterator[StepEvent]:
+def _in_turn(
+    domain: Domain, timed: Sequence[TimedStep], together: Sequence[StepEvent]
+) -> Iterator[StepEvent]:
     """Yield the events of one moment; a step starts after the events that provide its `over all` conditions."""
     left = list(together)
 
@@ -228,9 +272,15 @@ def _in_turn(domain: Domain, timed: Sequence[TimedStep], together: Sequence[Step
         if event.is_end:
             return StepEvent(event.number, False) in left
         step = timed[event.number].step
-        held = set(mentioned_atoms(domain, domain.schema_of[step.schema].over_all, (), binding_of(domain, step)))
+        held = set(
+            mentioned_atoms(
+                domain, domain.schema_of[step.schema].over_all, (), binding_of(domain, step)
+            )
+        )
         others = [one for one in left if one.number != event.number and provides(one)]
-        return any(held & _touched(domain, timed[one.number].step, [one.is_end])[1] for one in others)
+        return any(
+            held & _touched(domain, timed[one.number].step, [one.is_end])[1] for one in others
+        )
 
     while left:
         event = next((one for one in left if not is_early(one)), left[0])
@@ -273,10 +323,16 @@ class PlanMonitor:
     def is_no_easier(self, then: Problem) -> bool:
         """Whether a problem without a plan has none now either, as no limit and no forecast leaves more."""
         now = self.until() if then.until else {}
-        lasts_longer = any(now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items())
-        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(self.belief.numbers, then.costs)
+        lasts_longer = any(
+            now.get(atom, inf) > left_s * _LONGER for atom, left_s in then.until.items()
+        )
+        return not lasts_longer and usage_of(self.effects.domain).leave_no_more(
+            self.belief.numbers, then.costs
+        )
 
-    def too_late(self, plan: PlanExecution, state: State, shares: Mapping[Step, float]) -> str | None:
+    def too_late(
+        self, plan: PlanExecution, state: State, shares: Mapping[Step, float]
+    ) -> str | None:
         """Return in words which step of a working plan would end too late by the expected times; None if none."""
         forecasts = self._forecasts()
         found = {atom: one.at - one.now for atom, one in forecasts.items() if one.at is not None}
@@ -285,11 +341,21 @@ class PlanMonitor:
         domain, usage = self.effects.domain, usage_of(self.effects.domain)
         numbers = usage.numbers(self.belief.numbers, state)
         ends_s = plan.ends_s(lambda step: float(usage.takes_s(step, numbers)), shares)
-        flaw = plan.prediction(domain, state, found, ends_s).flaw if max((0.0, *ends_s)) > min(found.values()) else None
+        flaw = (
+            plan.prediction(domain, state, found, ends_s).flaw
+            if max((0.0, *ends_s)) > min(found.values())
+            else None
+        )
         if flaw is None:
             return None
-        alone = [one for one in found if plan.prediction(domain, state, {one: found[one]}, ends_s).flaw == flaw]
-        return f"{flaw}, as " + " and ".join(f"{forecasts[one].action} is {forecasts[one]}" for one in alone or found)
+        alone = [
+            one
+            for one in found
+            if plan.prediction(domain, state, {one: found[one]}, ends_s).flaw == flaw
+        ]
+        return f"{flaw}, as " + " and ".join(
+            f"{forecasts[one].action} is {forecasts[one]}" for one in alone or found
+        )
 
     def overspent(self, plan: PlanExecution) -> str | None:
         """Return in words which limit the steps that have not started break; None if they keep all limits.
@@ -326,7 +392,10 @@ class PlanMonitor:
         Each plan comes with the state that it begins in; shares are left of running steps, weights multiply costs.
         """
         plan, after = new
-        if plan.prediction(self.effects.domain, after).flaw is not None or self.overspent(plan) is not None:
+        if (
+            plan.prediction(self.effects.domain, after).flaw is not None
+            or self.overspent(plan) is not None
+        ):
             return False
         try:
             mine, others = (self._price(*one, goals, shares, weights) for one in (new, old))
@@ -335,7 +404,12 @@ class PlanMonitor:
         return mine * (1.0 + margin) < others - _SAME_COST
 
     def _price(
-        self, plan: PlanExecution, state: State, goals: Goals, shares: Mapping[Step, float], weights: Mapping[Step, int]
+        self,
+        plan: PlanExecution,
+        state: State,
+        goals: Goals,
+        shares: Mapping[Step, float],
+        weights: Mapping[Step, int],
     ) -> float:
         """Return the cost of the steps that have not ended plus the worth of the soft goals that are given up."""
         domain, usage = self.effects.domain, usage_of(self.effects.domain)
@@ -348,4 +422,6 @@ class PlanMonitor:
         return price
 
     def _holding(self, goals: Iterable[Goal], facts: State) -> tuple[Goal, ...]:
-        return tuple(goal for goal in goals if goal_holds(self.effects.domain, facts, [goal.expression]))
+        return tuple(
+            goal for goal in goals if goal_holds(self.effects.domain, facts, [goal.expression])
+        )

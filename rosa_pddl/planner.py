@@ -15,7 +15,15 @@ from pathlib import Path
 
 from rosa_pddl import search
 from rosa_pddl.domain import Attempt, Domain, Outcome, PlanningResult, Step, Trouble, fluents_in
-from rosa_pddl.engines import LABEL_SETTING, NUMERIC, SEARCHES, TRANSLATED, asked, fast_downward, missing
+from rosa_pddl.engines import (
+    LABEL_SETTING,
+    NUMERIC,
+    SEARCHES,
+    TRANSLATED,
+    asked,
+    fast_downward,
+    missing,
+)
 from rosa_pddl.engines.processes import Cancelled, ProcessHandle
 from rosa_pddl.exceptions import (
     PlannerSettingError,
@@ -41,7 +49,9 @@ _PREPARED_S = 60.0
 _MOST_ENTRIES = 1 << 14
 CERTIFIED = "certificate"
 """The way of an answer that a certificate gives, made before the mission."""
-_OVERLAP = "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
+_OVERLAP = (
+    "steps may overlap with Planner('aries', overlapping=True), pip install 'rosa-taca[temporal]'"
+)
 
 
 @dataclass(frozen=True)
@@ -60,13 +70,19 @@ class Certificate:
         try:
             entries = dict[tuple[str, ...], PlanningResult]()
             for one in json.loads(Path(path).read_text())["entries"]:
-                steps = tuple(domain.step(step["action"], step["arguments"]) for step in one["steps"])
-                result = PlanningResult(Outcome(one["outcome"]), steps, one["engine"], cost=one["cost"])
+                steps = tuple(
+                    domain.step(step["action"], step["arguments"]) for step in one["steps"]
+                )
+                result = PlanningResult(
+                    Outcome(one["outcome"]), steps, one["engine"], cost=one["cost"]
+                )
                 entries[tuple(one["unfeasible"])] = result
             return cls(entries)
         except (OSError, ValueError, KeyError, TypeError) as error:
             message = f"{path} is no certificate of {domain.file} ({type(error).__name__}: {error})"
-            raise PlannerSettingError(f"{message}; write one with rosa plan --certificate --json") from error
+            raise PlannerSettingError(
+                f"{message}; write one with rosa plan --certificate --json"
+            ) from error
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
         """Return the plan for the unfeasible actions of a problem, or its shortest end that works; None if none does.
@@ -80,7 +96,10 @@ class Certificate:
             found = self.entries.get(actions, PlanningResult(Outcome.UNSUPPORTED))
             for count in range(1, 1 + len(found.steps)):
                 rest = found.steps[-count:]
-                if left_out.isdisjoint(rest) and flaw(domain, rest, state, problem.wanted, until) is None:
+                if (
+                    left_out.isdisjoint(rest)
+                    and flaw(domain, rest, state, problem.wanted, until) is None
+                ):
                     return replace(found, outcome=Outcome.SOLVED, steps=rest, schedule=())
         return None
 
@@ -138,7 +157,11 @@ class Planner:
     ) -> None:
         own = (("warm",) if warm else ()) + ("cold",) if engine in TRANSLATED else (engine,)
         self.engine, self.ways, self.timeout_s = engine, (*own, *fallback), timeout_s
-        self.budgets_s, self.overlapping, self.safe_step = dict(budgets_s or {}), overlapping, safe_step
+        self.budgets_s, self.overlapping, self.safe_step = (
+            dict(budgets_s or {}),
+            overlapping,
+            safe_step,
+        )
         self.moves, self.memory_bytes, self.certificate = moves, memory_mb << 20, certificate
         self._check()
         self.groundings = Groundings()
@@ -150,13 +173,19 @@ class Planner:
         sequential = [name for name in (self.engine, *self.ways) if name in TRANSLATED]
         if self.overlapping and sequential:
             message = f"{sequential[0]} plans one step after the other; for overlapping steps use a temporal engine"
-            raise PlannerSettingError(f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')")
+            raise PlannerSettingError(
+                f"{message} such as 'aries' (pip install 'rosa-taca[temporal]')"
+            )
         for way in self.budgets_s:
             if way not in self.ways:
                 hint = nearest(way, self.ways)
-                raise PlannerSettingError(f"a budget is given for {way!r}, which is not among what is tried; {hint}")
+                raise PlannerSettingError(
+                    f"a budget is given for {way!r}, which is not among what is tried; {hint}"
+                )
         if not 0.0 < self.timeout_s < inf:
-            raise PlannerSettingError(f"timeout_s is {self.timeout_s:g}, expected more than 0, and finite")
+            raise PlannerSettingError(
+                f"timeout_s is {self.timeout_s:g}, expected more than 0, and finite"
+            )
 
     def missing(self, domain: Domain) -> str | None:
         """Return what to install if the engine is missing, else None; asked before a mission begins."""
@@ -182,7 +211,9 @@ class Planner:
                 self.groundings.ask(problem, process, _PREPARED_S, named)
             self.processes.discard(process)
 
-        threading.Thread(target=work, name=f"grounding of {problem.domain.name}", daemon=True).start()
+        threading.Thread(
+            target=work, name=f"grounding of {problem.domain.name}", daemon=True
+        ).start()
 
     def prepared(self, problem: Problem) -> PlanningResult | None:
         """Return the certificate's plan for a problem, or an end of it, if that works, else None. Never waits."""
@@ -201,7 +232,9 @@ class Planner:
         if at_once is not None:
             future.set_result(at_once)
             return future
-        future.add_done_callback(lambda done: portfolio.process.cancel() if done.cancelled() else None)
+        future.add_done_callback(
+            lambda done: portfolio.process.cancel() if done.cancelled() else None
+        )
 
         def work() -> None:
             result = portfolio.result()
@@ -247,7 +280,10 @@ def awaited(future: "Future[PlanningResult]", budget_s: float) -> PlanningResult
 
 
 def certificate(
-    domain: Domain, supposing: Callable[[Iterable[str]], Problem], planner: Planner, failures: int | None = None
+    domain: Domain,
+    supposing: Callable[[Iterable[str]], Problem],
+    planner: Planner,
+    failures: int | None = None,
 ) -> Certificate:
     """Plan for every combination of unfeasible actions, to find out with which of them the goal can be reached.
 
@@ -263,10 +299,14 @@ def certificate(
     actions = domain.rosa_actions
     most = len(actions) if failures is None else failures
     if not 0 <= most <= len(actions):
-        raise PlannerSettingError(f"failures is {most}, expected 0 to {len(actions)}, as so many actions there are")
+        raise PlannerSettingError(
+            f"failures is {most}, expected 0 to {len(actions)}, as so many actions there are"
+        )
     total = sum(comb(len(actions), count) for count in range(most + 1))
     if total > _MOST_ENTRIES:
-        message = f"{total} combinations of {len(actions)} actions are too many (at most {_MOST_ENTRIES})"
+        message = (
+            f"{total} combinations of {len(actions)} actions are too many (at most {_MOST_ENTRIES})"
+        )
         raise PlannerSettingError(f"{message}; look at fewer failures at once, such as failures=2")
     chosen = chain.from_iterable(combinations(actions, count) for count in range(most + 1))
     return Certificate({out: planner.plan(supposing(out)) for out in chosen})
@@ -277,7 +317,9 @@ class _Portfolio:
 
     def __init__(self, planner: Planner, problem: Problem) -> None:
         self._planner, self._problem = planner, problem
-        self._safe_step = None if planner.safe_step is None else _step(problem.domain, planner.safe_step)
+        self._safe_step = (
+            None if planner.safe_step is None else _step(problem.domain, planner.safe_step)
+        )
         self.process = ProcessHandle(planner.memory_bytes)
 
     def at_once(self) -> PlanningResult | None:
@@ -285,7 +327,11 @@ class _Portfolio:
         known = self._remembered()
         if known is not None:
             return known
-        if "warm" not in self._planner.ways or self._planner.engine not in _EXACT or not self._planner.moves:
+        if (
+            "warm" not in self._planner.ways
+            or self._planner.engine not in _EXACT
+            or not self._planner.moves
+        ):
             return None
         try:
             task = self._planner.groundings.made(self._problem)
@@ -313,17 +359,24 @@ class _Portfolio:
         try:
             return self._kept(self._tried_in_order())
         except Cancelled:
-            return PlanningResult(Outcome.ENGINE_CRASHED, (), self._planner.engine, "the planner was closed")
+            return PlanningResult(
+                Outcome.ENGINE_CRASHED, (), self._planner.engine, "the planner was closed"
+            )
         finally:
             self._planner.processes.discard(self.process)
 
     def _remembered(self) -> PlanningResult | None:
         known = self._planner.cache.get(self._key)
-        return None if known is None else replace(known, attempts=(Attempt("cache", known.outcome),))
+        return (
+            None if known is None else replace(known, attempts=(Attempt("cache", known.outcome),))
+        )
 
     def _kept(self, result: PlanningResult) -> PlanningResult:
         if not result.outcome.is_trouble and not result.hangs_on_the_clock:
-            cache, size = self._planner.cache, 1 + len(self._problem.state) + len(self._problem.costs)
+            cache, size = (
+                self._planner.cache,
+                1 + len(self._problem.state) + len(self._problem.costs),
+            )
             most = min(self._planner.cached, _MOST_ATOMS // size)
             if len(cache) >= most:
                 cache.clear()
@@ -335,13 +388,20 @@ class _Portfolio:
     def _key(self) -> Hashable:
         problem = self._problem
         given = (problem.costs, problem.weights, problem.until, problem.shares)
-        return problem.domain, problem.state, problem.wanted, *(frozenset(one.items()) for one in given)
+        return (
+            problem.domain,
+            problem.state,
+            problem.wanted,
+            *(frozenset(one.items()) for one in given),
+        )
 
     def _tried_in_order(self) -> PlanningResult:
         attempts: list[Attempt] = []
         for way, budget_s in self._budgeted():
             answer = self._tried(way, budget_s)
-            attempts.append(Attempt(way, answer.outcome, answer.message if answer.outcome.is_trouble else ""))
+            attempts.append(
+                Attempt(way, answer.outcome, answer.message if answer.outcome.is_trouble else "")
+            )
             if answer.outcome.is_solved or answer.outcome is Outcome.UNSOLVABLE_PROVEN:
                 return self._report(answer, way, attempts)
         outcomes = [attempt.outcome for attempt in attempts]
@@ -353,11 +413,19 @@ class _Portfolio:
         settings = self._planner
         deadline = time.monotonic() + settings.timeout_s
         ways = list(settings.ways)
-        if self._problem.domain.computed and settings.engine in TRANSLATED:  # 'cold' would reach the same cap
+        if (
+            self._problem.domain.computed and settings.engine in TRANSLATED
+        ):  # 'cold' would reach the same cap
             ways = [ways[0], NUMERIC, *(way for way in ways[1:] if way not in ("cold", NUMERIC))]
         for number, way in enumerate(ways, start=1):
             left_s = _left_s(deadline)
-            yield way, min(settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2), left_s)
+            yield (
+                way,
+                min(
+                    settings.budgets_s.get(way, left_s if number == len(ways) else left_s / 2),
+                    left_s,
+                ),
+            )
 
     def _tried(self, way: str, budget_s: float) -> PlanningResult:
         try:
@@ -365,7 +433,9 @@ class _Portfolio:
             if missed is not None:
                 raise Trouble(Outcome.ENGINE_MISSING, missed)
             if budget_s <= 0.0:
-                raise Trouble(Outcome.OUT_OF_TIME, f"of {self._planner.timeout_s:g} s no time was left for it")
+                raise Trouble(
+                    Outcome.OUT_OF_TIME, f"of {self._planner.timeout_s:g} s no time was left for it"
+                )
             return self._checked(way, self._answer(way, time.monotonic() + budget_s))
         except Cancelled:
             raise
@@ -374,7 +444,9 @@ class _Portfolio:
         except UnsupportedPddlError as error:
             return PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         except Exception as error:  # no error here may stop the tree; it is reported by name
-            return PlanningResult(Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}")
+            return PlanningResult(
+                Outcome.ENGINE_CRASHED, message=f"{type(error).__name__}: {error}"
+            )
 
     def _engine_of(self, way: str) -> str:
         return self._planner.engine if way in ("warm", "cold") else way
@@ -382,7 +454,9 @@ class _Portfolio:
     def _answer(self, way: str, deadline: float) -> PlanningResult:
         limited = ", ".join(self._problem.domain.limited)
         if limited and self._engine_of(way) in SEARCHES:
-            message = f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
+            message = (
+                f"Fast Downward keeps no limits (of {limited}); Planner({LABEL_SETTING!r}) does"
+            )
             raise Trouble(Outcome.UNSUPPORTED, message)
         if way in ("warm", "cold", LABEL_SETTING):
             groundings = self._planner.groundings if way == "warm" else Groundings()
@@ -390,7 +464,9 @@ class _Portfolio:
             return self._searched(task, deadline, self._engine_of(way))
         if self._problem.domain.axioms:
             names = ", ".join(self._problem.domain.axioms)
-            message = f"{names} is derived, which {way} does not know; Planner('fast-downward-opt') does"
+            message = (
+                f"{names} is derived, which {way} does not know; Planner('fast-downward-opt') does"
+            )
             raise Trouble(Outcome.UNSUPPORTED, message)
         overlapping = self._planner.overlapping
         if overlapping:
@@ -398,7 +474,9 @@ class _Portfolio:
                 if is_out_of_reach(self._problem.domain, self._problem.state, self._problem.wanted):
                     message = "not even if nothing that was made so were ever undone"
                     return PlanningResult(Outcome.UNSOLVABLE_PROVEN, message=message)
-        return asked(way, self._problem, self.process, limit_s=_left_s(deadline), overlapping=overlapping)
+        return asked(
+            way, self._problem, self.process, limit_s=_left_s(deadline), overlapping=overlapping
+        )
 
     def _searched(self, task: Grounded, deadline: float, engine: str) -> PlanningResult:
         try:
@@ -414,31 +492,43 @@ class _Portfolio:
 
     def _is_searched_here(self, task: Grounded, engine: str) -> bool:
         # putting numbers into many operators may take longer than starting another program
-        is_small = engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
-        return (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
+        is_small = (
+            engine == LABEL_SETTING or task.size * _MOVES_FOR_AN_OPERATOR <= self._planner.moves
+        )
+        return (
+            (engine in _EXACT or bool(self._problem.until)) and is_small and self._planner.moves > 0
+        )
 
     def _exact(self, grounded: Grounded, cap: int) -> PlanningResult:
         graph, task = grounded.search_task(self._problem, self._numbers)
         found = graph.plan(task.start, task.limits, cap // grounded.work)
         if found is None:
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
-        return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves]))
+        return PlanningResult(
+            Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(move.what) for move in found.moves])
+        )
 
     def _exact_elsewhere(self, grounded: Grounded, deadline: float) -> PlanningResult:
         """Search in a separate process, which delays no tick and can be killed; forecasts are left out."""
         _, task = grounded.search_task(replace(self._problem, until={}), self._numbers)
         if task.start.numbers or task.goal.tests:
-            message = f"with numbers that rise and fall it looks at {self._planner.moves} moves only"
+            message = (
+                f"with numbers that rise and fall it looks at {self._planner.moves} moves only"
+            )
             raise Trouble(Outcome.UNSUPPORTED, message)
         command = [sys.executable, "-I", "-S", search.__file__]
         ended = self.process.ask(command, given=search.written(task), limit_s=_left_s(deadline))
         kind, *numbers = ended.output.decode(errors="replace").split() or [""]
         if kind == "plan":
-            return PlanningResult(Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers]))
+            return PlanningResult(
+                Outcome.SOLVED_OPTIMALLY, tuple([grounded.step(int(number)) for number in numbers])
+            )
         if kind == "none":
             return PlanningResult(Outcome.UNSOLVABLE_PROVEN)
         if MemoryError.__name__ in ended.last_words:
-            raise Trouble(Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less")
+            raise Trouble(
+                Outcome.OUT_OF_MEMORY, "the search ran out of memory; allow more or ask for less"
+            )
         message = f"the search ended with exit code {ended.code} and no answer. It said: {ended.last_words}"
         raise Trouble(Outcome.ENGINE_CRASHED, message)
 
@@ -465,7 +555,9 @@ class _Portfolio:
         if not answer.outcome.is_solved:
             return answer
         problem, usage = self._problem, usage_of(self._problem.domain)
-        wrong = self._flaw(answer, {}) or usage.overspent(problem.costs, answer.steps, problem.state)
+        wrong = self._flaw(answer, {}) or usage.overspent(
+            problem.costs, answer.steps, problem.state
+        )
         if wrong is not None:
             message = f"{self._engine_of(way)} returned a plan that does not work: {wrong}"
             raise Trouble(Outcome.ENGINE_CRASHED, message)
@@ -478,11 +570,18 @@ class _Portfolio:
     def _flaw(self, answer: PlanningResult, until: Mapping[str, float]) -> str | None:
         problem, steps, usage = self._problem, answer.steps, usage_of(self._problem.domain)
         if answer.schedule:
-            return schedule_flaw(problem.domain, answer.schedule, problem.state, problem.wanted, until)
+            return schedule_flaw(
+                problem.domain, answer.schedule, problem.state, problem.wanted, until
+            )
         in_turn = usage.in_turn(problem.costs, problem.state, steps) if until else ()
         takes = [float(usage.takes_s(step, numbers)) for step, numbers in in_turn]
-        takes[:1] = [takes_s * problem.shares.get(step, 1.0) for takes_s, step in zip(takes[:1], steps, strict=False)]
-        return flaw(problem.domain, steps, problem.state, problem.wanted, until, tuple(accumulate(takes)))
+        takes[:1] = [
+            takes_s * problem.shares.get(step, 1.0)
+            for takes_s, step in zip(takes[:1], steps, strict=False)
+        ]
+        return flaw(
+            problem.domain, steps, problem.state, problem.wanted, until, tuple(accumulate(takes))
+        )
 
     def _report(self, answer: PlanningResult, way: str, attempts: list[Attempt]) -> PlanningResult:
         engine, domain, outcome = self._engine_of(way), self._problem.domain, answer.outcome
@@ -490,21 +589,33 @@ class _Portfolio:
             cost = self._cost(answer.steps)
             return replace(answer, engine=engine, cost=cost, attempts=tuple(attempts))
         message = f"{engine}: {outcome}" + (f": {answer.message}" if answer.message else "")
-        if outcome is Outcome.UNSOLVABLE_PROVEN and not self._planner.overlapping and _may_have_to_overlap(domain):
+        if (
+            outcome is Outcome.UNSOLVABLE_PROVEN
+            and not self._planner.overlapping
+            and _may_have_to_overlap(domain)
+        ):
             outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
-            message = f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
+            message = (
+                f"{engine}: {outcome}: there is no plan of one step after the other; {_OVERLAP}"
+            )
         if outcome.is_trouble:
-            message = "; ".join(f"{engine}, {one}" if engine != one.way else str(one) for one in attempts)
+            message = "; ".join(
+                f"{engine}, {one}" if engine != one.way else str(one) for one in attempts
+            )
         safe = self._safe_step
         if safe is not None and missing_at_start(domain, safe, self._problem.state) is not None:
             safe = None
-        return PlanningResult(outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe)
+        return PlanningResult(
+            outcome, (), engine, message, attempts=tuple(attempts), safe_step=safe
+        )
 
     def _cost(self, steps: Sequence[Step]) -> float | None:
         problem, usage = self._problem, usage_of(self._problem.domain)
         try:
             in_turn = usage.in_turn(problem.costs, problem.state, steps)
-            return float(sum(usage.value(usage.cost_of(step), numbers) for step, numbers in in_turn))
+            return float(
+                sum(usage.value(usage.cost_of(step), numbers) for step, numbers in in_turn)
+            )
         except UnsupportedPddlError:
             return None
 
@@ -534,5 +645,7 @@ def _step(domain: Domain, text: str) -> Step:
     schema = domain.schema_of[domain.spelling("action", head, text)]
     if len(words) != len(schema.parameters):
         expected = " ".join(f"?{name}" for name, _ in schema.parameters)
-        raise UnknownNameError(f"the safe step {text!r} is not of the form ({schema.name} {expected})")
+        raise UnknownNameError(
+            f"the safe step {text!r} is not of the form ({schema.name} {expected})"
+        )
     return domain.step(schema.name, [domain.spelling("object", word, text) for word in words])

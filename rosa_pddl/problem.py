@@ -70,13 +70,17 @@ class Problem:
             costs[self.domain.atom(text)] = value
             head = head_of(self.domain.atom(text))
             if head not in numeric:
-                raise UnknownNameError(f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}")
+                raise UnknownNameError(
+                    f"{text!r} is no numeric fact of {self.domain.file}; {nearest(head, numeric)}"
+                )
         if costs.keys() != self.costs.keys():
             object.__setattr__(self, "costs", costs)  # in the spelling of the files
         feasible = self.domain.feasibility
         for text, left_s in self.until.items():
             if text not in feasible:
-                raise UnknownNameError(f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}")
+                raise UnknownNameError(
+                    f"{text!r} does not say that an action is feasible; {nearest(text, feasible)}"
+                )
             if not (isinstance(left_s, Real) and isfinite(left_s)):
                 message = f"{text} is forecast to hold for {left_s!r} s, expected a finite number"
                 raise SensingError(f"{message}; leave out what is not forecast to end")
@@ -96,9 +100,13 @@ class Problem:
         manager, environment = read.environment.expression_manager, read.environment
         defaults = {environment.type_manager.BoolType(): manager.FALSE()}
         problem = UpProblem(read.name, environment, initial_defaults=defaults)
-        problem.add_objects([one for one in read.all_objects if domain.outside[one.name] in domain.types])
+        problem.add_objects(
+            [one for one in read.all_objects if domain.outside[one.name] in domain.types]
+        )
         # numbers that nothing needs are left out, as some engines refuse problems with numbers
-        has_numbers = overlapping or domain.metric == "cost" or bool(domain.limits or domain.computed)
+        has_numbers = (
+            overlapping or domain.metric == "cost" or bool(domain.limits or domain.computed)
+        )
         problem.add_fluents([one for one in read.fluents if one.type.is_bool_type() or has_numbers])
         for expression, value in read.explicit_initial_values.items():
             is_there = all(problem.has_object(one.object().name) for one in expression.args)
@@ -125,7 +133,9 @@ class Problem:
             is_timed = overlapping and one.duration is not None
             made = (_durative if is_timed else _instantaneous)(one, domain, problem)
             for name in (each for each in domain.limited if each in one.uses):
-                made.add_increase_effect(*[EndTiming()] * is_timed, domain.expression(f"({name})"), one.uses[name])
+                made.add_increase_effect(
+                    *[EndTiming()] * is_timed, domain.expression(f"({name})"), one.uses[name]
+                )
             actions[made] = one.cost
         problem.add_actions(actions)
         if domain.metric == "cost":
@@ -160,7 +170,9 @@ def with_object(domain: Domain, name: str, type_name: str) -> Domain:
     kind = domain.up_problem.user_type(domain.inside["type", spelled.lower()])
     lineage = lineage_of(kind, domain.outside)
     if ACTION_TYPE in lineage:
-        raise UnknownNameError(f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}")
+        raise UnknownNameError(
+            f"{name!r} would be a ROSA action; those are added to the model and to {domain.file}"
+        )
     if not NAME.fullmatch(name) or ("object", name.lower()) in domain.inside:
         raise UnknownNameError(
             f"{name!r} cannot be added, expected a name that no object has: a letter, then letters, digits, '_' or '-'"
@@ -187,7 +199,11 @@ def without_object(domain: Domain, name: str) -> Domain:
             f"{known!r} is a ROSA action, which stays; the knowledge base says whether it is feasible"
         )
     inside = {key: one for key, one in domain.inside.items() if key != ("object", known.lower())}
-    return replace(domain, inside=inside, types={one: above for one, above in domain.types.items() if one != known})
+    return replace(
+        domain,
+        inside=inside,
+        types={one: above for one, above in domain.types.items() if one != known},
+    )
 
 
 def initial_state(domain: Domain) -> State:
@@ -215,7 +231,11 @@ def without_feasibility(domain: Domain, state: State) -> State:
 def _without_quantifiers(formula: UpThing, problem: UpThing) -> UpThing:
     from unified_planning.model.walkers import ExpressionQuantifiersRemover
 
-    return ExpressionQuantifiersRemover(problem.environment).remove_quantifiers(formula, problem).simplify()
+    return (
+        ExpressionQuantifiersRemover(problem.environment)
+        .remove_quantifiers(formula, problem)
+        .simplify()
+    )
 
 
 def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
@@ -223,19 +243,28 @@ def parameters_of(domain: Domain, schema: Schema) -> list[UpThing]:
     from unified_planning.model import Parameter
 
     environment, type_of = domain.up_problem.environment, domain.up_problem.user_type
-    kinds = ((name, type_of(domain.inside["type", kind.lower()])) for name, kind in schema.parameters)
-    return [environment.expression_manager.ParameterExp(Parameter(name, kind, environment)) for name, kind in kinds]
+    kinds = (
+        (name, type_of(domain.inside["type", kind.lower()])) for name, kind in schema.parameters
+    )
+    return [
+        environment.expression_manager.ParameterExp(Parameter(name, kind, environment))
+        for name, kind in kinds
+    ]
 
 
 def _made(kind: type, schema: Schema, domain: Domain) -> UpThing:
     parameters = {one.parameter().name: one.type for one in parameters_of(domain, schema)}
-    return kind(domain.inside["action", schema.name.lower()], parameters, domain.up_problem.environment)
+    return kind(
+        domain.inside["action", schema.name.lower()], parameters, domain.up_problem.environment
+    )
 
 
 def _add_effects(action: UpThing, effects: Iterable[UpThing], *when: UpThing) -> None:
     for one in effects:
         kind = "" if one.is_assignment() else f"{one.kind.name.lower()}_"
-        getattr(action, f"add_{kind}effect")(*when, one.fluent, one.value, one.condition, one.forall)
+        getattr(action, f"add_{kind}effect")(
+            *when, one.fluent, one.value, one.condition, one.forall
+        )
 
 
 def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
@@ -252,7 +281,9 @@ def _durative(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
         for condition in conditions:
             made.add_condition(when, _without_quantifiers(condition, problem))
     for when, effects in ((start, schema.start_effects), (end, schema.end_effects)):
-        always = (one for one in effects if one.condition.is_true() or not domain.makes_feasible(one))
+        always = (
+            one for one in effects if one.condition.is_true() or not domain.makes_feasible(one)
+        )
         _add_effects(made, always, when)
     return made
 
@@ -279,7 +310,9 @@ def _instantaneous(schema: Schema, domain: Domain, problem: UpThing) -> UpThing:
 def with_starts(domain: Domain, problem: UpThing) -> Domain:
     """Return a domain that also defines the derived predicates by which `build` says what holds after steps' starts."""
     schemas = domain.schema_of.values() if domain.axioms else ()
-    late = {name: one for schema in schemas for name, one in _Start(schema, domain, problem).axioms()}
+    late = {
+        name: one for schema in schemas for name, one in _Start(schema, domain, problem).axioms()
+    }
     return replace(
         domain,
         axioms={**domain.axioms, **late},
@@ -300,14 +333,21 @@ class _Start:
         # what becomes true wins
         self.effects = sorted(schema.start_effects, key=lambda one: bool(one.value.is_true()))
         self._changed = fluents_in(one.fluent for one in self.effects)
-        rules = {problem.fluent(domain.inside["predicate", name]): one for name, one in domain.axioms.items()}
+        rules = {
+            problem.fluent(domain.inside["predicate", name]): one
+            for name, one in domain.axioms.items()
+        }
         made_of = {fluent: fluents_in([one.condition]) for fluent, one in rules.items()}
         late = [*schema.over_all, *schema.end, *(one.condition for one in schema.end_effects)]
         asked = fluents_in(late if rules else ())
         for _ in rules:
-            self._changed |= {fluent for fluent, parts in made_of.items() if not parts.isdisjoint(self._changed)}
+            self._changed |= {
+                fluent for fluent, parts in made_of.items() if not parts.isdisjoint(self._changed)
+            }
             asked |= {part for fluent in asked & made_of.keys() for part in made_of[fluent]}
-        self._derived = {fluent: one for fluent, one in rules.items() if fluent in self._changed & asked}
+        self._derived = {
+            fluent: one for fluent, one in rules.items() if fluent in self._changed & asked
+        }
         known = [one for one in self.effects if self._derived and one.fluent.fluent() in asked]
         parts = [part for one in known for part in (one.fluent, one.condition, one.value)]
         self._parameters = tuple(dict.fromkeys(chain.from_iterable(map(_parameters_in, parts))))
@@ -326,9 +366,14 @@ class _Start:
         if not (self._may_change(effect.condition) or self._may_change(effect.value)):
             yield effect
             return
-        condition, both = self.after(effect.condition), self._problem.environment.expression_manager.And
+        condition, both = (
+            self.after(effect.condition),
+            self._problem.environment.expression_manager.And,
+        )
         for given, value in self.cases(effect.value):
-            yield Effect(effect.fluent, value, both(condition, given).simplify(), effect.kind, effect.forall)
+            yield Effect(
+                effect.fluent, value, both(condition, given).simplify(), effect.kind, effect.forall
+            )
 
     def cases(self, formula: UpThing) -> Iterator[tuple[UpThing, UpThing]]:
         """Yield what a formula is after the start: the condition for each case first."""
@@ -337,12 +382,18 @@ class _Start:
             return
         plain = _without_quantifiers(formula, self._problem)
         atoms = dict.fromkeys(atoms_in([plain]))
-        derived = {atom: self._derived_after(atom) for atom in atoms if atom.fluent() in self._derived}
+        derived = {
+            atom: self._derived_after(atom) for atom in atoms if atom.fluent() in self._derived
+        }
         cases = [(self._problem.environment.expression_manager.TRUE(), derived)]
         for atom, one in product(atoms, self.effects):
             hit = _hit(one, atom)
             if not hit.is_false():
-                cases = [found for given, values in cases for found in _split(one, atom, hit, given, values)]
+                cases = [
+                    found
+                    for given, values in cases
+                    for found in _split(one, atom, hit, given, values)
+                ]
         for given, values in cases:
             yield given, plain.substitute(values)
 
@@ -350,14 +401,20 @@ class _Start:
         """Yield the definitions of what derived predicates are after the start; they are derived after all others."""
         from unified_planning.model import Variable
 
-        manager, environment = self._problem.environment.expression_manager, self._problem.environment
+        manager, environment = (
+            self._problem.environment.expression_manager,
+            self._problem.environment,
+        )
         own = {
             one: manager.VariableExp(Variable(f"?{one.parameter().name}", one.type, environment))
             for one in self._parameters
         }
         for fluent, one in self._derived.items():
             variables, layer = (*one.variables, *own.values()), len(self._domain.axioms) + one.layer
-            yield self._name_after(fluent), Derived(variables, self.after(one.condition).substitute(own), layer)
+            yield (
+                self._name_after(fluent),
+                Derived(variables, self.after(one.condition).substitute(own), layer),
+            )
 
     def _may_change(self, formula: UpThing) -> bool:
         return bool(self._changed) and not self._changed.isdisjoint(fluents_in([formula]))
@@ -367,11 +424,15 @@ class _Start:
 
         kinds = {f"?{one.parameter().name}": one.type for one in self._parameters}
         signature = {**{one.name: one.type for one in atom.fluent().signature}, **kinds}
-        fluent = Fluent(self._name_after(atom.fluent()), atom.type, environment=atom.environment, **signature)
+        fluent = Fluent(
+            self._name_after(atom.fluent()), atom.type, environment=atom.environment, **signature
+        )
         return fluent(*atom.args, *self._parameters)
 
     def _name_after(self, fluent: UpThing) -> str:
-        return f"{self._domain.outside[fluent.name]}@{self._schema.name}"  # no name of a file has an @
+        return (
+            f"{self._domain.outside[fluent.name]}@{self._schema.name}"  # no name of a file has an @
+        )
 
 
 def _parameters_in(formula: UpThing) -> Iterator[UpThing]:
@@ -387,7 +448,11 @@ def _split(
     """Yield the cases into which an effect that may change an atom or a number splits a case."""
     manager, before = atom.environment.expression_manager, values.get(atom, atom)
     if atom.fluent().type.is_bool_type():
-        held = manager.Or(before, hit) if effect.value.is_true() else manager.And(before, manager.Not(hit))
+        held = (
+            manager.Or(before, hit)
+            if effect.value.is_true()
+            else manager.And(before, manager.Not(hit))
+        )
         yield given, {**values, atom: held}
         return
     if not hit.is_true():
@@ -408,7 +473,11 @@ def _hit(effect: UpThing, atom: UpThing) -> UpThing:
     # the variables of the effect get names that the atom cannot have
     fresh = {one: Variable(f"{one.name}.", one.type, atom.environment) for one in effect.forall}
     fluent, condition = effect.fluent.substitute(fresh), effect.condition.substitute(fresh)
-    same = [manager.Equals(*pair) for pair in zip(fluent.args, atom.args, strict=True) if pair[0] != pair[1]]
+    same = [
+        manager.Equals(*pair)
+        for pair in zip(fluent.args, atom.args, strict=True)
+        if pair[0] != pair[1]
+    ]
     hit = manager.And(condition, *same)
     return (manager.Exists(hit, *fresh.values()) if fresh else hit).simplify()
 

@@ -7,7 +7,16 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
-from rosa_pddl.domain import ACTION_TYPE, FEASIBLE, Derived, Domain, Schema, UpThing, conjuncts, lineage_of
+from rosa_pddl.domain import (
+    ACTION_TYPE,
+    FEASIBLE,
+    Derived,
+    Domain,
+    Schema,
+    UpThing,
+    conjuncts,
+    lineage_of,
+)
 from rosa_pddl.engines import late_environment
 from rosa_pddl.exceptions import PddlError, UnknownNameError, nearest
 from rosa_pddl.problem import Problem
@@ -39,7 +48,9 @@ _TIMES = {("at", "start"): "start", ("at", "end"): "end", ("over", "all"): "over
 _COST = "total-cost"
 
 
-def load_domain(domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None) -> Domain:
+def load_domain(
+    domain: str | Path, problem: str | Path, *, actions: Mapping[str, str] | None = None
+) -> Domain:
     """Read a PDDL domain and problem.
 
     Names keep the spelling of the files; an object, an action, a predicate and a type may have the same name. If the
@@ -64,7 +75,9 @@ def parse_domain(domain: str, problem: str, *, actions: Mapping[str, str] | None
     return build_domain(parse(domain, "domain.pddl"), parse(problem, "problem.pddl"), actions or {})
 
 
-def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | None = None) -> Domain:
+def build_domain(
+    domain: Source, problem: Source, actions: Mapping[str, str] | None = None
+) -> Domain:
     check_frames(domain, problem)
     read = _Reader(domain, problem, actions or {}).domain()
     # raises errors of what cannot be planned here, not at the first planning
@@ -73,14 +86,25 @@ def build_domain(domain: Source, problem: Source, actions: Mapping[str, str] | N
 
 
 def _rosa_action_of(
-    name: str, conditions: Iterable[UpThing], parameters: Mapping[str, UpThing], outside: Mapping[str, str]
+    name: str,
+    conditions: Iterable[UpThing],
+    parameters: Mapping[str, UpThing],
+    outside: Mapping[str, str],
 ) -> str | None:
     """Return the parameter (without `?`) or the constant that is the ROSA action; None if there is none."""
-    said = {outside[one.fluent().name].lower(): one for one in conditions if one.is_fluent_exp() and len(one.args) == 1}
+    said = {
+        outside[one.fluent().name].lower(): one
+        for one in conditions
+        if one.is_fluent_exp() and len(one.args) == 1
+    }
     for predicate in (f"{name.lower()}_action", FEASIBLE):
         if predicate in said:
             argument = said[predicate].arg(0)
-            return str(argument.parameter().name) if argument.is_parameter_exp() else outside[argument.object().name]
+            return (
+                str(argument.parameter().name)
+                if argument.is_parameter_exp()
+                else outside[argument.object().name]
+            )
     actions = [one for one, kind in parameters.items() if outside[kind.name].lower() == ACTION_TYPE]
     return actions[0] if len(actions) == 1 else None
 
@@ -94,7 +118,9 @@ class _Reader:
         environment = late_environment()
         self._types = environment.type_manager
         defaults = {self._types.BoolType(): environment.expression_manager.FALSE()}
-        self._up_problem = UpProblem(str(problem.root.children[1].children[1]), environment, initial_defaults=defaults)
+        self._up_problem = UpProblem(
+            str(problem.root.children[1].children[1]), environment, initial_defaults=defaults
+        )
         self._actions = actions
         self._inside = {("type", "object"): "object"}
         self._outside = {"object": "object"}
@@ -103,7 +129,9 @@ class _Reader:
         self._schemas: dict[str, Schema] = {}
         self._costs: dict[str, UpThing] = {}
         self._draft = Domain(
-            computed=frozenset(str(one.children[0]) for one in section(domain, ":functions") if one.head),
+            computed=frozenset(
+                str(one.children[0]) for one in section(domain, ":functions") if one.head
+            ),
             name=str(domain.root.children[1].children[1]),
             file=domain.file,
             problem_file=problem.file,
@@ -140,13 +168,17 @@ class _Reader:
             self._draft.axioms[head] = Derived((), None, len(made_of[head]))
         for head, each in rules.items():
             self._draft.axioms[head] = self._domain.derived(each, len(made_of[head]))
-            for part in (part for rule in each for part in nodes_of(rule) if part.head in ("not", "imply")):
+            for part in (
+                part for rule in each for part in nodes_of(rule) if part.head in ("not", "imply")
+            ):
                 if any(made_of[head] == made_of.get(one.head) for one in nodes_of(part)):
                     message = f"{head!r} is derived from its own negation, which means nothing. Sense it, or make it"
                     raise domain.unsupported(part, f"{message} an effect of actions")
         for node in domain.root.children[2:]:
             if node.head in BODY:
-                with _located(domain, node, f"in {start_of(node.children[1])}: " if node.children[1:] else ""):
+                with _located(
+                    domain, node, f"in {start_of(node.children[1])}: " if node.children[1:] else ""
+                ):
                     self._read_action(node)
         for fact in (part for node in section(problem, ":init") for part in _parts_of(node)):
             with _located(problem, fact):
@@ -156,10 +188,14 @@ class _Reader:
             with _located(problem, goal):
                 goals.append((str(goal), self._problem.condition(goal, {}, "the goal")))
         uses = self._sort_numbers([goal for _, goal in goals])
-        metric = self._read_metric({self._outside[one.name].lower(): rises for one, rises in uses.rises.items()})
+        metric = self._read_metric(
+            {self._outside[one.name].lower(): rises for one, rises in uses.rises.items()}
+        )
         return replace(
             self._draft,
-            rosa_actions=tuple(name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage),
+            rosa_actions=tuple(
+                name for name, lineage in self._lineages.items() if ACTION_TYPE in lineage
+            ),
             goals=tuple(text for text, goal in goals if goal not in uses.limits),
             computed=frozenset(self._outside[one.name] for one in uses.computed),
             metric=metric,
@@ -187,8 +223,12 @@ class _Reader:
         pairs = typed(source, section(source, ":types"))
         if self._actions and ACTION_TYPE not in [name.lower for name, _ in pairs]:
             pairs.append((replace(ANY, word=ACTION_TYPE), None))
-        names = {up.lower: up for _, up in pairs if up is not None} | {name.lower: name for name, _ in pairs}
-        above = {name.lower: up.lower for name, up in pairs if up is not None and up.lower != name.lower}
+        names = {up.lower: up for _, up in pairs if up is not None} | {
+            name.lower: name for name, _ in pairs
+        }
+        above = {
+            name.lower: up.lower for name, up in pairs if up is not None and up.lower != name.lower
+        }
         below = {word: (above.get(word, "object"),) for word in names if word != "object"}
         try:
             in_order = tuple(TopologicalSorter(below).static_order())
@@ -198,7 +238,9 @@ class _Reader:
             raise source.error(names[cycle[0]], message) from error
         kinds = {"object": self._types.UserType("object")}
         for word in (one for one in in_order if one != "object"):
-            kinds[word] = self._types.UserType(self._declare(source, "type", names[word]), kinds[below[word][0]])
+            kinds[word] = self._types.UserType(
+                self._declare(source, "type", names[word]), kinds[below[word][0]]
+            )
         self._up_problem.user_types.extend(kinds.values())
 
     def _variables(self, nodes: Iterable[Node]) -> dict[str, UpThing]:
@@ -206,7 +248,9 @@ class _Reader:
         found: dict[str, UpThing] = {}
         for name, kind in typed(self._domain.source, nodes, are_variables=True):
             if name.lower[1:] in found:
-                raise self._domain.source.error(name, f"found the parameter {name.word!r} again, expected another name")
+                raise self._domain.source.error(
+                    name, f"found the parameter {name.word!r} again, expected another name"
+                )
             found[name.lower[1:]] = self._domain.type_of(kind or ANY)
         return found
 
@@ -215,7 +259,9 @@ class _Reader:
 
         parameters = self._variables(node.children[1:])
         name = self._declare(self._domain.source, "predicate", node.children[0])
-        self._up_problem.add_fluent(Fluent(name, type_, environment=self._up_problem.environment, **parameters))
+        self._up_problem.add_fluent(
+            Fluent(name, type_, environment=self._up_problem.environment, **parameters)
+        )
 
     def _read_objects(self, formulas: Formulas, head: str) -> None:
         for node, kind in typed(formulas.source, section(formulas.source, head)):
@@ -224,7 +270,9 @@ class _Reader:
     def _read_object(self, formulas: Formulas, node: Node, kind: Node) -> None:
         type_, known = formulas.type_of(kind), self._inside.get(("object", node.lower))
         if known is not None and formulas is self._problem:
-            is_constant = self._places["object", self._outside[known]][0] == self._domain.source.file
+            is_constant = (
+                self._places["object", self._outside[known]][0] == self._domain.source.file
+            )
             if is_constant and self._up_problem.object(known).type == type_:
                 return
         self._up_problem.add_object(self._declare(formulas.source, "object", node), type_)
@@ -237,17 +285,25 @@ class _Reader:
         schemas = [str(node.children[1]) for node in actions if node.children[1:]]
         for name, action in self._actions.items():
             if name not in schemas:
-                raise UnknownNameError(f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}")
+                raise UnknownNameError(
+                    f"{domain.file} has no PDDL action {name!r}; {nearest(name, schemas)}"
+                )
             known = self._inside.get(("object", action.lower()))
             if not action.startswith("?") and known is None:
-                self._read_object(self._domain, replace(ANY, word=action), replace(ANY, word=ACTION_TYPE))
+                self._read_object(
+                    self._domain, replace(ANY, word=action), replace(ANY, word=ACTION_TYPE)
+                )
             elif known is not None and ACTION_TYPE not in self._lineages[self._outside[known]]:
-                raise UnknownNameError(f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}")
+                raise UnknownNameError(
+                    f"the object {action!r} of {domain.file} is not of type {ACTION_TYPE!r}"
+                )
 
     def _read_action(self, node: Node) -> None:
         source, name = self._domain.source, str(node.children[1])
         parts = body_of(source, node)
-        parameters = self._variables(parts[":parameters"].children if ":parameters" in parts else ())
+        parameters = self._variables(
+            parts[":parameters"].children if ":parameters" in parts else ()
+        )
         self._declare(source, "action", node.children[1])
         reader = _ActionReader(self._domain, parameters, name, self._has_cost)
         reader.read(node, parts)
@@ -257,12 +313,21 @@ class _Reader:
         if does is not None:
             if does.startswith("?") and does[1:] not in parameters:
                 hint = nearest(does, [f"?{word}" for word in parameters])
-                raise UnknownNameError(f"the PDDL action {name!r} has no parameter {does!r}; {hint}")
+                raise UnknownNameError(
+                    f"the PDDL action {name!r} has no parameter {does!r}; {hint}"
+                )
             conditions = [one for one in reader.conditions if one.is_fluent_exp()]
             if FEASIBLE not in [self._outside[one.fluent().name].lower() for one in conditions]:
                 needed = listed(FEASIBLE, does)
-                reader.require(listed("over", "all", needed) if node.head == ":durative-action" else needed, node)
-        action = does.removeprefix("?") if does else _rosa_action_of(name, reader.conditions, parameters, self._outside)
+                reader.require(
+                    listed("over", "all", needed) if node.head == ":durative-action" else needed,
+                    node,
+                )
+        action = (
+            does.removeprefix("?")
+            if does
+            else _rosa_action_of(name, reader.conditions, parameters, self._outside)
+        )
         self._schemas[name] = Schema(
             name=name,
             parameters=tuple((one, self._outside[kind.name]) for one, kind in parameters.items()),
@@ -274,7 +339,11 @@ class _Reader:
 
     def _read_fact(self, node: Node) -> None:
         formulas, source = self._problem, self._problem.source
-        if node.head == "at" and len(node.children) == 3 and NUMBER.fullmatch(node.children[1].lower):
+        if (
+            node.head == "at"
+            and len(node.children) == 3
+            and NUMBER.fullmatch(node.children[1].lower)
+        ):
             message = f"found {start_of(node)!r}: facts that become true at a time are not supported; Aries (up-aries) "
             raise source.unsupported(node, message + "by itself would do. Sense the fact instead")
         if node.head == "=" and len(node.children) == 3:
@@ -299,24 +368,34 @@ class _Reader:
                 tuple(one for one in effects if one.fluent.fluent() not in uses.resources)
                 for effects in (schema.start_effects, schema.end_effects)
             )
-            used = {self._outside[one.name]: uses.rises[one][name] for one in uses.resources if name in uses.rises[one]}
+            used = {
+                self._outside[one.name]: uses.rises[one][name]
+                for one in uses.resources
+                if name in uses.rises[one]
+            }
             self._schemas[name] = replace(schema, start_effects=start, end_effects=end, uses=used)
         return uses
 
     def _read_metric(self, rising: Mapping[str, Mapping[str, UpThing]]) -> str:
         for word in section(self._problem.source, ":metric")[1:]:
-            node = word if word.is_list else replace(word, word=None, children=(word,))  # `minimize c` is `(c)`
+            node = (
+                word if word.is_list else replace(word, word=None, children=(word,))
+            )  # `minimize c` is `(c)`
             if node.head == "total-time":
                 return "makespan"
             costs = dict[str, UpThing]()
-            for name, amount in self._minimized(node, {**rising, **({_COST: self._costs} if self._has_cost else {})}):
+            for name, amount in self._minimized(
+                node, {**rising, **({_COST: self._costs} if self._has_cost else {})}
+            ):
                 costs[name] = costs[name] + amount if name in costs else amount
             for name, cost in costs.items():
                 self._schemas[name] = replace(self._schemas[name], cost=cost)
             return "cost"
         return ""
 
-    def _minimized(self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]) -> Iterator[tuple[str, UpThing]]:
+    def _minimized(
+        self, node: Node, rising: Mapping[str, Mapping[str, UpThing]]
+    ) -> Iterator[tuple[str, UpThing]]:
         """Yield what each action adds to a metric, which is a sum of numbers that only rise, with constant factors."""
         head, parts = node.head, node.children[1:]
         constants = [part for part in parts if NUMBER.fullmatch(part.lower)]
@@ -327,7 +406,9 @@ class _Reader:
                 yield from self._minimized(part, rising)
         elif head == "*" and len(parts) == 2 and len(constants) == 1:
             factor, other = self._problem.constant(constants[0]), parts[parts[0] is constants[0]]
-            yield from ((action, factor * amount) for action, amount in self._minimized(other, rising))
+            yield from (
+                (action, factor * amount) for action, amount in self._minimized(other, rising)
+            )
         else:
             names = ", ".join(sorted(f"({one})" for one in rising)) or "none"
             message = f"found {start_of(node)!r}, expected (total-cost), (total-time), or a sum of numbers that actions"
@@ -338,13 +419,21 @@ class _Reader:
 class _ActionReader:
     """Reads the conditions, effects, duration and cost of an action."""
 
-    def __init__(self, formulas: Formulas, parameters: Mapping[str, UpThing], name: str, has_cost: bool) -> None:
+    def __init__(
+        self, formulas: Formulas, parameters: Mapping[str, UpThing], name: str, has_cost: bool
+    ) -> None:
         from unified_planning.model import Parameter
 
-        self._formulas, self._source, self._name, self._has_cost = formulas, formulas.source, name, has_cost
+        self._formulas, self._source, self._name, self._has_cost = (
+            formulas,
+            formulas.source,
+            name,
+            has_cost,
+        )
         manager, environment = formulas.manager, formulas.manager.environment
         self._scope = {
-            f"?{one}": manager.ParameterExp(Parameter(one, kind, environment)) for one, kind in parameters.items()
+            f"?{one}": manager.ParameterExp(Parameter(one, kind, environment))
+            for one, kind in parameters.items()
         }
         self.parts: dict[str, list[UpThing]] = {
             one: [] for one in ("start", "over_all", "end", "start_effects", "end_effects")
@@ -360,14 +449,20 @@ class _ActionReader:
         if ":duration" in parts:
             self._read_duration(parts[":duration"])
         self.require(parts.get(":condition", parts.get(":precondition", listed())), schema)
-        within = self._formulas.within(parts[":parameters"].children if ":parameters" in parts else (), self._scope)
+        within = self._formulas.within(
+            parts[":parameters"].children if ":parameters" in parts else (), self._scope
+        )
         self.parts["start"] += conjuncts([within])
-        for time, effect in _timed(self._source, schema, parts.get(":effect", listed()), is_effect=True):
+        for time, effect in _timed(
+            self._source, schema, parts.get(":effect", listed()), is_effect=True
+        ):
             self._read_effect(effect, _Where(time, self._scope))
 
     def require(self, node: Node, schema: Node) -> None:
         for time, condition in _timed(self._source, schema, node, is_effect=False):
-            self.parts[time] += conjuncts([self._formulas.condition(condition, self._scope, self._name)])
+            self.parts[time] += conjuncts(
+                [self._formulas.condition(condition, self._scope, self._name)]
+            )
 
     def _read_duration(self, node: Node) -> None:
         """Set the duration; for a bound on one side only, it is the bound."""
@@ -380,16 +475,30 @@ class _ActionReader:
         elif node.head == "and":
             bounds = {part.head[:1]: part for part in node.children[1:] if len(part.children) == 3}
             if bounds.keys() != {"<", ">"} or len(node.children) != 3:
-                raise self._source.error(node, f"found {start_of(node)!r}, expected a least and a greatest duration")
+                raise self._source.error(
+                    node, f"found {start_of(node)!r}, expected a least and a greatest duration"
+                )
             lower, upper = bounds[">"], bounds["<"]
-            least, most = (self._formulas.number(part.children[2], self._scope) for part in (lower, upper))
+            least, most = (
+                self._formulas.number(part.children[2], self._scope) for part in (lower, upper)
+            )
             self.duration = DurationInterval(least, most, lower.head == ">", upper.head == "<")
-        elif node.head in ("=", *COMPARISONS) and len(node.children) == 3 and node.children[1].lower == "?duration":
-            self.duration = FixedDuration(self._formulas.number(node.children[2], self._scope).simplify())
+        elif (
+            node.head in ("=", *COMPARISONS)
+            and len(node.children) == 3
+            and node.children[1].lower == "?duration"
+        ):
+            self.duration = FixedDuration(
+                self._formulas.number(node.children[2], self._scope).simplify()
+            )
             if self.duration.lower.is_constant() and self.duration.lower.constant_value() < 0:
-                raise self._source.error(node, f"found {start_of(node)!r}, expected a duration of 0 s or more")
+                raise self._source.error(
+                    node, f"found {start_of(node)!r}, expected a duration of 0 s or more"
+                )
         else:
-            raise self._source.error(node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'")
+            raise self._source.error(
+                node, f"found {start_of(node)!r}, expected a duration such as '(= ?duration 5)'"
+            )
 
     def _read_effect(self, node: Node, where: "_Where") -> None:
         formulas, head, parts = self._formulas, node.head, node.children[1:]
@@ -399,7 +508,9 @@ class _ActionReader:
         elif head == "forall":
             bound, within, body = formulas.quantified(node, where.scope)
             variables = (*where.variables, *(one.variable() for one in bound.values()))
-            self._read_effect(body, where.on(within)._replace(scope={**where.scope, **bound}, variables=variables))
+            self._read_effect(
+                body, where.on(within)._replace(scope={**where.scope, **bound}, variables=variables)
+            )
         elif head == "when" and len(parts) == 2:
             needed = formulas.condition(parts[0], where.scope, self._name).simplify()
             if not needed.is_false():
@@ -415,11 +526,15 @@ class _ActionReader:
         """Read the cost of an action, which may have several parts, or its effect on a number."""
         formulas, manager = self._formulas, self._formulas.manager
         if len(node.children) != 3 or not node.children[1].head:
-            raise self._source.error(node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)")
+            raise self._source.error(
+                node, f"found {start_of(node)!r}, expected ({node.head} (NAME) AMOUNT)"
+            )
         head, target, amount = node.head, *node.children[1:]
         is_cost = target.head == _COST and self._has_cost
         if is_cost and amount.lower.startswith("-"):
-            message = f"{start_of(node)!r} in {self._name} is less than nothing; costs are 0 or more"
+            message = (
+                f"{start_of(node)!r} in {self._name} is less than nothing; costs are 0 or more"
+            )
             raise self._source.unsupported(node, message)
         if is_cost and (head != "increase" or where.conditions or where.variables):
             message = "makes the cost of a step depend on conditions; write an action for each"
@@ -430,7 +545,10 @@ class _ActionReader:
             return
         fluent = formulas.atom(target, where.scope, is_number=True)
         if head.startswith("scale"):
-            head, value = "assign", (manager.Times if head == "scale-up" else manager.Div)(fluent, value)
+            head, value = (
+                "assign",
+                (manager.Times if head == "scale-up" else manager.Div)(fluent, value),
+            )
         self._add(fluent, value, head.upper(), where)
 
     def _add(self, fluent: UpThing, value: UpThing, kind: str, where: "_Where") -> None:
@@ -467,7 +585,10 @@ def _rules(source: Source) -> Mapping[str, list[Node]]:
     for node in source.root.children[2:]:
         if node.head == ":derived":
             if len(node.children) != 3 or not node.children[1].head:
-                raise source.error(node, f"found {start_of(node)!r}, expected '(:derived (NAME ?x - type) CONDITION)'")
+                raise source.error(
+                    node,
+                    f"found {start_of(node)!r}, expected '(:derived (NAME ?x - type) CONDITION)'",
+                )
             found.setdefault(node.children[1].head, []).append(node)
     return found
 
@@ -475,7 +596,15 @@ def _rules(source: Source) -> Mapping[str, list[Node]]:
 def _closures(rules: Mapping[str, list[Node]]) -> dict[str, set[str]]:
     """Return for each derived predicate all derived predicates that it depends on, itself included."""
     found = {
-        head: {head, *(part.head for rule in each for part in nodes_of(rule.children[2]) if part.head in rules)}
+        head: {
+            head,
+            *(
+                part.head
+                for rule in each
+                for part in nodes_of(rule.children[2])
+                if part.head in rules
+            ),
+        }
         for head, each in rules.items()
     }
     for _ in rules:
@@ -494,9 +623,13 @@ def _signatures(source: Source, head: str) -> Iterator[Node]:
             yield node
         elif expects_type and node.lower != "number":
             message = f"found '- {node.word}': a function that is an object is not supported; Aries (up-aries) by "
-            raise source.unsupported(node, message + "itself would do. Write a predicate with one more argument")
+            raise source.unsupported(
+                node, message + "itself would do. Write a predicate with one more argument"
+            )
         elif node.lower not in ("-", "number"):
-            raise source.error(node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'")
+            raise source.error(
+                node, f"found {node.word!r}, expected a list such as '({node.word} ?x)'"
+            )
 
 
 @contextmanager
@@ -519,7 +652,9 @@ def _time_of(node: Node) -> str | None:
     return _TIMES.get((node.head, node.children[1].lower))
 
 
-def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iterator[tuple[str, Node]]:
+def _timed(
+    source: Source, schema: Node, node: Node, *, is_effect: bool
+) -> Iterator[tuple[str, Node]]:
     """Yield the conditions or effects of an action, each with its time, which durative actions state."""
     if schema.head == ":action":
         yield ("end" if is_effect else "start"), node
@@ -542,6 +677,8 @@ def _timed(source: Source, schema: Node, node: Node, *, is_effect: bool) -> Iter
             raise source.unsupported(node, message)
         yield at, listed(node.children[0], condition.children[2], effect.children[2])
     else:
-        expected = " or ".join(f"'({' '.join(time)} ...)'" for time in _TIMES if not is_effect or time[0] == "at")
+        expected = " or ".join(
+            f"'({' '.join(time)} ...)'" for time in _TIMES if not is_effect or time[0] == "at"
+        )
         message = f"found {start_of(node)!r} in (:durative-action {schema.children[1]}, expected {expected} around it"
         raise source.error(node, message)

@@ -85,7 +85,9 @@ class Decision:
     cause: int | None = None
 
 
-def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None) -> Decision | None:
+def decide(
+    policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, news: str | None
+) -> Decision | None:
     """Decide whether to replan while there is a plan; None to keep it."""
     if flaw is not None:
         return Decision(f"the goals changed: {flaw}" if goals_changed else flaw, is_needed=True)
@@ -96,7 +98,9 @@ def decide(policy: ReplanningPolicy, *, flaw: str | None, goals_changed: bool, n
     return None
 
 
-def news_of(expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]) -> str | None:
+def news_of(
+    expected: PlanningState | None, now: PlanningState, matters: Callable[[str], bool]
+) -> str | None:
     """Return in words the relevant changes that no step made since the last tick; None if there are none."""
     if expected is None or expected == now:
         return None
@@ -105,7 +109,11 @@ def news_of(expected: PlanningState | None, now: PlanningState, matters: Callabl
     changed = [atom for atom in atoms if atom in state] + [
         f"(not {atom})" for atom in atoms if atom in before and not atom.startswith("(= ")
     ]
-    changed += [f"{text} is {value:g}" for text, value in sorted(numbers.items()) if known.get(text) != value]
+    changed += [
+        f"{text} is {value:g}"
+        for text, value in sorted(numbers.items())
+        if known.get(text) != value
+    ]
     return ", ".join(changed[:3]) + (", ..." if len(changed) > 3 else "") if changed else None
 
 
@@ -144,13 +152,17 @@ class Setbacks:
     def left_out(self) -> tuple[Step, ...]:
         """The steps that plans must not contain now."""
         steps = [step for step in self._failed if step is not None]
-        return tuple(step for step in steps if self.count(step) > self._policy.retries and self.wait_s(step))
+        return tuple(
+            step for step in steps if self.count(step) > self._policy.retries and self.wait_s(step)
+        )
 
     @property
     def weights(self) -> Mapping[Step, int]:
         """The factor on each step's cost: the expected number of tries, by the rule of succession; 0 leaves it out."""
         out, failed = self.left_out, self._failed.items()
-        return {step: 0 if step in out else count + 1 for step, (count, _) in failed if step is not None}
+        return {
+            step: 0 if step in out else count + 1 for step, (count, _) in failed if step is not None
+        }
 
 
 class PlansAhead(Protocol):
@@ -177,7 +189,9 @@ class _Question:
 class PlannerClient:
     """Sends requests to a planner in the background, at most one at a time."""
 
-    def __init__(self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None) -> None:
+    def __init__(
+        self, planner: PlansAhead, clock: Callable[[], float], delay_s: float | None
+    ) -> None:
         if delay_s is not None and not 0.0 <= delay_s < inf:
             raise PlannerSettingError(f"delay_s is {delay_s:g} s, expected 0 or more, or None")
         self._planner, self.clock, self._delay_s = planner, clock, delay_s
@@ -199,7 +213,9 @@ class PlannerClient:
         except Exception as error:  # a planner must not stop the tree; its error is its answer
             future, is_prepared = Future(), False
             future.set_exception(error)
-        self._question = _Question(problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future)
+        self._question = _Question(
+            problem, decision, at_s, 0.0 if is_prepared else self._delay_s or 0.0, future
+        )
         self.was_answered_at_once = future.done() and (is_prepared or self._delay_s is None)
 
     def is_prepared(self, problem: Callable[[], Problem]) -> bool:
@@ -216,7 +232,10 @@ class PlannerClient:
         if question is None or not self._is_due(question):
             return False
         # with a delay, simulated time does not tell whether the planner keeps its time limit
-        is_late = self._delay_s is None and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
+        is_late = (
+            self._delay_s is None
+            and self.clock() - question.at_s > self._planner.timeout_s + _GRACE_S
+        )
         return question.future.done() or is_late
 
     def take(self) -> tuple[_Question, PlanningResult]:
@@ -250,12 +269,16 @@ class PlannerClient:
         engine = str(getattr(self._planner, "engine", type(self._planner).__name__))
         if not question.future.done():
             passed_s = self.clock() - question.at_s
-            message = f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
+            message = (
+                f"{engine} gave no answer in {passed_s:.3g} s; allow more time or ask for less"
+            )
             return PlanningResult(Outcome.OUT_OF_TIME, engine=engine, message=message)
         try:
             return question.future.result()
         except Exception as error:  # a planner of the user's own may raise anything
-            return PlanningResult(Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}")
+            return PlanningResult(
+                Outcome.ENGINE_CRASHED, engine=engine, message=f"{type(error).__name__}: {error}"
+            )
 
 
 Diagnosis: TypeAlias = Generator[Problem, PlanningResult, list[str]]
@@ -270,14 +293,18 @@ def diagnosis(problem: Problem, goals: Sequence[Goal]) -> Diagnosis:
     domain, outcomes = problem.domain, [Outcome.UNSOLVABLE_PROVEN] if len(goals) < 2 else []
     for goal in goals[len(outcomes) :]:
         outcomes.append((yield replace(problem, goals=(goal.expression,))).outcome)
-    missed = [goal.text for goal, outcome in zip(goals, outcomes, strict=False) if outcome.is_unsolvable]
+    missed = [
+        goal.text for goal, outcome in zip(goals, outcomes, strict=False) if outcome.is_unsolvable
+    ]
     found = [f"out of reach: {', '.join(missed)}"] if missed else []
     if all(outcome.is_solved for outcome in outcomes):
         found.append("each goal can be reached alone, but not all together")
     if out := {atom: one for atom, one in domain.feasibility.items() if atom not in problem.state}:
         outcome = (yield replace(problem, state=problem.state.union(out))).outcome
         if outcome.is_solved:
-            found.append(f"unfeasible now: {', '.join(out.values())}; there would be a plan if they were feasible")
+            found.append(
+                f"unfeasible now: {', '.join(out.values())}; there would be a plan if they were feasible"
+            )
         elif outcome.is_unsolvable:
             found.append("there would be no plan even if every action were feasible")
     others = dict[str, Problem]()
@@ -316,9 +343,13 @@ class PlanRecord:
     cause: int | None = None
     number: int = 0
 
-    def added_to(self, plans: "tuple[PlanRecord, ...]", most: int = MEMORY) -> "tuple[PlanRecord, ...]":
+    def added_to(
+        self, plans: "tuple[PlanRecord, ...]", most: int = MEMORY
+    ) -> "tuple[PlanRecord, ...]":
         """Return records with this one as the last, numbered; of more than `most`, the oldest are left out."""
-        return *plans[max(0, len(plans) + 1 - most) :], replace(self, number=plans[-1].number + 1 if plans else 1)
+        return *plans[max(0, len(plans) + 1 - most) :], replace(
+            self, number=plans[-1].number + 1 if plans else 1
+        )
 
     def _repr_html_(self) -> str:
         steps = "".join(f"<li>{escape(str(step))}</li>" for step in self.steps)
@@ -351,9 +382,17 @@ class Replanning:
         memory: int,
     ) -> None:
         if type(memory) is not int or memory < 1:
-            raise PlannerSettingError(f"memory is {memory!r}, expected a whole number of plannings from 1")
+            raise PlannerSettingError(
+                f"memory is {memory!r}, expected a whole number of plannings from 1"
+            )
         self._memory = memory
-        self._goals, self._monitor, self._client, self._policy, self._clash = goals, monitor, client, policy, clash
+        self._goals, self._monitor, self._client, self._policy, self._clash = (
+            goals,
+            monitor,
+            client,
+            policy,
+            clash,
+        )
         self._effects, self._clock = monitor.effects, client.clock
         self.matters = Relevance(monitor.effects.domain, goals).matters
         self._last_asked_s = -inf
@@ -363,7 +402,10 @@ class Replanning:
         self._asked_in = monitor.effects.domain
         self._dead_end: _DeadEnd | None = None
         self._was_stale = False
-        self.setbacks, self._in_vain = Setbacks(client.clock, policy), Setbacks(client.clock, policy)
+        self.setbacks, self._in_vain = (
+            Setbacks(client.clock, policy),
+            Setbacks(client.clock, policy),
+        )
         self.records: tuple[PlanRecord, ...] = ()
 
     def wait_no_more(self) -> None:
@@ -379,9 +421,15 @@ class Replanning:
     def why_no_plan(self, state: State) -> str | None:
         """Return why there is no plan from a state, if that is known already; None if the planner must be asked."""
         dead_end = self._dead_end
-        if dead_end is None or dead_end.domain is not self._effects.domain or self._clock() >= dead_end.until_s:
+        if (
+            dead_end is None
+            or dead_end.domain is not self._effects.domain
+            or self._clock() >= dead_end.until_s
+        ):
             return None
-        is_known = self._is_same(dead_end.problem.state, state) and self._monitor.is_no_easier(dead_end.problem)
+        is_known = self._is_same(dead_end.problem.state, state) and self._monitor.is_no_easier(
+            dead_end.problem
+        )
         return dead_end.why if is_known else None
 
     @property
@@ -414,7 +462,9 @@ class Replanning:
         if self._wanted is None:
             return None
         now_s = self._clock()
-        left_s = max(self._last_asked_s + self._policy.at_most_every_s - now_s, self.setbacks.wait_s(None))
+        left_s = max(
+            self._last_asked_s + self._policy.at_most_every_s - now_s, self.setbacks.wait_s(None)
+        )
         if left_s > 0.0 and not self._client.is_prepared(lambda: self._problem(state, shares)):
             return f"planning in {left_s:.2g} s: {self._wanted.reason}"
         decision, self._wanted = self._wanted, None
@@ -456,7 +506,15 @@ class Replanning:
             promised += reached
         outcome, domain = result.outcome, self._effects.domain
         is_fresh = domain is self._asked_in and self._is_same(state, question.problem.state)
-        record = (question.at_s, decision.reason, outcome, result.steps, result.engine, result.message, decision.cause)
+        record = (
+            question.at_s,
+            decision.reason,
+            outcome,
+            result.steps,
+            result.engine,
+            result.message,
+            decision.cause,
+        )
         self.records = PlanRecord(*record).added_to(self.records, self._memory)
         if not outcome.is_passing:
             self.setbacks.forget(None)
@@ -472,13 +530,21 @@ class Replanning:
             why = f"no plan: what {result.engine} gave cannot be done event by event: {wrong}"
             self._give_up(state, question.problem, why)
             return None
-        return self._without_plan(question, result, state, is_fresh=is_fresh) if decision.is_needed else None
+        return (
+            self._without_plan(question, result, state, is_fresh=is_fresh)
+            if decision.is_needed
+            else None
+        )
 
     def _without_plan(
         self, question: _Question, result: PlanningResult, state: State, *, is_fresh: bool
     ) -> tuple[PlanExecution, Decision] | None:
         """Start a diagnosis or a retry, or conclude; return the safe step as a plan if it can start."""
-        outcome, domain, reason = result.outcome, self._effects.domain, getattr(question.decision, "reason", "")
+        outcome, domain, reason = (
+            result.outcome,
+            self._effects.domain,
+            getattr(question.decision, "reason", ""),
+        )
         why = f"no plan: {result.message or reason}"
         why = why if str(outcome) in why else f"no plan, {outcome}: {result.message or reason}"
         was_stale, self._was_stale = self._was_stale, not is_fresh
@@ -489,7 +555,11 @@ class Replanning:
                 why = f"{why}; tried {count} times, again in {left_s:.3g} s at the earliest"
                 self._give_up(state, question.problem, why, self._clock() + left_s)
             else:
-                self.want(Decision(f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True))
+                self.want(
+                    Decision(
+                        f"{outcome} after {reason}: retry {count} of {self._policy.retries}", True
+                    )
+                )
         elif not is_fresh:
             self.want(Decision("the state changed during planning", is_needed=True))
         elif outcome.is_trouble:
@@ -497,12 +567,16 @@ class Replanning:
         else:
             goals = tuple(goal.expression for goal in self._goals.hard)
             asked = question.problem
-            unsolved = Problem(domain, state, goals, asked.costs, until=asked.until, shares=asked.shares)
+            unsolved = Problem(
+                domain, state, goals, asked.costs, until=asked.until, shares=asked.shares
+            )
             self._diagnosis = unsolved, why, diagnosis(unsolved, self._goals.hard)
             self._diagnose(None, state)
         safe = result.safe_step
         # even if the state changes during every planning, the safe step is done
-        is_due = (is_fresh or was_stale or outcome.is_passing) and safe not in self.setbacks.left_out
+        is_due = (
+            is_fresh or was_stale or outcome.is_passing
+        ) and safe not in self.setbacks.left_out
         if safe is None or not is_due or missing_at_start(domain, safe, state) is not None:
             return None
         plan = PlanExecution.of(domain, PlanningResult(Outcome.SOLVED, (safe,)), ())

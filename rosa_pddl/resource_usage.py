@@ -6,7 +6,18 @@ from dataclasses import dataclass
 from math import ceil, floor, lcm
 from typing import TypeAlias
 
-from rosa_pddl.domain import Domain, Exact, Schema, State, Step, UpThing, exact, fluents_in, head_of, numbers_in
+from rosa_pddl.domain import (
+    Domain,
+    Exact,
+    Schema,
+    State,
+    Step,
+    UpThing,
+    exact,
+    fluents_in,
+    head_of,
+    numbers_in,
+)
 from rosa_pddl.exceptions import UnsupportedPddlError, nearest
 from rosa_pddl.instances import bound_number, compiled_number, numeric_facts
 from rosa_pddl.search import Number, value_of
@@ -34,13 +45,21 @@ class NumberUses:
     """
 
     def __init__(
-        self, schemas: Iterable[Schema], costs: Iterable[UpThing], derived: Iterable[UpThing], goals: Sequence[UpThing]
+        self,
+        schemas: Iterable[Schema],
+        costs: Iterable[UpThing],
+        derived: Iterable[UpThing],
+        goals: Sequence[UpThing],
     ) -> None:
         changes, read = list[tuple[str, UpThing]](), _numbers_of(derived)
         for one in schemas:
             effects = (*one.start_effects, *one.end_effects)
-            read |= _numbers_of((*one.start, *one.over_all, *one.end, *(effect.condition for effect in effects)))
-            changes += [(one.name, effect) for effect in effects if not effect.fluent.type.is_bool_type()]
+            read |= _numbers_of(
+                (*one.start, *one.over_all, *one.end, *(effect.condition for effect in effects))
+            )
+            changes += [
+                (one.name, effect) for effect in effects if not effect.fluent.type.is_bool_type()
+            ]
         self._changed = {effect.fluent.fluent() for _, effect in changes}
         self.rises: dict[UpThing, dict[str, UpThing]] = {}
         for name, effect in changes:
@@ -50,7 +69,9 @@ class NumberUses:
         for _, effect in changes:
             if not _is_rise(effect):
                 self.rises.pop(effect.fluent.fluent(), None)
-        read |= {effect.fluent.fluent() for _, effect in changes if not self._is_fixed_sum(effect.value)}
+        read |= {
+            effect.fluent.fluent() for _, effect in changes if not self._is_fixed_sum(effect.value)
+        }
         read |= _numbers_of((*costs, *(effect.value for _, effect in changes))) & self._changed
         self.limits = [goal for goal in goals if self._is_limit(goal)]
         read |= _numbers_of(goal for goal in goals if goal not in self.limits)
@@ -58,7 +79,9 @@ class NumberUses:
         read |= _numbers_of(goal for goal in goals if goal not in self.limits)
         self.resources = self.rises.keys() - read
         self.computed = read | (self._changed - self.resources)
-        self.computed |= _numbers_of(one.value for _, one in changes if one.fluent.fluent() in self.computed)
+        self.computed |= _numbers_of(
+            one.value for _, one in changes if one.fluent.fluent() in self.computed
+        )
 
     def _is_limit(self, goal: UpThing) -> bool:
         if not (goal.is_le() or goal.is_lt()) or not goal.arg(0).is_fluent_exp():
@@ -71,8 +94,12 @@ class NumberUses:
             return amount.is_constant() or amount.fluent() not in self._changed
         if not (amount.is_plus() or amount.is_minus() or amount.is_times()):
             return False
-        factors = [part for part in amount.args if not part.is_constant() or part.constant_value() < 0]
-        return not (amount.is_times() and len(factors) > 1) and all(map(self._is_fixed_sum, amount.args))
+        factors = [
+            part for part in amount.args if not part.is_constant() or part.constant_value() < 0
+        ]
+        return not (amount.is_times() and len(factors) > 1) and all(
+            map(self._is_fixed_sum, amount.args)
+        )
 
 
 def _numbers_of(formulas: Iterable[UpThing]) -> set[UpThing]:
@@ -107,9 +134,15 @@ class ResourceUsage:
     def __init__(self, domain: Domain) -> None:
         self._domain = domain
         values = domain.up_problem.explicit_initial_values.items()
-        numeric = [(one, value.constant_value()) for one, value in values if not value.is_bool_constant()]
-        self._in_file: dict[str, float | Exact] = {text_of(domain, one, {}): exact(value) for one, value in numeric}
-        self._costs: dict[str, Number] = dict.fromkeys(domain.schema_of, 0 if domain.metric == "cost" else 1)
+        numeric = [
+            (one, value.constant_value()) for one, value in values if not value.is_bool_constant()
+        ]
+        self._in_file: dict[str, float | Exact] = {
+            text_of(domain, one, {}): exact(value) for one, value in numeric
+        }
+        self._costs: dict[str, Number] = dict.fromkeys(
+            domain.schema_of, 0 if domain.metric == "cost" else 1
+        )
         self._durations: dict[str, Number] = dict.fromkeys(domain.schema_of, 0)
         self._uses: list[dict[str, Number]] = [{} for _ in domain.limited]
         for one in domain.schema_of.values():
@@ -120,7 +153,9 @@ class ResourceUsage:
             for name, uses in zip(domain.limited, self._uses, strict=True):
                 if name in one.uses:
                     uses[one.name] = _compiled(domain, one.uses[name], one.parameters)
-        self._limits: dict[str, list[tuple[Number, bool]]] = {f"({name})": [] for name in domain.limited}
+        self._limits: dict[str, list[tuple[Number, bool]]] = {
+            f"({name})": [] for name in domain.limited
+        }
         for one in domain.limits:
             amount = bound_number(_compiled(domain, one.arg(1)), ())
             self._limits[text_of(domain, one.arg(0), {})].append((amount, one.is_lt()))
@@ -131,7 +166,9 @@ class ResourceUsage:
         return bound_number(self._costs[step.schema], step.arguments)
 
     def uses_of(self, step: Step) -> tuple[Number, ...]:
-        return tuple([bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses])
+        return tuple(
+            [bound_number(each.get(step.schema, 0), step.arguments) for each in self._uses]
+        )
 
     def duration_of(self, step: Step) -> Number:
         return bound_number(self._durations[step.schema], step.arguments)
@@ -157,12 +194,16 @@ class ResourceUsage:
         except KeyError as error:
             message = f"{key} is needed but has no value; state '(= {key} NUMBER)' in :init, or hand it in with the"
             known = nearest(key, list(numbers)[:1000])
-            raise UnsupportedPddlError(f"{message} problem ({known})", self._domain.problem_file) from error
+            raise UnsupportedPddlError(
+                f"{message} problem ({known})", self._domain.problem_file
+            ) from error
 
     def value(self, amount: Number, numbers: Numbers) -> Exact:
         if isinstance(amount, tuple) and amount[0] == "n":
             return self.known(amount[1], numbers)  # a shortcut, as most amounts are like this
-        value: Exact | None = value_of(amount, {key: self.known(key, numbers) for key in numeric_facts(amount)})
+        value: Exact | None = value_of(
+            amount, {key: self.known(key, numbers) for key in numeric_facts(amount)}
+        )
         if value is None:
             message = f"a cost is divided by nothing: {', '.join(numeric_facts(amount))}; state another number"
             raise UnsupportedPddlError(message, self._domain.problem_file)
@@ -176,18 +217,25 @@ class ResourceUsage:
         for number, step in enumerate(steps):
             yield step, numbers
             if domain.computed:
-                state = ended(domain, step, state if number < begun else started(domain, step, state))
+                state = ended(
+                    domain, step, state if number < begun else started(domain, step, state)
+                )
                 numbers = self.numbers(given, state)
 
     def remaining(self, numbers: Numbers) -> tuple[Remaining, ...]:
         found = []
         for text, limits in self._limits.items():
             used = self.known(text, numbers)
-            left = [Remaining(self.value(amount, numbers) - used, is_strict) for amount, is_strict in limits]
+            left = [
+                Remaining(self.value(amount, numbers) - used, is_strict)
+                for amount, is_strict in limits
+            ]
             found.append(min(left, key=lambda one: (one.amount, not one.is_strict)))
         return tuple(found)
 
-    def overspent(self, given: Numbers, steps: Iterable[Step], state: State = frozenset()) -> str | None:
+    def overspent(
+        self, given: Numbers, steps: Iterable[Step], state: State = frozenset()
+    ) -> str | None:
         """Return in words which limit the steps break with the given numbers; None if they keep all limits."""
         if not self._limits:
             return None
@@ -195,7 +243,9 @@ class ResourceUsage:
         for step in steps:
             for number, one in enumerate(self.uses_of(step)):
                 used[number] += self.value(one, numbers)
-        for name, amount, left in zip(self._domain.limited, used, self.remaining(numbers), strict=True):
+        for name, amount, left in zip(
+            self._domain.limited, used, self.remaining(numbers), strict=True
+        ):
             if amount > left.amount or (left.is_strict and amount == left.amount):
                 return f"it uses {float(amount):.12g} of {name}, {float(left.amount):.12g} are left"
         return None
@@ -221,8 +271,12 @@ def usage_of(domain: Domain) -> ResourceUsage:
     return usage
 
 
-def _compiled(domain: Domain, amount: UpThing, parameters: Iterable[tuple[str, str]] = ()) -> Number:
-    return compiled_number(domain, amount, {name: place for place, (name, _) in enumerate(parameters)})
+def _compiled(
+    domain: Domain, amount: UpThing, parameters: Iterable[tuple[str, str]] = ()
+) -> Number:
+    return compiled_number(
+        domain, amount, {name: place for place, (name, _) in enumerate(parameters)}
+    )
 
 
 def whole(amounts: Iterable[Exact]) -> tuple[list[int], int]:

@@ -83,7 +83,9 @@ class _Label(NamedTuple, Generic[S, T]):
     spent: tuple[int, ...]
 
 
-def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: float = inf) -> Found[S, T] | None:
+def cheapest(
+    graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: float = inf
+) -> Found[S, T] | None:
     """Find a path of least cost that uses no more than the limits; None proves that there is none.
 
     CapReached is raised if the search has looked at `cap` moves without an answer.
@@ -94,7 +96,9 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
     """
     if any(limit < 0 for limit in limits):
         return None
-    ranked = getattr(graph, "ranked", None)  # splits a state: numbers by which states dominate others
+    ranked = getattr(
+        graph, "ranked", None
+    )  # splits a state: numbers by which states dominate others
     key, ranks = ranked(start) if ranked else (start, ())
     first: _Label[S, T] = _Label(None, None, start, (0,) * (1 + len(limits)))
     queue = [(graph.least(start)[0], (*first.spent[1:], *ranks), 0, first, key)]
@@ -122,7 +126,9 @@ def cheapest(graph: Graph[S, T], start: S, limits: Sequence[float] = (), cap: fl
             if ranked:
                 key, ranks = ranked(to)
                 weight, compared = (*used, *ranks), (*reached, *ranks)
-            if any(map(gt, used, limits)) or (key in latest and all(map(le, latest[key], compared))):
+            if any(map(gt, used, limits)) or (
+                key in latest and all(map(le, latest[key], compared))
+            ):
                 continue
             if _is_dominated(weight, followed.get(key, ())):
                 continue
@@ -220,7 +226,9 @@ class Operation(NamedTuple):
     def extended(self, tests: Sequence[Test], changes: Sequence[Change]) -> "Operation":
         """Return the operation with more comparisons in its condition, and more changes."""
         needs, denies, before = self.condition
-        return self._replace(condition=Condition(needs, denies, (*before, *tests)), changes=(*self.changes, *changes))
+        return self._replace(
+            condition=Condition(needs, denies, (*before, *tests)), changes=(*self.changes, *changes)
+        )
 
 
 class Rule(NamedTuple):
@@ -260,15 +268,22 @@ class TaskGraph:
         self._moves: dict[State, tuple[Move[State, int], ...]] = {}
         self._least: dict[State, tuple[float, tuple[float, ...]]] = {}
         self._by_need = _by_need(task)
-        self._layers = [list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)]
+        self._layers = [
+            list(rules) for _, rules in groupby(task.rules, key=lambda rule: rule.layer)
+        ]
         self._derived = frozenset(rule.atom for rule in task.rules)
         self._directions = _directions(task)
         # derived atoms are left out, as no operation adds them
         goals = sorted(task.goal.needs - self._derived)
         arcs = [_arcs(task, column, self._derived) for column in zip(*task.amounts, strict=True)]
-        self._left = [[distances(each, [goal]) for goal in goals] for each in arcs or [[]] * (1 + len(task.limits))]
+        self._left = [
+            [distances(each, [goal]) for goal in goals]
+            for each in arcs or [[]] * (1 + len(task.limits))
+        ]
 
-    def plan(self, start: State, limits: Sequence[int], cap: float = inf) -> Found[State, int] | None:
+    def plan(
+        self, start: State, limits: Sequence[int], cap: float = inf
+    ) -> Found[State, int] | None:
         """Return a plan of least cost within the limits; each move has the number of its operation. See `cheapest`."""
         if self._known > _MOST_KNOWN:
             self._moves, self._least, self._known = {}, {}, 0
@@ -300,7 +315,8 @@ class TaskGraph:
         if least is None:
             near = (None, *state.atoms)
             found = [
-                max([min([left.get(one, inf) for one in near]) for left in each], default=0) for each in self._left
+                max([min([left.get(one, inf) for one in near]) for left in each], default=0)
+                for each in self._left
             ]
             least = self._least[state] = found[0], tuple(found[1:])
         return least
@@ -308,11 +324,17 @@ class TaskGraph:
     def _possible(self, state: State) -> Iterator[Move[State, int]]:
         operations, amounts, varying = self._task.operations, self._task.amounts, self._task.more
         candidates = [rank for atom in (None, *state.atoms) for rank in self._by_need.get(atom, ())]
-        for rank in sorted([rank for rank in candidates if _holds(operations[rank].condition, state)]):
+        for rank in sorted(
+            [rank for rank in candidates if _holds(operations[rank].condition, state)]
+        ):
             operation = operations[rank]
             deletes, adds = operation.deletes, operation.adds
             if operation.effects:
-                made = [(atom, truth) for condition, atom, truth in operation.effects if _holds(condition, state)]
+                made = [
+                    (atom, truth)
+                    for condition, atom, truth in operation.effects
+                    if _holds(condition, state)
+                ]
                 deletes = deletes.union([atom for atom, truth in made if not truth])
                 adds = adds.union([atom for atom, truth in made if truth])
             numbers = _changed(operation.changes, state) if operation.changes else state.numbers
@@ -340,7 +362,9 @@ class TaskGraph:
 def _holds(condition: Condition, state: State) -> bool:
     needs, denies, tests = condition
     atoms = state.atoms
-    return needs <= atoms and denies.isdisjoint(atoms) and (not tests or passes(tests, state.numbers))
+    return (
+        needs <= atoms and denies.isdisjoint(atoms) and (not tests or passes(tests, state.numbers))
+    )
 
 
 def passes(tests: Sequence[Test], numbers: Sequence[Any]) -> bool:
@@ -387,7 +411,11 @@ def _directions(task: Task) -> dict[int, int]:
     signs: dict[int, set[int]] = {change.place: set() for change in changes}
     for number in task.more:
         _note_signs(number, 1, signs)
-    for asked in (task.goal, *(one.condition for one in task.operations), *(rule.condition for rule in task.rules)):
+    for asked in (
+        task.goal,
+        *(one.condition for one in task.operations),
+        *(rule.condition for rule in task.rules),
+    ):
         for kind, one, other in asked.tests:
             for number, sign in ((one, 1), (other, -1)):
                 _note_signs(number, sign if kind in ("<", "<=") else 0, signs)
@@ -402,7 +430,11 @@ def _directions(task: Task) -> dict[int, int]:
     derived = {rule.atom for rule in task.rules}
     if any(not derived.isdisjoint(one.needs | one.denies) for one in given):
         return {}
-    return {place: min(found, default=0) for place, found in signs.items() if len(found) < 2 and 0 not in found}
+    return {
+        place: min(found, default=0)
+        for place, found in signs.items()
+        if len(found) < 2 and 0 not in found
+    }
 
 
 def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> None:
@@ -412,23 +444,38 @@ def _note_signs(number: Number, sign: int, signs: Mapping[Any, set[int]]) -> Non
         if head == "n":
             signs.get(parts[0], set()).add(sign)
             return
-        is_scaled = head == "*" and len([one for one in parts if isinstance(one, tuple) or one is None or one < 0]) < 2
+        is_scaled = (
+            head == "*"
+            and len([one for one in parts if isinstance(one, tuple) or one is None or one < 0]) < 2
+        )
         for at, part in enumerate(parts):
-            kept = sign if head == "+" or is_scaled else -sign if head == "-" and at else sign if head == "-" else 0
+            kept = (
+                sign
+                if head == "+" or is_scaled
+                else -sign
+                if head == "-" and at
+                else sign
+                if head == "-"
+                else 0
+            )
             _note_signs(part, kept, signs)
 
 
 def _by_need(task: Task) -> dict[str | None, list[int]]:
     """Return the ranks of the operations by that atom of their condition that the fewest others need."""
     found: dict[str | None, list[int]] = {}
-    needed = Counter(chain.from_iterable(operation.condition.needs for operation in task.operations))
+    needed = Counter(
+        chain.from_iterable(operation.condition.needs for operation in task.operations)
+    )
     for rank, operation in enumerate(task.operations):
         rarest = min(operation.condition.needs, key=needed.__getitem__, default=None)
         found.setdefault(rarest, []).append(rank)
     return found
 
 
-def _arcs(task: Task, amounts: Sequence[float], derived: frozenset[str]) -> list[tuple[str | None, str, float]]:
+def _arcs(
+    task: Task, amounts: Sequence[float], derived: frozenset[str]
+) -> list[tuple[str | None, str, float]]:
     """Return the arcs of the relaxed graph: from an atom, or None for anywhere, to an atom, and the amount."""
     found = []
     for one, takes in zip(task.operations, amounts, strict=True):
@@ -457,7 +504,13 @@ def _plain(thing: Any) -> Any:  # noqa: ANN401  # what tasks are made of
 def _main() -> None:
     start, goal, operations, amounts, limits, rules, _ = marshal.load(sys.stdin.buffer)
     made = [
-        Operation(number, Condition(*needed), deletes, adds, tuple((Condition(*one[0]), *one[1:]) for one in effects))
+        Operation(
+            number,
+            Condition(*needed),
+            deletes,
+            adds,
+            tuple((Condition(*one[0]), *one[1:]) for one in effects),
+        )
         for number, needed, deletes, adds, effects, _ in operations
     ]
     derived = [Rule(layer, Condition(*needed), atom) for layer, needed, atom in rules]

@@ -28,14 +28,24 @@ BODY: Final[Mapping[str, tuple[str, ...]]] = {
 """The parts of an action's description, by the section."""
 
 # In the order that unified-planning's reader requires.
-_DOMAIN = ("domain", ":requirements", ":types", ":constants", ":predicates", ":functions", ":derived", *BODY)
+_DOMAIN = (
+    "domain",
+    ":requirements",
+    ":types",
+    ":constants",
+    ":predicates",
+    ":functions",
+    ":derived",
+    *BODY,
+)
 _PROBLEM = ("problem", ":domain", ":requirements", ":objects", ":init", ":goal", ":metric")
 # What unified-planning or the executor does not support, with advice.
 _UNSUPPORTED = {
     ":process": "it changes numbers while time passes; ENHSP (up-enhsp) would do",
     ":event": "it happens by itself; ENHSP (up-enhsp) would do",
     **dict.fromkeys(
-        (":task", ":method", ":htn"), "hierarchies are not executed here; Aries (up-aries) by itself would do"
+        (":task", ":method", ":htn"),
+        "hierarchies are not executed here; Aries (up-aries) by itself would do",
     ),
     ":utility": "no installed engine takes utilities. Leave them out and add soft goals: goals.add(TEXT, worth=COST)",
     ":constraints": "what shall hold on the way is not planned for; SymK (up-symk) after compilation would do",
@@ -92,7 +102,9 @@ class Source:
 def listed(*parts: Node | str) -> Node:
     """Make a list with the place of its first part that is a node, or with no place."""
     place = next((part for part in parts if isinstance(part, Node)), ANY)
-    children = tuple(replace(place, word=part, children=()) if isinstance(part, str) else part for part in parts)
+    children = tuple(
+        replace(place, word=part, children=()) if isinstance(part, str) else part for part in parts
+    )
     return replace(place, word=None, children=children)
 
 
@@ -101,7 +113,9 @@ def start_of(node: Node) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False) -> list[tuple[Node, Node | None]]:
+def typed(
+    source: Source, nodes: Iterable[Node], *, are_variables: bool = False
+) -> list[tuple[Node, Node | None]]:
     """Read a typed list such as `a b - t c`; return each name with its type, or with None."""
     found: list[tuple[Node, Node | None]] = []
     waiting: list[Node] = []
@@ -113,13 +127,17 @@ def typed(source: Source, nodes: Iterable[Node], *, are_variables: bool = False)
             message = "found '(either ...)': an object has one type, and a type one above it; only variables may have"
             raise source.unsupported(node, f"{message} several. Declare a type above them")
         if node.is_list and not is_either:
-            raise source.error(node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}")
+            raise source.error(
+                node, f"found {start_of(node)!r}, expected {'a type' if expects_type else 'a name'}"
+            )
         if expects_type:
             found += [(name, node) for name in waiting]
             waiting = []
         elif node.word != "-":
             if are_variables and not node.lower.startswith("?"):
-                raise source.error(node, f"found {node.word!r}, expected a variable such as '?{node.word}'")
+                raise source.error(
+                    node, f"found {node.word!r}, expected a variable such as '?{node.word}'"
+                )
             waiting.append(node)
     if before == "-":
         raise source.error(last, "found '-' at the end, expected a type after it")
@@ -162,10 +180,17 @@ def parse(text: str, file: str, expected: str = "(define ...)") -> Source:
     root: Node | None = None
     for token, line, column in _tokens(text):
         if root is not None:
-            raise PddlError(f"found {token!r} after the end of {expected}, expected nothing more", file, line, column)
+            raise PddlError(
+                f"found {token!r} after the end of {expected}, expected nothing more",
+                file,
+                line,
+                column,
+            )
         if token == "(":
             if len(stack) == _MOST_NESTED:
-                raise PddlError(f"more than {_MOST_NESTED} lists in one another", file, line, column)
+                raise PddlError(
+                    f"more than {_MOST_NESTED} lists in one another", file, line, column
+                )
             stack.append(_Open(line, column, []))
         elif not stack:
             raise PddlError(f"found {token!r}, expected '{expected}'", file, line, column)
@@ -226,12 +251,24 @@ def check_frames(domain: Source, problem: Source) -> None:
 
 def section(source: Source, *heads: str) -> list[Node]:
     sections = source.root.children[2:]
-    return [child for head in heads for node in sections if node.head == head for child in node.children[1:]]
+    return [
+        child
+        for head in heads
+        for node in sections
+        if node.head == head
+        for child in node.children[1:]
+    ]
 
 
 def body_of(source: Source, schema: Node) -> dict[str, Node]:
-    if len(schema.children) < 2 or schema.children[1].is_list or schema.children[1].lower.startswith(":"):
-        raise source.error(schema, f"found {start_of(schema)!r}, expected '({schema.head} NAME ...)'")
+    if (
+        len(schema.children) < 2
+        or schema.children[1].is_list
+        or schema.children[1].lower.startswith(":")
+    ):
+        raise source.error(
+            schema, f"found {start_of(schema)!r}, expected '({schema.head} NAME ...)'"
+        )
     allowed, name = BODY[schema.head], schema.children[1]
     parts: dict[str, Node] = {}
     words = list(schema.children[2:])
@@ -244,7 +281,8 @@ def body_of(source: Source, schema: Node) -> dict[str, Node]:
             raise source.error(keyword, f"expected '(' after {keyword.word}")
         if keyword.lower in parts:
             raise source.error(
-                keyword, f"found {keyword.word!r} again in {schema.head} {name}; join the two with (and ...)"
+                keyword,
+                f"found {keyword.word!r} again in {schema.head} {name}; join the two with (and ...)",
             )
         parts[keyword.lower] = words.pop(0)
     if schema.head == ":durative-action" and ":duration" not in parts:
@@ -258,12 +296,17 @@ def _check_frame(source: Source, what: str, sections: Collection[str]) -> None:
         raise source.error(root, f"found {start_of(root)!r}, expected '(define ({what} ...) ...)'")
     title = root.children[1]
     if title.head != what or len(title.children) != 2:
-        raise source.error(title, f"found {start_of(title)!r}, expected '({what} NAME)'; is this the {what} file?")
+        raise source.error(
+            title, f"found {start_of(title)!r}, expected '({what} NAME)'; is this the {what} file?"
+        )
     for node in root.children[2:]:
         if node.head in _UNSUPPORTED:
             raise source.unsupported(node, f"found '({node.head}': {_UNSUPPORTED[node.head]}")
         if node.head not in sections:
-            raise source.error(node, f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}")
+            raise source.error(
+                node,
+                f"found {start_of(node)!r}, expected a section; {nearest(node.head, sections)}",
+            )
 
 
 def _check_problem(source: Source, domain: str, file: str) -> None:
@@ -274,11 +317,15 @@ def _check_problem(source: Source, domain: str, file: str) -> None:
         raise source.error(places[":domain"], message)
     goals, metric = section(source, ":goal"), section(source, ":metric")
     if len(goals) != 1:
-        message = f"found {len(goals)} conditions in (:goal ...), expected one; join them with (and ...)"
+        message = (
+            f"found {len(goals)} conditions in (:goal ...), expected one; join them with (and ...)"
+        )
         raise source.error(places.get(":goal", source.root), message)
     if metric and (len(metric) != 2 or metric[0].lower != "minimize"):
         message = f"found {start_of(places[':metric'])!r}, expected '(:metric minimize (NAME))'"
-        raise source.unsupported(places[":metric"], f"{message}; instead of maximizing, minimize what is lost")
+        raise source.unsupported(
+            places[":metric"], f"{message}; instead of maximizing, minimize what is lost"
+        )
 
 
 # ---------------------------------------------------------------- formulas as unified-planning's expressions
@@ -325,7 +372,12 @@ def conditions(domain: Domain, text: str, worth: float | None = None) -> tuple[G
 class Formulas:
     """Converts formulas into unified-planning expressions."""
 
-    def __init__(self, domain: Domain, source: Source, unknown: Callable[[Node, str], Exception] | None = None) -> None:
+    def __init__(
+        self,
+        domain: Domain,
+        source: Source,
+        unknown: Callable[[Node, str], Exception] | None = None,
+    ) -> None:
         self._domain, self.source, self._unknown = domain, source, unknown or source.error
         self._problem = domain.up_problem
         self.manager = domain.up_problem.environment.expression_manager
@@ -343,12 +395,18 @@ class Formulas:
         if head in ("forall", "exists"):
             inner, within, body = self.quantified(node, scope)
             if not inner:
-                raise self.source.error(node, f"found {start_of(node)!r}, expected a variable such as '?x' in it")
+                raise self.source.error(
+                    node, f"found {start_of(node)!r}, expected a variable such as '?x' in it"
+                )
             variables = [variable.variable() for variable in inner.values()]
             held = self.condition(body, {**scope, **inner}, place)
             if not within.is_true():
-                held = (self.manager.Implies if head == "forall" else self.manager.And)(within, held)
-            return (self.manager.Forall if head == "forall" else self.manager.Exists)(held, *variables)
+                held = (self.manager.Implies if head == "forall" else self.manager.And)(
+                    within, held
+                )
+            return (self.manager.Forall if head == "forall" else self.manager.Exists)(
+                held, *variables
+            )
         if head == "=":
             self._expect(node, 2)
             return self.manager.Equals(*(self._term(part, scope) for part in rest))
@@ -367,9 +425,13 @@ class Formulas:
             scope = self._variables(target.children[1:], {})
             kinds = [one.variable().type for one in scope.values()]
             # named by numbers, as rules may use the same names for different variables
-            variables = variables or tuple(self._variable(str(number), kind) for number, kind in enumerate(kinds))
+            variables = variables or tuple(
+                self._variable(str(number), kind) for number, kind in enumerate(kinds)
+            )
             if [one.type for one in variables] != kinds:
-                raise self.source.error(target, f"found {start_of(target)!r}, expected the types of the rule before")
+                raise self.source.error(
+                    target, f"found {start_of(target)!r}, expected the types of the rule before"
+                )
             renamed = dict(zip(scope, variables, strict=True))
             within = self.within(target.children[1:], renamed)
             place = f"what {target.head} is derived from"
@@ -379,7 +441,9 @@ class Formulas:
     def quantified(self, node: Node, outer: Scope) -> tuple[Scope, UpThing, Node]:
         """Return the variables of a quantifier, the condition that checks their types, and the formula in it."""
         if len(node.children) != 3 or not node.children[1].is_list:
-            raise self.source.error(node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'")
+            raise self.source.error(
+                node, f"found {start_of(node)!r}, expected '({node.head} (?x - type) (...))'"
+            )
         names = node.children[1].children
         scope = self._variables(names, outer)
         return scope, self.within(names, scope), node.children[2]
@@ -390,7 +454,10 @@ class Formulas:
         for name, kind in typed(self.source, names, are_variables=True):
             if kind is not None and kind.head == "either":
                 ways = [self._variable("either.", self.type_of(part)) for part in kind.children[1:]]
-                same = [manager.Exists(manager.Equals(scope[name.lower], one), one.variable()) for one in ways]
+                same = [
+                    manager.Exists(manager.Equals(scope[name.lower], one), one.variable())
+                    for one in ways
+                ]
                 parts.append(manager.Or(same))
         return manager.And(parts)
 
@@ -414,26 +481,40 @@ class Formulas:
         """Return a type; for several, as in `(either a b)`, their nearest common ancestor."""
         if node.is_list:
             first, *others = [self.type_of(part) for part in node.children[1:]]
-            above = (kind for kind in first.ancestors if all(kind in other.ancestors for other in others))
+            above = (
+                kind for kind in first.ancestors if all(kind in other.ancestors for other in others)
+            )
             return next(above, None) or self.type_of(ANY)
         name = self._domain.inside.get(("type", node.lower))
         if name is None:
             raise self._unknown_name("type", node, ())
         return self._problem.user_type(name)
 
-    def atom(self, node: Node, scope: Scope, *, is_condition: bool = False, is_number: bool = False) -> UpThing:
+    def atom(
+        self, node: Node, scope: Scope, *, is_condition: bool = False, is_number: bool = False
+    ) -> UpThing:
         if not node.head:
-            raise self.source.error(node, f"found {start_of(node)!r}, expected a list such as '(predicate object)'")
+            raise self.source.error(
+                node, f"found {start_of(node)!r}, expected a list such as '(predicate object)'"
+            )
         inside = self._domain.inside.get(("predicate", node.head))
         if node.head in self._domain.axioms and not is_condition:
-            message = f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
+            message = (
+                f"found {start_of(node)!r}, which is derived: it is neither stated nor changed"
+            )
             raise self.source.error(node, message)
         if inside is None:
             raise self._unknown_name("predicate", node.children[0], (*_CONNECTIVES, *CHANGES))
         fluent = self._problem.fluent(inside)
         if fluent.type.is_bool_type() is is_number:
-            found, hint = ("predicate", "number") if is_number else ("number", "predicate; compare it, as in (> (x) 0)")
-            raise self.source.error(node, f"found {start_of(node)!r}, which is a {found}, expected a {hint}")
+            found, hint = (
+                ("predicate", "number")
+                if is_number
+                else ("number", "predicate; compare it, as in (> (x) 0)")
+            )
+            raise self.source.error(
+                node, f"found {start_of(node)!r}, which is a {found}, expected a {hint}"
+            )
         arguments = [self._term(part, scope) for part in node.children[1:]]
         name, signature = self._domain.outside[inside], fluent.signature
         if len(arguments) != len(signature):
@@ -441,7 +522,10 @@ class Formulas:
             message = f"found {len(arguments)} arguments of {str(node.children[0])!r}, expected {len(signature)}"
             place = f" as declared in line {line} of {file}" if line else ""
             raise self._unknown(node.children[0], message + place)
-        if not all(one.type.is_compatible(given.type) for one, given in zip(signature, arguments, strict=True)):
+        if not all(
+            one.type.is_compatible(given.type)
+            for one, given in zip(signature, arguments, strict=True)
+        ):
             typed_as = (f"?{one.name} - {self._domain.outside[one.type.name]}" for one in signature)
             message = f"the arguments of {name!r} are of other types than declared: ({' '.join([name, *typed_as])})"
             raise self._unknown(node, message)
@@ -452,12 +536,27 @@ class Formulas:
         known = self._domain.computed
         heads = {one.head for one in nodes_of(node)}
         if "total-cost" in heads:
-            raise self.numeric(node, place, "compares (total-cost), which is for the metric; add a number of its own")
+            raise self.numeric(
+                node,
+                place,
+                "compares (total-cost), which is for the metric; add a number of its own",
+            )
         for name in sorted(heads.intersection(one.lower() for one in self._domain.numeric - known)):
             others = f"; compared are {', '.join(sorted(known))}" if known else ""
-            raise self.numeric(node, place, f"compares {name}, which no condition of the files does{others}")
-        manager, (one, other) = self.manager, (self.number(part, scope) for part in node.children[1:])
-        kinds = {"<": manager.LT, "<=": manager.LE, ">": manager.GT, ">=": manager.GE, "=": manager.Equals}
+            raise self.numeric(
+                node, place, f"compares {name}, which no condition of the files does{others}"
+            )
+        manager, (one, other) = (
+            self.manager,
+            (self.number(part, scope) for part in node.children[1:]),
+        )
+        kinds = {
+            "<": manager.LT,
+            "<=": manager.LE,
+            ">": manager.GT,
+            ">=": manager.GE,
+            "=": manager.Equals,
+        }
         return kinds[node.head](one, other)
 
     def number(self, node: Node, scope: Scope) -> UpThing:
@@ -481,17 +580,25 @@ class Formulas:
             float(value)
         except (ValueError, OverflowError, ZeroDivisionError):
             raise self._no_number(node) from None
-        return self.manager.Int(value.numerator) if value.denominator == 1 else self.manager.Real(value)
+        return (
+            self.manager.Int(value.numerator)
+            if value.denominator == 1
+            else self.manager.Real(value)
+        )
 
     def _no_number(self, node: Node) -> PddlError:
-        return self.source.error(node, f"found {start_of(node)!r}, expected a number of at most 1e308")
+        return self.source.error(
+            node, f"found {start_of(node)!r}, expected a number of at most 1e308"
+        )
 
     def numeric(self, node: Node, place: str, why: str) -> PddlError:
         return self.source.unsupported(node, f"{start_of(node)!r} in {place} {why}")
 
     def _term(self, node: Node, scope: Scope) -> UpThing:
         if node.is_list:
-            raise self.source.unsupported(node, f"{start_of(node)} is no object; a formula is about what is true")
+            raise self.source.unsupported(
+                node, f"{start_of(node)} is no object; a formula is about what is true"
+            )
         if node.lower.startswith("?"):
             if node.lower not in scope:
                 message = f"found the variable {node.word!r}, expected a parameter; {nearest(node.lower, scope)}"
@@ -504,9 +611,15 @@ class Formulas:
 
     def _expect(self, node: Node, count: int) -> None:
         if len(node.children) != count + 1:
-            raise self.source.error(node, f"found {len(node.children) - 1} parts in {start_of(node)}, expected {count}")
+            raise self.source.error(
+                node, f"found {len(node.children) - 1} parts in {start_of(node)}, expected {count}"
+            )
 
     def _unknown_name(self, kind: str, node: Node, others: tuple[str, ...]) -> Exception:
-        known = [self._domain.outside[inside] for (other, _), inside in self._domain.inside.items() if other == kind]
+        known = [
+            self._domain.outside[inside]
+            for (other, _), inside in self._domain.inside.items()
+            if other == kind
+        ]
         message = f"found the unknown {kind} {node.word!r}, expected a declared one; "
         return self._unknown(node, message + nearest(node.lower, [*known, *others]))

@@ -9,7 +9,18 @@ from math import inf
 from operator import add, mul, sub
 from typing import NamedTuple
 
-from rosa_pddl.domain import Domain, Exact, State, Step, TimedStep, UpThing, exact, number_fact, numbers_in, subject_of
+from rosa_pddl.domain import (
+    Domain,
+    Exact,
+    State,
+    Step,
+    TimedStep,
+    UpThing,
+    exact,
+    number_fact,
+    numbers_in,
+    subject_of,
+)
 
 Binding = Mapping[str, str]
 Facts = AbstractSet[str]
@@ -21,7 +32,10 @@ SAME_TIME_S = 1e-6
 
 def goal_holds(domain: Domain, state: Facts, goals: Iterable[UpThing] | None = None) -> bool:
     """Whether goals, as unified-planning expressions, hold in a state; by default the goal of the problem file."""
-    return all(holds(domain, goal, {}, state) for goal in (domain.up_problem.goals if goals is None else goals))
+    return all(
+        holds(domain, goal, {}, state)
+        for goal in (domain.up_problem.goals if goals is None else goals)
+    )
 
 
 def missing_at_start(domain: Domain, step: Step, state: Facts) -> str | None:
@@ -50,11 +64,15 @@ def missing_at_end(domain: Domain, step: Step, state: State) -> str | None:
 
 
 def started(domain: Domain, step: Step, state: State) -> State:
-    return _after(domain, domain.schema_of[step.schema].start_effects, binding_of(domain, step), state)
+    return _after(
+        domain, domain.schema_of[step.schema].start_effects, binding_of(domain, step), state
+    )
 
 
 def ended(domain: Domain, step: Step, state: State) -> State:
-    return _after(domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state)
+    return _after(
+        domain, domain.schema_of[step.schema].end_effects, binding_of(domain, step), state
+    )
 
 
 class StepEvent(NamedTuple):
@@ -86,7 +104,11 @@ def replay(
     """
     facts, under_way, begun, left = set(state), list(running), frozenset(running), dict(until or {})
     for moment in moments:
-        late = (_too_late(domain, steps[number], ends_s[number], left, facts) for number, _ in moment if left)
+        late = (
+            _too_late(domain, steps[number], ends_s[number], left, facts)
+            for number, _ in moment
+            if left
+        )
         too_late = next(filter(None, late), None)
         wrong = _happen(domain, steps, moment, facts, begun, left) or too_late
         for number, is_end in moment:
@@ -95,7 +117,10 @@ def replay(
             else:
                 under_way.append(number)
         for number in under_way if wrong is None else ():
-            schema, binding = domain.schema_of[steps[number].schema], binding_of(domain, steps[number])
+            schema, binding = (
+                domain.schema_of[steps[number].schema],
+                binding_of(domain, steps[number]),
+            )
             missing = missing_of(domain, schema.over_all, binding, facts)
             if missing is not None:
                 wrong = because(domain, steps[number], missing)
@@ -105,12 +130,18 @@ def replay(
     return None, frozenset(facts)
 
 
-def _too_late(domain: Domain, step: Step, end_s: float, left: Mapping[str, float], facts: Facts) -> str | None:
+def _too_late(
+    domain: Domain, step: Step, end_s: float, left: Mapping[str, float], facts: Facts
+) -> str | None:
     gone = {atom for atom, left_s in left.items() if atom in facts and end_s - left_s > SAME_TIME_S}
     schema, binding = domain.schema_of[step.schema], binding_of(domain, step)
     for formula in (*schema.start, *schema.over_all, *schema.end) if gone else ():
-        if holds(domain, formula, binding, facts) and not holds(domain, formula, binding, facts - gone):
-            over_s = end_s - min(left[atom] for atom in gone.intersection(_atoms(domain, formula, binding)))
+        if holds(domain, formula, binding, facts) and not holds(
+            domain, formula, binding, facts - gone
+        ):
+            over_s = end_s - min(
+                left[atom] for atom in gone.intersection(_atoms(domain, formula, binding))
+            )
             return f"{step} would end in {end_s:.3g} s, too late by {over_s:.2g} s"
     return None
 
@@ -152,7 +183,9 @@ def _happen(
 
 
 def one_after_the_other(count: int) -> tuple[tuple[StepEvent], ...]:
-    return tuple((StepEvent(number, is_end),) for number in range(count) for is_end in (False, True))
+    return tuple(
+        (StepEvent(number, is_end),) for number in range(count) for is_end in (False, True)
+    )
 
 
 def flaw(
@@ -175,8 +208,12 @@ def flaw(
     """
     listed = tuple(steps)
     ends_s = ends_s or tuple(accumulate(domain.duration_s(step.schema) for step in listed))
-    wrong, facts = replay(domain, listed, one_after_the_other(len(listed)), state, until=until, ends_s=ends_s)
-    return wrong or (None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal")
+    wrong, facts = replay(
+        domain, listed, one_after_the_other(len(listed)), state, until=until, ends_s=ends_s
+    )
+    return wrong or (
+        None if goal_holds(domain, facts, goals) else "the rest of the plan does not reach the goal"
+    )
 
 
 def schedule_flaw(
@@ -193,7 +230,9 @@ def schedule_flaw(
     steps = [timed.step for timed in schedule]
     ends_s = [timed.end_s for timed in schedule]
     wrong, facts = replay(domain, steps, moments(schedule), state, until=until, ends_s=ends_s)
-    return wrong or (None if goal_holds(domain, facts, goals) else "the plan does not reach the goal")
+    return wrong or (
+        None if goal_holds(domain, facts, goals) else "the plan does not reach the goal"
+    )
 
 
 def _lasts_as_declared(domain: Domain, timed: TimedStep) -> bool:
@@ -230,7 +269,9 @@ def because(domain: Domain, step: Step, missing: str, verb: str = "is") -> str:
 
 
 def _is_feasibility(domain: Domain, formula: UpThing) -> bool:
-    return bool(formula.is_fluent_exp()) and domain.is_feasibility(f"({domain.outside[formula.fluent().name]})")
+    return bool(formula.is_fluent_exp()) and domain.is_feasibility(
+        f"({domain.outside[formula.fluent().name]})"
+    )
 
 
 def binding_of(domain: Domain, step: Step) -> Binding:
@@ -238,7 +279,9 @@ def binding_of(domain: Domain, step: Step) -> Binding:
     return dict(zip(names, step.arguments, strict=True))
 
 
-def missing_of(domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: Facts) -> str | None:
+def missing_of(
+    domain: Domain, formulas: Iterable[UpThing], binding: Binding, state: Facts
+) -> str | None:
     for formula in formulas:
         if not holds(domain, formula, binding, state):
             return text_of(domain, formula, binding)
@@ -259,7 +302,13 @@ def holds(domain: Domain, formula: UpThing, binding: Binding, state: Facts) -> b
         one, other = (value_of(domain, side, binding, state) for side in formula.args)
         if one is None or other is None:
             return False
-        return one == other if formula.is_equals() else one <= other if formula.is_le() else one < other
+        return (
+            one == other
+            if formula.is_equals()
+            else one <= other
+            if formula.is_le()
+            else one < other
+        )
     if formula.is_exists() or formula.is_forall():
         bindings = domain.bindings(formula.variables(), binding)
         results = (holds(domain, formula.arg(0), inner, state) for inner in bindings)
@@ -281,14 +330,19 @@ class _Derived(set[str]):
 def _derived(domain: Domain, state: State) -> AbstractSet[str]:
     """Return a state with all derived atoms, computed layer by layer until nothing more follows."""
     found = _Derived(state)
-    for _, layer in groupby(sorted(domain.axioms.items(), key=lambda one: one[1].layer), lambda one: one[1].layer):
+    for _, layer in groupby(
+        sorted(domain.axioms.items(), key=lambda one: one[1].layer), lambda one: one[1].layer
+    ):
         left = [
             (domain.inside["predicate", name], one.condition, binding)
             for name, one in layer
             for binding in domain.bindings((variable.variable() for variable in one.variables), {})
         ]
         while new := [one for one in left if holds(domain, *one[1:], found)]:
-            found.update(f"({' '.join([domain.outside[name], *binding.values()])})" for name, _, binding in new)
+            found.update(
+                f"({' '.join([domain.outside[name], *binding.values()])})"
+                for name, _, binding in new
+            )
             left = [one for one in left if one not in new]
     return found
 
@@ -328,7 +382,10 @@ def changes(
                     continue
                 before = value_of(domain, effect.fluent, inner, state)
                 _, now = numbers.get(text, (before, before))
-                numbers[text] = before, _changed(effect, now, value_of(domain, effect.value, inner, state))
+                numbers[text] = (
+                    before,
+                    _changed(effect, now, value_of(domain, effect.value, inner, state)),
+                )
     for text, (before, now) in numbers.items():
         if now is not None:
             deleted |= set() if before is None else {number_fact(text, before)}
@@ -361,7 +418,9 @@ def affected_atoms(domain: Domain, effects: Iterable[UpThing], binding: Binding)
             yield text_of(domain, effect.fluent, inner)
 
 
-def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | None = None) -> Iterator[str]:
+def _atoms(
+    domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | None = None
+) -> Iterator[str]:
     seen = set() if seen is None else seen
     if formula.is_fluent_exp():
         text, axiom = text_of(domain, formula, binding), domain.axiom(formula)
@@ -370,7 +429,9 @@ def _atoms(domain: Domain, formula: UpThing, binding: Binding, seen: set[str] | 
         elif text not in seen:
             seen.add(text)
             names = [one.variable().name for one in axiom.variables]
-            yield from _atoms(domain, axiom.condition, dict(zip(names, text[1:-1].split()[1:], strict=True)), seen)
+            yield from _atoms(
+                domain, axiom.condition, dict(zip(names, text[1:-1].split()[1:], strict=True)), seen
+            )
     elif formula.is_exists() or formula.is_forall():
         for inner in domain.bindings(formula.variables(), binding):
             yield from _atoms(domain, formula.arg(0), inner, seen)
@@ -399,7 +460,9 @@ def text_of(domain: Domain, formula: UpThing, binding: Binding) -> str:
     else:
         head = _HEADS.get(formula.node_type.name, formula.node_type.name.lower())
     if formula.is_exists() or formula.is_forall():
-        variables = (f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables())
+        variables = (
+            f"?{one.name} - {domain.outside[one.type.name]}" for one in formula.variables()
+        )
         parts.insert(0, f"({' '.join(variables)})")
     return "(" + " ".join([head, *parts]) + ")"
 
@@ -408,4 +471,9 @@ _HEADS = {
     **{"EQUALS": "=", "IMPLIES": "imply", "LE": "<=", "LT": "<"},
     **{"PLUS": "+", "MINUS": "-", "TIMES": "*", "DIV": "/"},
 }
-_COMPUTED = {"PLUS": add, "MINUS": sub, "TIMES": mul, "DIV": lambda one, other: Fraction(one) / other}
+_COMPUTED = {
+    "PLUS": add,
+    "MINUS": sub,
+    "TIMES": mul,
+    "DIV": lambda one, other: Fraction(one) / other,
+}

@@ -37,12 +37,22 @@ def check_env(make: Callable[[int], SuaveEnv], component: str = "spiral_search")
     _check_course(make(0), component)
     whole, sliced = _run(make(0), component, (SPAN_S,)), _run(make(0), component, _SLICES)
     again = _run(make(0), component, (SPAN_S,))
-    _require(whole == again, "the same seed gives the same run; it did not: chance comes from elsewhere too")
+    _require(
+        whole == again,
+        "the same seed gives the same run; it did not: chance comes from elsewhere too",
+    )
     another = _run(make(1), component, (SPAN_S,))
-    _require(whole != another, "another seed gives another run; it did not: the generator is not used")
-    _require(whole == sliced, f"how time is sliced changes nothing; advancing by {_SLICES} was another run")
+    _require(
+        whole != another, "another seed gives another run; it did not: the generator is not used"
+    )
+    _require(
+        whole == sliced,
+        f"how time is sliced changes nothing; advancing by {_SLICES} was another run",
+    )
     touched = _run(make(0), component, _SLICES, is_touched=True)
-    _require(sliced == touched, "what is done with what was returned changes nothing; it changed the run")
+    _require(
+        sliced == touched, "what is done with what was returned changes nothing; it changed the run"
+    )
     _check_components(make(0), component)
 
 
@@ -82,22 +92,36 @@ def _check_course(env: SuaveEnv, component: str) -> None:
             finite = not isinstance(value, float) or math.isfinite(value)
             _require(finite, f"what is observed is finite; {name} is {value!r} at {env.now} s")
         _require(seen.time == env.now, f"the time observed is now, {env.now} s, not {seen.time!r}")
-        _require(0 <= seen.battery_level <= 1, f"a battery level is from 0 to 1, not {seen.battery_level!r}")
+        _require(
+            0 <= seen.battery_level <= 1,
+            f"a battery level is from 0 to 1, not {seen.battery_level!r}",
+        )
     _require(heard > 0, f"monitors publish; nothing was heard in {SPAN_S:g} s")
 
 
 def _check_message(message: Message, before: float, until: float) -> None:
-    _require(set(message) == {"time", "status"}, f"a message has a time and a status, not {sorted(message)}")
+    _require(
+        set(message) == {"time", "status"},
+        f"a message has a time and a status, not {sorted(message)}",
+    )
     came = f"{message['time']!r} came after {before} and by {until} s"
     is_due = before <= message["time"] <= until
     _require(is_due, f"messages come in order of time and within the time asked for; {came}")
     for status in message["status"]:
-        _require(set(status) == {"name", "message", "values"}, f"a status has name, message, values: {sorted(status)}")
+        _require(
+            set(status) == {"name", "message", "values"},
+            f"a status has name, message, values: {sorted(status)}",
+        )
         words = [status["name"], status["message"], *status["values"], *status["values"].values()]
-        _require(all(isinstance(word, str) for word in words), f"a status holds strings only, not {status!r}")
+        _require(
+            all(isinstance(word, str) for word in words),
+            f"a status holds strings only, not {status!r}",
+        )
 
 
-def _run(env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bool = False) -> tuple[object, ...]:
+def _run(
+    env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bool = False
+) -> tuple[object, ...]:
     """Return messages, disturbances and the last observation; if touched, destroy what the environment returns."""
     env.components.activate(component)
     published = list[tuple[float, list[Status]]]()
@@ -114,10 +138,23 @@ def _run(env: SuaveEnv, component: str, times: tuple[float, ...], is_touched: bo
 
 def _check_components(env: SuaveEnv, component: str) -> None:
     components = env.components
-    for act in (components.activate, components.deactivate, components.is_active, components.parameters):
-        _require(_refuses(act, "no such component"), "an unknown component is refused: SuaveEnvError")
+    for act in (
+        components.activate,
+        components.deactivate,
+        components.is_active,
+        components.parameters,
+    ):
+        _require(
+            _refuses(act, "no such component"), "an unknown component is refused: SuaveEnvError"
+        )
     for change, is_active in ((components.deactivate, False), (components.activate, True)):
         change(component)
         word = "active" if is_active else "inactive"
-        _require(components.is_active(component) is is_active, f"{component} is {word} when it was asked to be")
-        _require((component in env.observe().active) is is_active, f"{component} is observed to be {word}")
+        _require(
+            components.is_active(component) is is_active,
+            f"{component} is {word} when it was asked to be",
+        )
+        _require(
+            (component in env.observe().active) is is_active,
+            f"{component} is observed to be {word}",
+        )

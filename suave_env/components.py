@@ -87,7 +87,9 @@ class Mover(Component):
     def _is_near(self, point: tuple[float, ...], tolerance: float) -> bool:
         """Tell whether the vehicle is that close [m] to a point, (x, y) or (x, y, z), along each of its axes."""
         position = self._autopilot.position
-        return all(abs(here - there) <= tolerance for here, there in zip(position, point, strict=False))
+        return all(
+            abs(here - there) <= tolerance for here, there in zip(position, point, strict=False)
+        )
 
 
 class SpiralSearch(Mover):
@@ -101,7 +103,9 @@ class SpiralSearch(Mover):
 
     name = "spiral_search"
 
-    def __init__(self, settings: Settings, autopilot: Autopilot, centre: tuple[float, float]) -> None:
+    def __init__(
+        self, settings: Settings, autopilot: Autopilot, centre: tuple[float, float]
+    ) -> None:
         super().__init__(settings, autopilot)
         self.parameters["spiral_altitude"] = settings.spiral_altitude_m
         self._begin(centre)
@@ -125,13 +129,20 @@ class SpiralSearch(Mover):
             self._count += 1
         is_reached = goal is None or self._is_near(goal, settings.spiral_tolerance_m)
         if self._waits > settings.spiral_patience:
-            if goal is not None and not is_reached and self._is_near(goal[:2], settings.spiral_tolerance_m):
+            if (
+                goal is not None
+                and not is_reached
+                and self._is_near(goal[:2], settings.spiral_tolerance_m)
+            ):
                 self._correction -= settings.spiral_correction_m
             self._send(altitude, time)
         if is_reached:
             step = settings.spiral_angle_step_rad
             width = 2 * altitude * math.tan(settings.half_view_angle_rad)
-            radius, angle = math.hypot(*self._offset) + width * step / (2 * math.pi), step * self._count
+            radius, angle = (
+                math.hypot(*self._offset) + width * step / (2 * math.pi),
+                step * self._count,
+            )
             self._offset = (radius * math.cos(angle), radius * math.sin(angle))
             self._goal = self._send(altitude, time)
             self._count += 1
@@ -204,7 +215,9 @@ class FollowPipeline(Mover):
         since, distance_m = self._published
         if self._last != before and distance_m != self.distance_m and time - since >= 1:
             self._published = (time, self.distance_m)
-            self._outbox.publish(time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m)
+            self._outbox.publish(
+                time, self.name, MISSION_STATUS, "distance_inspected", self.distance_m
+            )
 
     def _send(self, point: tuple[float, float], time: float) -> None:
         self._autopilot.go_to((*point, SEABED_Z_M + self._settings.follow_altitude_m), time)
@@ -225,10 +238,19 @@ class RecoverThrusters(Component):
     name = "recover_thrusters"
 
     def __init__(
-        self, settings: Settings, restored: Callable[[int, float], None], agenda: Agenda, outbox: Outbox
+        self,
+        settings: Settings,
+        restored: Callable[[int, float], None],
+        agenda: Agenda,
+        outbox: Outbox,
     ) -> None:
         super().__init__()
-        self._settings, self._restored, self._agenda, self._outbox = settings, restored, agenda, outbox
+        self._settings, self._restored, self._agenda, self._outbox = (
+            settings,
+            restored,
+            agenda,
+            outbox,
+        )
         self._run = 0
 
     def activated(self, time: float) -> None:
@@ -254,7 +276,9 @@ class Recharge(Mover):
 
     name = "recharge"
 
-    def __init__(self, settings: Settings, autopilot: Autopilot, recharge: Callable[[float], None]) -> None:
+    def __init__(
+        self, settings: Settings, autopilot: Autopilot, recharge: Callable[[float], None]
+    ) -> None:
         super().__init__(settings, autopilot)
         self._recharge = recharge
         self._is_sent = False
@@ -353,8 +377,14 @@ def _taken(component: Component, values: Mapping[str, object]) -> dict[str, floa
     for key, value in values.items():
         if key not in component.parameters:
             raise unknown_name(f"parameter of {component.name}", key, component.parameters)
-        taken[key] = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+        taken[key] = (
+            float(value)
+            if isinstance(value, int | float) and not isinstance(value, bool)
+            else math.nan
+        )
         if not 0 < taken[key] <= HIGHEST_ALTITUDE_M:
             allowed = f"a number above 0 and up to {HIGHEST_ALTITUDE_M:g} [m]"
-            raise SuaveEnvError(f"parameter {key} of {component.name} cannot be {value!r}; allowed is {allowed}")
+            raise SuaveEnvError(
+                f"parameter {key} of {component.name} cannot be {value!r}; allowed is {allowed}"
+            )
     return taken

@@ -6,7 +6,14 @@ from functools import partial
 
 import numpy as np
 
-from suave_env.components import Agenda, Components, FollowPipeline, Recharge, RecoverThrusters, SpiralSearch
+from suave_env.components import (
+    Agenda,
+    Components,
+    FollowPipeline,
+    Recharge,
+    RecoverThrusters,
+    SpiralSearch,
+)
 from suave_env.monitors import (
     COMPONENT_STATUS,
     EA_MEASUREMENT,
@@ -121,7 +128,9 @@ class SuaveEnv:
 
     def _enter_disturbances(self) -> None:
         settings = self.settings
-        for event in parse_thruster_events(settings.thruster_events, settings.thruster_events_chained):
+        for event in parse_thruster_events(
+            settings.thruster_events, settings.thruster_events_chained
+        ):
             self._agenda.at(event.time, partial(self._thruster_event, event))
         for threshold in THRESHOLDS_M:
             self._await_crossing(threshold, 0.0)
@@ -165,7 +174,9 @@ class SuaveEnv:
             SuaveEnvError: If the time is not finite, or before now.
         """
         if not self.now <= until < math.inf:
-            raise SuaveEnvError(f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on")
+            raise SuaveEnvError(
+                f"cannot advance to {until!r} s; allowed is a finite time from now, {self.now} s, on"
+            )
         agenda = self._agenda
         fly, outbox = self._autopilot.fly, self._outbox
         while (due := agenda.next_time) <= until:
@@ -214,7 +225,9 @@ class SuaveEnv:
         After 150 steps of 1 s out of 200 s the level is 0.24999999999999933.
         """
         settings, before = self.settings, self._battery_level
-        self._battery_level = max(0.0, before - settings.battery_period_s / settings.discharge_time_s)
+        self._battery_level = max(
+            0.0, before - settings.battery_period_s / settings.discharge_time_s
+        )
         if before >= LOW_LEVEL > self._battery_level:
             self._disturbances.append((time, f"battery level fell below {LOW_LEVEL}"))
             self._judge(time, corrected=False)
@@ -222,18 +235,26 @@ class SuaveEnv:
 
     def _publish_visibility(self, time: float) -> None:
         """Publish the visibility at whole periods since the start, as kas-lab/suave v1.3.0 does at integer seconds."""
-        self._visibility = self._water.visibility(self._whole_periods * self.settings.visibility_monitor_period_s)
+        self._visibility = self._water.visibility(
+            self._whole_periods * self.settings.visibility_monitor_period_s
+        )
         self._whole_periods += 1
-        self._outbox.publish(time, "water_visibility_monitor", EA_MEASUREMENT, "water_visibility", self._visibility)
+        self._outbox.publish(
+            time, "water_visibility_monitor", EA_MEASUREMENT, "water_visibility", self._visibility
+        )
 
     def _publish_thrusters(self, time: float) -> None:
         """Publish each failure and each recovery by itself once; the recovery node publishes its own recoveries."""
         for thruster, word in self._thruster_news:
-            self._outbox.publish(time, "thruster_monitor", COMPONENT_STATUS, f"c_thruster_{thruster}", word)
+            self._outbox.publish(
+                time, "thruster_monitor", COMPONENT_STATUS, f"c_thruster_{thruster}", word
+            )
         self._thruster_news.clear()
 
     def _publish_battery(self, time: float) -> None:
-        self._outbox.publish(time, "battery_monitor", QA_STATUS, "battery_level", self._battery_level)
+        self._outbox.publish(
+            time, "battery_monitor", QA_STATUS, "battery_level", self._battery_level
+        )
 
     def _recharge(self, time: float) -> None:
         self._battery_level = 1.0
@@ -246,8 +267,12 @@ class SuaveEnv:
         change = self._thrusters.fail if event.fails else self._thrusters.recover
         change(event.thruster)
         self._judge(time, corrected=False)
-        self._thruster_news += [(event.thruster, word) for word in thruster_words(self.settings, event.fails)]
-        self._disturbances.append((time, f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}"))
+        self._thruster_news += [
+            (event.thruster, word) for word in thruster_words(self.settings, event.fails)
+        ]
+        self._disturbances.append(
+            (time, f"thruster {event.thruster} {'failed' if event.fails else 'recovered'}")
+        )
 
     def _await_crossing(self, threshold: float, after: float) -> None:
         crossing = self._water.next_crossing(threshold, after)
@@ -258,7 +283,9 @@ class SuaveEnv:
 
         def cross(time: float) -> None:
             self._disturbances.append((time, text))
-            self._judge(time + 1e-6, corrected=False)  # a moment later, when the threshold is surely passed
+            self._judge(
+                time + 1e-6, corrected=False
+            )  # a moment later, when the threshold is surely passed
             self._await_crossing(threshold, time)
 
         self._agenda.at(due, cross)

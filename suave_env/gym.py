@@ -60,7 +60,9 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         settings: Mapping[str, float | int | bool | str] | None = None,
     ) -> None:
         self._settings = Settings().replace(**(settings or {}))
-        most = np.array([self._settings.visibility_max_m, *[1.0] * (len(OBSERVED) - 1)], dtype=np.float32)
+        most = np.array(
+            [self._settings.visibility_max_m, *[1.0] * (len(OBSERVED) - 1)], dtype=np.float32
+        )
         self.observation_space = spaces.Box(np.zeros_like(most), most, dtype=np.float32)
         self.action_space = spaces.MultiDiscrete([2] * len(COMPONENTS) + [len(ALTITUDES_M)])
         self._duration_s, self._step_s = duration_s, step_s
@@ -75,7 +77,9 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         self._known, self._inspected_m, self._done = dict(OBSERVED), 0.0, False
         return self._observation(), self._info(self._env)
 
-    def step(self, action: NDArray[np.int64]) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+    def step(
+        self, action: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Switch the components as the action says, and simulate one step."""
         if self._env is None:
             raise gymnasium.error.ResetNeeded("call reset() before step()")
@@ -86,7 +90,13 @@ class SuaveGym(gymnasium.Env[NDArray[np.float32], NDArray[np.int64]]):
         self._hear(self._env.advance(min(self._env.now + self._step_s, self._duration_s)))
         before, self._inspected_m = self._inspected_m, self._env.metrics.total_inspected_m
         is_late = self._env.now >= self._duration_s
-        return self._observation(), self._inspected_m - before, self._done, is_late, self._info(self._env)
+        return (
+            self._observation(),
+            self._inspected_m - before,
+            self._done,
+            is_late,
+            self._info(self._env),
+        )
 
     def _hear(self, messages: list[Message]) -> None:
         for message in messages:

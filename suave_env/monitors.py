@@ -42,7 +42,9 @@ class Message(TypedDict):
 class Outbox:
     """Collects messages until they are fetched; calls `hear` with time [s], key and value of each."""
 
-    def __init__(self, hear: Callable[[float, str, str], None] = lambda time, key, value: None) -> None:
+    def __init__(
+        self, hear: Callable[[float, str, str], None] = lambda time, key, value: None
+    ) -> None:
         self._hear = hear
         self._messages: list[Message] = []
 
@@ -53,7 +55,9 @@ class Outbox:
     def publish(self, time: float, name: str, text: str, key: str, value: float | str) -> None:
         """Publish one status of a kind such as `EA_MEASUREMENT`, now [s]; a number as its `repr`, which is exact."""
         written = value if isinstance(value, str) else repr(value)
-        self._messages.append({"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]})
+        self._messages.append(
+            {"time": time, "status": [{"name": name, "message": text, "values": {key: written}}]}
+        )
         self._hear(time, key, written)
 
     def fetch(self) -> list[Message]:
@@ -203,7 +207,10 @@ class Reactions:
         answered = {"recover_thrusters": "U1", "recharge": "U3"}.get(change.component)
         if answered and change.active:
             self._answer(answered, change.time)
-        elif change.component == "spiral_search" and change.parameters["spiral_altitude"] != self._altitude:
+        elif (
+            change.component == "spiral_search"
+            and change.parameters["spiral_altitude"] != self._altitude
+        ):
             self._altitude = change.parameters["spiral_altitude"]
             if self._altitude == self._called_for:
                 self._answer("U2", change.time)
@@ -219,4 +226,7 @@ def mean_reactions(reactions: Iterable[Reaction]) -> dict[str, float | None]:
     delays: dict[str, list[float]] = {"u1": [], "u2": [], "u3": []}
     for one in reactions:
         delays[one.uncertainty.lower()].append(one.delay_s)
-    return {f"reaction_{uncertainty}_s": fmean(found) if found else None for uncertainty, found in delays.items()}
+    return {
+        f"reaction_{uncertainty}_s": fmean(found) if found else None
+        for uncertainty, found in delays.items()
+    }

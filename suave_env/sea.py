@@ -52,7 +52,14 @@ class Water:
 SEABED_Z_M = -20.0
 """Height of the flat seabed [m], world frame z up; the constant that every motion node of kas-lab/suave v1.3.0 uses."""
 
-VERTICES_M = ((-15.0, 0.0), (-25.0, 0.0), (-35.0, 0.0), (-37.41, -1.0), (-44.49, -8.07), (-51.56, -15.14))
+VERTICES_M = (
+    (-15.0, 0.0),
+    (-25.0, 0.0),
+    (-35.0, 0.0),
+    (-37.41, -1.0),
+    (-44.49, -8.07),
+    (-51.56, -15.14),
+)
 """Origins (x, y) of the six pipes [m], world frame ENU, in the order received; remaro_worlds 2650f19."""
 
 _STEPS_PER_EDGE = 20
@@ -72,7 +79,11 @@ class Pipeline:
         self.z = SEABED_Z_M + settings.pipe_point_offset_m
         shares = [step / _STEPS_PER_EDGE for step in range(1, _STEPS_PER_EDGE + 1)]
         edges = pairwise(_turned(settings.pipe_turn_rad, (settings.start_x_m, settings.start_y_m)))
-        self.points = tuple((x + k * (to_x - x), y + k * (to_y - y)) for (x, y), (to_x, to_y) in edges for k in shares)
+        self.points = tuple(
+            (x + k * (to_x - x), y + k * (to_y - y))
+            for (x, y), (to_x, to_y) in edges
+            for k in shares
+        )
         self._north = max(y for _, y in self.points)
         self._tangent = math.tan(settings.half_view_angle_rad)
 
@@ -88,7 +99,9 @@ class Pipeline:
         """
         height = abs(z - self.z)
         half = height * self._tangent
-        if height > visibility or y - self._north > half:  # all of it lies south: the usual case ends here
+        if (
+            height > visibility or y - self._north > half
+        ):  # all of it lies south: the usual case ends here
             return None
         for index, (px, py) in enumerate(self.points):
             if abs(px - x) <= half and abs(py - y) <= half:
@@ -108,4 +121,7 @@ def _turned(angle: float, centre: tuple[float, float]) -> list[tuple[float, floa
     if not angle:
         return list(VERTICES_M)  # to the bit
     cos, sin, (x, y) = math.cos(angle), math.sin(angle), centre
-    return [(x + cos * (a - x) - sin * (b - y), y + sin * (a - x) + cos * (b - y)) for a, b in VERTICES_M]
+    return [
+        (x + cos * (a - x) - sin * (b - y), y + sin * (a - x) + cos * (b - y))
+        for a, b in VERTICES_M
+    ]

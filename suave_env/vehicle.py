@@ -25,8 +25,17 @@ _COSINE = 0.7071067811865476
 _YAW_ARM_M = 0.1676  # mean of the arms of the front pair (0.164 m) and the rear pair (0.171 m)
 _ROLL_ARM_M = 0.109
 _DENSITY_KG_M3 = 1000.0  # of the water, as the buoyancy of SUAVE's world has it
-_UNUSED = ("EQUALITY", "FRICTIONLOSS", "LIMIT", "SENSOR", "ISLAND", "AUTORESET")  # the last: what is lost stays lost
-_WRITE_THRUSTS = Struct(f"{COUNT}d").pack_into  # a third of the time that a slice of the array takes
+_UNUSED = (
+    "EQUALITY",
+    "FRICTIONLOSS",
+    "LIMIT",
+    "SENSOR",
+    "ISLAND",
+    "AUTORESET",
+)  # the last: what is lost stays lost
+_WRITE_THRUSTS = Struct(
+    f"{COUNT}d"
+).pack_into  # a third of the time that a slice of the array takes
 _FLOAT_MASS_KG = 0.001  # of the body that carries the buoyancy, see assets/sea.xml
 _log = logging.getLogger(__name__)
 
@@ -63,7 +72,13 @@ class Thrusters:
         self._stuck.pop(number, None)
 
     def allocate(
-        self, forward: float, left: float, up: float, roll: float, turn: float, duration: float = 0.0
+        self,
+        forward: float,
+        left: float,
+        up: float,
+        roll: float,
+        turn: float,
+        duration: float = 0.0,
     ) -> list[float]:
         """Share a wanted force and torque among the thrusters, count the energy of a duration [s], return the outputs.
 
@@ -126,7 +141,10 @@ class Vehicle:
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._ctrl, self._flow = self.data.ctrl, self.data.ctrl[COUNT:]
         self._body_velocity = self.data.actuator_velocity[COUNT:]
-        self.state: tuple[Callable[[], list[float]], Callable[[], list[float]]] = self._qpos.tolist, self._qvel.tolist
+        self.state: tuple[Callable[[], list[float]], Callable[[], list[float]]] = (
+            self._qpos.tolist,
+            self._qvel.tolist,
+        )
         self._qpos[:] = (x, y, z, 1, 0, 0, 0)
         mujoco.mj_forward(self.model, self.data)
 
@@ -155,24 +173,37 @@ def floated(settings: Settings) -> float:
     It rises at the speed at which drag equals the surplus of buoyancy, which it reaches within a second.
     """
     surplus = (settings.displaced_mass_kg - settings.mass_kg) * settings.gravity_m_s2
-    speed = math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus) if settings.drag_heave else 0.0
+    speed = (
+        math.copysign(math.sqrt(abs(surplus) / settings.drag_heave), surplus)
+        if settings.drag_heave
+        else 0.0
+    )
     return speed * settings.boot_s
 
 
 def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401 - MuJoCo ships no types
     """Compile the packaged model with the figures of the settings in it."""
-    spec = mujoco.MjSpec.from_string((files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8"))
+    spec = mujoco.MjSpec.from_string(
+        (files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8")
+    )
     spec.option.timestep = settings.physics_step_s
     spec.option.gravity = (0, 0, -settings.gravity_m_s2)
     hull, buoyancy = spec.body("vehicle"), spec.body("buoyancy")
     hull.mass = settings.mass_kg - _FLOAT_MASS_KG
-    hull.inertia = (settings.inertia_roll_kg_m2, settings.inertia_pitch_kg_m2, settings.inertia_yaw_kg_m2)
+    hull.inertia = (
+        settings.inertia_roll_kg_m2,
+        settings.inertia_pitch_kg_m2,
+        settings.inertia_yaw_kg_m2,
+    )
     hull.ipos = (0, 0, settings.centre_of_mass_z_m)
     spec.site("centre_of_mass").pos = (0, 0, settings.centre_of_mass_z_m)
     buoyancy.gravcomp = settings.displaced_mass_kg / _FLOAT_MASS_KG
     buoyancy.pos = (0, 0, settings.centre_of_buoyancy_z_m)
     for number in range(1, COUNT + 1):
-        spec.actuator(f"thruster_{number}").ctrlrange = (-settings.thrust_limit_n, settings.thrust_limit_n)
+        spec.actuator(f"thruster_{number}").ctrlrange = (
+            -settings.thrust_limit_n,
+            settings.thrust_limit_n,
+        )
     for axis in ("surge", "sway", "heave", "roll", "pitch", "yaw"):
         spec.actuator(f"drag_{axis}").gainprm[2] = -getattr(settings, f"drag_{axis}")
     try:
@@ -232,7 +263,9 @@ class SCurve:
         top = jerk * ramp
         if time <= ramp + self._plateau:
             since = time - ramp
-            return top * (ramp * ramp / 6 + ramp * since / 2 + since * since / 2), top * (ramp / 2 + since)
+            return top * (ramp * ramp / 6 + ramp * since / 2 + since * since / 2), top * (
+                ramp / 2 + since
+            )
         # by symmetry about the middle of the speed-up: speed(t) = peak - speed(rise - t)
         left = self._rise - time
         speed = self._peak - jerk * left * left / 2
@@ -253,8 +286,14 @@ class Guidance:
     def __init__(self, settings: Settings, position: Vector) -> None:
         self._settings = settings
         self._gains = (settings.position_gain, settings.position_gain, settings.height_gain)
-        self._stiffness = (settings.mass_kg / settings.velocity_lag_s, settings.mass_kg / settings.height_lag_s)
-        self._integral_gain, self._integral_limit = settings.integral_gain, settings.integral_limit_n
+        self._stiffness = (
+            settings.mass_kg / settings.velocity_lag_s,
+            settings.mass_kg / settings.height_lag_s,
+        )
+        self._integral_gain, self._integral_limit = (
+            settings.integral_gain,
+            settings.integral_limit_n,
+        )
         self._integral: Vector = (0.0, 0.0, 0.0)
         self.go_to(position, position, (0.0, 0.0, 0.0), 0.0)
 
@@ -273,7 +312,9 @@ class Guidance:
         (px, py, pz), (vx, vy, vz), (kx, ky, kz) = position, velocity, self._gains
         return px + vx / max(kx, 1e-3), py + vy / max(ky, 1e-3), pz + vz / max(kz, 1e-3)
 
-    def force(self, position: list[float], velocity: list[float], time: float, duration: float) -> Vector:
+    def force(
+        self, position: list[float], velocity: list[float], time: float, duration: float
+    ) -> Vector:
         """Return the wanted force [N], world frame ENU, z up, to be held for a duration [s] from now [s].
 
         It reads the first three numbers of position [m] and velocity [m/s].
@@ -302,7 +343,10 @@ class Guidance:
         vertical = settings.climb_limit_m_s if ez > 0 else settings.descent_limit_m_s
         speed, acceleration = math.inf, math.inf
         if level > 0:
-            speed, acceleration = settings.speed_limit_m_s / level, settings.acceleration_limit_m_s2 / level
+            speed, acceleration = (
+                settings.speed_limit_m_s / level,
+                settings.acceleration_limit_m_s2 / level,
+            )
         if upright > 0:
             speed = min(speed, vertical / upright)
             acceleration = min(acceleration, settings.climb_acceleration_limit_m_s2 / upright)
@@ -314,7 +358,9 @@ class Guidance:
 class Autopilot:
     """Holds a heading of east and flies to setpoints."""
 
-    def __init__(self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float) -> None:
+    def __init__(
+        self, settings: Settings, vehicle: Vehicle, thrusters: Thrusters, bias: float
+    ) -> None:
         self._gains = (
             *(settings.heading_gain, settings.heading_damping, settings.roll_damping),
             *(settings.drag_surge, settings.drag_sway, settings.drag_heave),
@@ -340,7 +386,9 @@ class Autopilot:
     def hold(self, time: float) -> None:
         """Stop as soon as possible, from now [s] on."""
         position, velocity = self.position, self._vehicle.velocity
-        self._guidance.go_to(self._guidance.stopping_point(position, velocity), position, velocity, time)
+        self._guidance.go_to(
+            self._guidance.stopping_point(position, velocity), position, velocity, time
+        )
 
     def fly(self, until: float) -> None:
         """Simulate all control periods that end by a time [s]."""
@@ -360,7 +408,9 @@ class Autopilot:
             vx, vy, vz, roll_rate, _, yaw_rate = motion
             if not isfinite(x + vx):
                 when = f"{count * period:.3f} s"
-                raise SuaveEnvError(f"the simulation became unstable after {when}; a setting is far from its default")
+                raise SuaveEnvError(
+                    f"the simulation became unstable after {when}; a setting is far from its default"
+                )
             east, north, up = guide(pose, motion, (count + 0.5) * period, period)
             yaw = atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
             cosine, sine = cos(yaw), sin(yaw)

@@ -21,7 +21,9 @@ _GRID_M: Final = 12.0
 def building_from(said) -> Building:
     """Make a building of plain data: start, goal, places (x, y) and corridors (from, to, and what else is known)."""
     corridors = {
-        name: Corridor((one["from"], one["to"]), **{key: one[key] for key in one if key not in ("from", "to")})
+        name: Corridor(
+            (one["from"], one["to"]), **{key: one[key] for key in one if key not in ("from", "to")}
+        )
         for name, one in said["corridors"].items()
     }
     places = {name: tuple(map(float, point)) for name, point in said["places"].items()}
@@ -44,8 +46,12 @@ def generated_building(rng: Generator, places: int = 58, corridors: int = 70) ->
     steps = [((x, y), (x + dx, y + dy)) for x, y in cells for dx, dy in ((1, 0), (0, 1))]
     pairs = [(index[one], index[two]) for one, two in steps if two in index]
     if not places - 1 <= corridors <= len(pairs) or places < 2:
-        raise MissionError(f"{places} places take {places - 1} to {len(pairs)} corridors, not {corridors}")
-    chosen = sorted(_chosen([pairs[number] for number in rng.permutation(len(pairs))], places, corridors))
+        raise MissionError(
+            f"{places} places take {places - 1} to {len(pairs)} corridors, not {corridors}"
+        )
+    chosen = sorted(
+        _chosen([pairs[number] for number in rng.permutation(len(pairs))], places, corridors)
+    )
     points = [tuple(_GRID_M * (axis + rng.uniform(-0.25, 0.25)) for axis in cell) for cell in cells]
     made = {}
     for number, (one, two) in enumerate(chosen, start=1):

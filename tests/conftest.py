@@ -10,7 +10,9 @@ from kb import KnowledgeBase
 from rosa_pddl import Planner
 
 settings.register_profile("ci", derandomize=True, deadline=None, max_examples=50, print_blob=True)
-settings.register_profile("long", derandomize=True, deadline=None, max_examples=1000, print_blob=True)
+settings.register_profile(
+    "long", derandomize=True, deadline=None, max_examples=1000, print_blob=True
+)
 settings.load_profile("ci")
 
 PATIENCE_S = 120.0
@@ -20,7 +22,9 @@ PATIENCE_S = 120.0
 Planner.__init__.__defaults__ = ("fast-downward-opt", PATIENCE_S)
 KnowledgeBase.query.__defaults__ = (PATIENCE_S,)
 
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # what hundreds of programs of the tests import is compiled once
+os.environ.pop(
+    "PYTHONDONTWRITEBYTECODE", None
+)  # what hundreds of programs of the tests import is compiled once
 
 
 @pytest.hookimpl(trylast=True)

@@ -24,8 +24,12 @@ def out_of_reach(code):
         if step.opname in ("RETURN_VALUE", "RETURN_CONST"):
             found.add(step.offset)
         following = steps[place : place + 3]
-        if [one.opname for one in following] == ["LOAD_CONST"] * 3 and not any(one.argval for one in following):
-            begin = place - (place > 0 and steps[place - 1].opname == "SWAP")  # of what is returned out of the block
+        if [one.opname for one in following] == ["LOAD_CONST"] * 3 and not any(
+            one.argval for one in following
+        ):
+            begin = place - (
+                place > 0 and steps[place - 1].opname == "SWAP"
+            )  # of what is returned out of the block
             found.update(one.offset for one in steps[begin : place + 5])
     return found
 

@@ -9,13 +9,25 @@ def generate_launch_description() -> LaunchDescription:
     """Return what is started; every lifecycle node stays unconfigured until the knowledge base needs it."""
     nodes = [
         LifecycleNode(
-            package="rover_camera", executable="camera", name="camera", namespace="front", parameters=["params.yaml"]
+            package="rover_camera",
+            executable="camera",
+            name="camera",
+            namespace="front",
+            parameters=["params.yaml"],
         ),
         LifecycleNode(
-            package="rover_lidar", executable="lidar", name="lidar", namespace="", parameters=["params.yaml"]
+            package="rover_lidar",
+            executable="lidar",
+            name="lidar",
+            namespace="",
+            parameters=["params.yaml"],
         ),
         LifecycleNode(
-            package="rover_nav", executable="navigator", name="navigator", namespace="", parameters=["params.yaml"]
+            package="rover_nav",
+            executable="navigator",
+            name="navigator",
+            namespace="",
+            parameters=["params.yaml"],
         ),
         Node(
             package="rosbridge_server",

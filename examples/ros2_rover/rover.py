@@ -15,7 +15,9 @@ def model() -> Model:
     light = rover.environmental_attribute("light")
 
     camera = rover.component("camera", kind="lifecycle", always_improve=True)
-    camera.configuration("by_day", {"exposure": 0.01, "gain": 1.0}, priority=1, constraints=[light >= 0.5])
+    camera.configuration(
+        "by_day", {"exposure": 0.01, "gain": 1.0}, priority=1, constraints=[light >= 0.5]
+    )
     camera.configuration("by_night", {"exposure": 0.05, "gain": 8.0}, priority=2)
     lidar = rover.component("lidar", kind="lifecycle")
     navigator = rover.component("navigator", kind="lifecycle")
@@ -34,4 +36,6 @@ def model() -> Model:
 def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Return the tree: patrol as long as that can be done, or else return to the dock."""
     names = ("patrol", "return_to_dock")
-    return first_feasible("what to do", [ForAction(name, kb, name, Running(name)) for name in names])
+    return first_feasible(
+        "what to do", [ForAction(name, kb, name, Running(name)) for name in names]
+    )

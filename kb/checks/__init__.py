@@ -70,7 +70,9 @@ class Finding:
         return f"{self.place}: {self.message}" if self.place else self.message
 
     def __str__(self) -> str:
-        return " ".join(f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}".split())
+        return " ".join(
+            f"{self.severity}: {self.where_and_what} [{self.code}]; {self.advice}".split()
+        )
 
 
 @cache
@@ -79,7 +81,10 @@ def rules() -> Mapping[str, Rule]:
     import tomllib  # slow to import
 
     read = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
-    made = {code: Rule(Severity(one["severity"]), one["meaning"], one["advice"]) for code, one in read.items()}
+    made = {
+        code: Rule(Severity(one["severity"]), one["meaning"], one["advice"])
+        for code, one in read.items()
+    }
     return MappingProxyType(made)
 
 
@@ -127,7 +132,9 @@ def _mismatches(actions: Collection[str], names: Iterable[str]) -> Iterator[Find
             yield found("unknown-action", name, str(UnknownName("action", name, actions)))
     for name in actions:
         if name not in mentioned:
-            yield found("unmentioned-action", f"action {name}", f"action {name} is mentioned nowhere")
+            yield found(
+                "unmentioned-action", f"action {name}", f"action {name} is mentioned nowhere"
+            )
 
 
 def _incomplete(network: Network) -> Iterator[Finding]:
@@ -136,20 +143,40 @@ def _incomplete(network: Network) -> Iterator[Finding]:
             yield found("action-without-functions", node, f"{node} requires no function")
     for node in network.designs.values():
         if not node.parts:
-            yield found("design-without-components", node, f"{node} of {node.wholes[0]} has no component")
-    rates = ((one.name, rate.while_) for one in network.attributes.values() for rate in one.attribute.rates)
+            yield found(
+                "design-without-components", node, f"{node} of {node.wholes[0]} has no component"
+            )
+    rates = (
+        (one.name, rate.while_)
+        for one in network.attributes.values()
+        for rate in one.attribute.rates
+    )
     for name, action in rates:
         if action and action not in network.actions:
-            yield found("unknown-action", name, f"a rate of {name}: {UnknownName('action', action, network.actions)}")
+            yield found(
+                "unknown-action",
+                name,
+                f"a rate of {name}: {UnknownName('action', action, network.actions)}",
+            )
 
 
 def _unused(model: Contents, network: Network) -> Iterator[Finding]:
     requests = (fact for fact in model.facts if isinstance(fact, RequiredActionFact))
-    used = {one.attribute for one in model.estimations}.union(*(fact.preference or () for fact in requests))
-    attributes = [node for node in network.attributes.values() if not node.constraints and node.name not in used]
+    used = {one.attribute for one in model.estimations}.union(
+        *(fact.preference or () for fact in requests)
+    )
+    attributes = [
+        node
+        for node in network.attributes.values()
+        if not node.constraints and node.name not in used
+    ]
     functions = [node for node in network.functions.values() if not node.wholes]
     components = [node for node in network.components.values() if not node.wholes]
-    whats = ("nothing depends on", attributes), ("no action requires", functions), ("no design uses", components)
+    whats = (
+        ("nothing depends on", attributes),
+        ("no action requires", functions),
+        ("no design uses", components),
+    )
     for what, nodes in whats:
         for node in nodes:
             yield found(f"unused-{node.kind}", node, f"{what} {node}")
@@ -163,9 +190,18 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
             continue
         possible, wanted = Interval((attribute.low, 0), (attribute.high, 0)), Interval.of(one)
         is_never = wanted.meet(possible).is_empty
-        is_final = not is_never and Interval.of(one, turning_point(one, Status.VIOLATED)).meet(possible).is_empty
+        is_final = (
+            not is_never
+            and Interval.of(one, turning_point(one, Status.VIOLATED)).meet(possible).is_empty
+        )
         if is_never or is_final or wanted.covers(possible):
-            how = "is never satisfied" if is_never else "stays violated once it is" if is_final else "is never violated"
+            how = (
+                "is never satisfied"
+                if is_never
+                else "stays violated once it is"
+                if is_final
+                else "is never violated"
+            )
             where = listing(each.name for each in one.constrained)
             message = f"{_described(one)} {how}: {one.attribute} is {attribute.range} (on {where})"
             yield found("out-of-range", _described(one), message)
@@ -191,7 +227,9 @@ def _contradictions(network: Network) -> Iterator[Finding]:
             yield found(code, node, message + _consequence(node, impossible))
 
 
-def _roots(node: Node, impossible: Collection[Node], requirements: Requirements) -> Iterator[tuple[str, str]]:
+def _roots(
+    node: Node, impossible: Collection[Node], requirements: Requirements
+) -> Iterator[tuple[str, str]]:
     """Yield code and message of each reason why an element is impossible, except consequences of its parts."""
     if node.kind == "function":
         if not node.parts:
@@ -199,7 +237,10 @@ def _roots(node: Node, impossible: Collection[Node], requirements: Requirements)
         return
     empty = [name for name, interval in bounds(node).items() if interval.is_empty]
     for attribute in empty:
-        yield "contradictory-constraints", f"{node} is constrained by {_contradiction(node, attribute)}"
+        yield (
+            "contradictory-constraints",
+            f"{node} is constrained by {_contradiction(node, attribute)}",
+        )
     broken = [part in impossible for part in node.parts]
     is_consequence = any(broken) and (all(broken) or node.kind != "component")
     if not empty and not is_consequence:
@@ -212,7 +253,11 @@ def _contradiction(node: Node, attribute: str) -> str:
     for one in own:
         if Interval.of(one).is_empty:
             return f"{one}, which no number satisfies"
-    one, other = next(two for two in combinations(own, 2) if Interval.of(two[0]).meet(Interval.of(two[1])).is_empty)
+    one, other = next(
+        two
+        for two in combinations(own, 2)
+        if Interval.of(two[0]).meet(Interval.of(two[1])).is_empty
+    )
     return f"{one} and {other}, which no value satisfies both"  # two bounds make an interval empty, never three
 
 
@@ -220,8 +265,12 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
     waiting = {node: None}
     actions: list[str] = []
     while waiting and len(actions) <= MOST_ACTIONS:
-        wholes = dict.fromkeys(whole for one in waiting for whole in one.wholes if whole in impossible)
-        actions += [whole.name for whole in wholes if whole.kind == "action" and whole.name not in actions]
+        wholes = dict.fromkeys(
+            whole for one in waiting for whole in one.wholes if whole in impossible
+        )
+        actions += [
+            whole.name for whole in wholes if whole.kind == "action" and whole.name not in actions
+        ]
         waiting = wholes
     if len(actions) > MOST_ACTIONS:
         return f", so {len(actions)} actions or more can never be feasible, e.g. {actions[0]}"
@@ -230,9 +279,13 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
 
 def _conflict(node: Node, requirements: Requirements) -> str:
     """Name two needs that exclude one another, with their intervals if there is only one way; else all needs."""
-    needs = {f"its own constraint {one.name}": requirements.of(one).boxes for one in node.constraints}
+    needs = {
+        f"its own constraint {one.name}": requirements.of(one).boxes for one in node.constraints
+    }
     if node.kind == "component":
-        needs["each of its configurations"] = tuple(box for part in node.parts for box in requirements.of(part).boxes)
+        needs["each of its configurations"] = tuple(
+            box for part in node.parts for box in requirements.of(part).boxes
+        )
     else:
         for part in node.parts:
             boxes = requirements.of(part).boxes
@@ -244,7 +297,11 @@ def _conflict(node: Node, requirements: Requirements) -> str:
 
 
 def _needing(part: Node, boxes: tuple[Box, ...]) -> str:
-    asked = " and ".join(one.text(name) for name, one in boxes[0].intervals.items()) if len(boxes) == 1 else ""
+    asked = (
+        " and ".join(one.text(name) for name, one in boxes[0].intervals.items())
+        if len(boxes) == 1
+        else ""
+    )
     return f"{part}" + (f" ({asked})" if asked else "")
 
 
@@ -264,7 +321,9 @@ def _doubtful_choices(model: Contents, network: Network) -> Iterator[Finding]:
             yield from _dominated(whole)
         yield from _unevenly_estimated(whole, by_part, directly.get(whole, {}))
     requests = [fact for fact in model.facts if isinstance(fact, RequiredActionFact)]
-    for action, attribute in dict.fromkeys((one.action, name) for one in requests for name in one.preference or ()):
+    for action, attribute in dict.fromkeys(
+        (one.action, name) for one in requests for name in one.preference or ()
+    ):
         if attribute not in estimated.get(network.actions[action], ()):
             message = f"action {action} prefers {attribute}, which is estimated for nothing that it can use"
             yield found("missing-estimation", network.actions[action], message)
@@ -288,7 +347,9 @@ def _ties(whole: Node) -> Iterator[Finding]:
             continue
         which = "no priority" if priority == inf else f"the same priority, {priority}"
         names = sorted(one.name for one in tied)
-        message = f"{tied[0].kind}s {listing(names)} of {whole} have {which}; {names[0]} comes first"
+        message = (
+            f"{tied[0].kind}s {listing(names)} of {whole} have {which}; {names[0]} comes first"
+        )
         yield found("tied-priorities", whole, message)
 
 
@@ -296,7 +357,9 @@ def _exclude_one_another(alternatives: Sequence[Bounds]) -> bool:
     """Return whether an attribute allows only one of them at a time, so that a tie does not matter."""
     for attribute in alternatives[0]:
         known = sorted(one[attribute] for one in alternatives if attribute in one)
-        if len(known) == len(alternatives) and all(one.meet(after).is_empty for one, after in pairwise(known)):
+        if len(known) == len(alternatives) and all(
+            one.meet(after).is_empty for one, after in pairwise(known)
+        ):
             return True
     return False
 
@@ -305,7 +368,9 @@ def _excluded(component: Node) -> Iterator[Finding]:
     own = bounds(component)
     parts = {part: mine for part in component.parts if not _is_contradictory(mine := bounds(part))}
     clashes = {
-        part: next((name for name in mine if name in own and mine[name].meet(own[name]).is_empty), None)
+        part: next(
+            (name for name in mine if name in own and mine[name].meet(own[name]).is_empty), None
+        )
         for part, mine in parts.items()
     }
     if _is_contradictory(own) or all(clashes.values()):
@@ -313,7 +378,9 @@ def _excluded(component: Node) -> Iterator[Finding]:
     for part, name in clashes.items():
         if name:
             needs, allows = parts[part][name].text(name), own[name].text(name)
-            yield found("never-selected", part, f"{part} needs {needs}, but its {component} {allows}")
+            yield found(
+                "never-selected", part, f"{part} needs {needs}, but its {component} {allows}"
+            )
 
 
 def _is_contradictory(values: Bounds) -> bool:
@@ -330,9 +397,13 @@ def _dominated(whole: Node) -> Iterator[Finding]:
             continue
         for one, own in offered:  # else a failure may rule out only the preferred one
             is_within = part.kind == "configuration" or set(one.parts) <= set(part.parts)
-            easier = all(name in needed and interval.covers(needed[name]) for name, interval in own.items())
+            easier = all(
+                name in needed and interval.covers(needed[name]) for name, interval in own.items()
+            )
             if _priority(one) < _priority(part) and is_within and easier:
-                message = f"{part} of {whole} is never chosen: whenever it is feasible, so is {one.name}"
+                message = (
+                    f"{part} of {whole} is never chosen: whenever it is feasible, so is {one.name}"
+                )
                 yield found("never-selected", part, f"{message}, which is preferred")
                 break
 
@@ -350,7 +421,9 @@ def _estimated(model: Contents, network: Network) -> tuple[_Names, _Names]:
     return directly, estimated
 
 
-def _unevenly_estimated(whole: Node, by_part: _Names, directly: Mapping[str, None]) -> Iterator[Finding]:
+def _unevenly_estimated(
+    whole: Node, by_part: _Names, directly: Mapping[str, None]
+) -> Iterator[Finding]:
     for attribute in dict.fromkeys(name for names in by_part.values() for name in names):
         without = [part.name for part, names in by_part.items() if attribute not in names]
         if without and attribute not in directly:

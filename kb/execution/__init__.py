@@ -11,7 +11,15 @@ from typing import NamedTuple
 from kb.elements import ComponentKind, Configuration, finite_number, is_number, whole
 from kb.exceptions import InvalidValue, ProtocolError
 from kb.knowledge_base import KnowledgeBase
-from kb.managed_system import ManagedSystem, Operation, check_methods, look, operation_of, words_of, wrong_answer
+from kb.managed_system import (
+    ManagedSystem,
+    Operation,
+    check_methods,
+    look,
+    operation_of,
+    words_of,
+    wrong_answer,
+)
 from kb.network import Node
 from kb.records import Attempt, ReconfigurationPlan
 from kb.state import State
@@ -33,7 +41,9 @@ class Budgets:
 
     def __init__(self, most: Mapping[str, float] | None) -> None:
         if not isinstance(most, Mapping | None):
-            raise InvalidValue(f"budgets are given as the most by name of attribute, not as {most!r}")
+            raise InvalidValue(
+                f"budgets are given as the most by name of attribute, not as {most!r}"
+            )
         self.most = {name: finite_number(limit) for name, limit in (most or {}).items()}
 
     def allow(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> bool:
@@ -42,14 +52,19 @@ class Budgets:
         Then the components `started` are active too, and those that `failed` keep their old parameters.
         """
         loads = self._loads(kb, started, failed)
-        return all(load <= Decimal(repr(limit)) for load, limit in zip(loads, self.most.values(), strict=True))
+        return all(
+            load <= Decimal(repr(limit))
+            for load, limit in zip(loads, self.most.values(), strict=True)
+        )
 
     def are_eased(self, kb: KnowledgeBase, component: str, failed: Collection[str]) -> bool:
         """Return whether an active component uses no more with its new parameters than with its present ones."""
         after, before = self._loads(kb, (), failed), self._loads(kb, (), {*failed, component})
         return all(new <= old for new, old in zip(after, before, strict=True))
 
-    def _loads(self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]) -> list[Decimal]:
+    def _loads(
+        self, kb: KnowledgeBase, started: Collection[str], failed: Collection[str]
+    ) -> list[Decimal]:
         loads = dict.fromkeys(self.most, Decimal())
         with kb.reading() as state:
             for estimation in state.network.model.estimations:
@@ -59,7 +74,9 @@ class Budgets:
         return list(loads.values())
 
 
-def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[str], failed: Collection[str]) -> bool:
+def _counts(
+    kb: KnowledgeBase, state: State, causer: Node, started: Collection[str], failed: Collection[str]
+) -> bool:
     """Return whether an estimation counts: its design is selected, or its component is active and so configured."""
     if causer.kind == "function design":
         return state.selected[causer.index]
@@ -69,7 +86,9 @@ def _counts(kb: KnowledgeBase, state: State, causer: Node, started: Collection[s
     if causer is component:
         return True
     if component.name in failed or not any(state.selected[one.index] for one in component.parts):
-        return dict(kb.components[component.name].parameters_in_force) == dict(causer.element.parameters)
+        return dict(kb.components[component.name].parameters_in_force) == dict(
+            causer.element.parameters
+        )
     return state.selected[causer.index]
 
 
@@ -97,17 +116,31 @@ class Quarantine:
 
     def adopt(self, kb: KnowledgeBase) -> None:
         """Find what was in quarantine when the knowledge base was last closed."""
-        last = {one.configuration: one for one in kb.history.attempts if one.configuration is not None}
+        last = {
+            one.configuration: one for one in kb.history.attempts if one.configuration is not None
+        }
         self.held |= {name: one.component for name, one in last.items() if one.result == "failed"}
         self.review(kb)
 
     def review(self, kb: KnowledgeBase) -> None:
         """Release the configurations whose component has recovered; forget those that are asserted no longer."""
         with kb.reading() as state:
-            components, known, asserted = state.network.components, state.network.configurations, state.asserted
-            stand = {name for name in self.held if name in known and asserted[known[name].index] is Status.UNFEASIBLE}
+            components, known, asserted = (
+                state.network.components,
+                state.network.configurations,
+                state.asserted,
+            )
+            stand = {
+                name
+                for name in self.held
+                if name in known and asserted[known[name].index] is Status.UNFEASIBLE
+            }
             self.held = {name: one for name, one in self.held.items() if name in stand}
-            failed = {one for one in self.held.values() if state.status[components[one].index] is Status.FAILURE}
+            failed = {
+                one
+                for one in self.held.values()
+                if state.status[components[one].index] is Status.FAILURE
+            }
         for name in [name for name, one in self.held.items() if one in self._failed - failed]:
             kb.retract_status(kb.configurations[name])
             del self.held[name]
@@ -160,7 +193,9 @@ class StagedExecutor:
         if not is_number(back_off) or not 0 <= back_off < math.inf:
             raise InvalidValue(f"a back-off is a finite number of seconds from 0, not {back_off!r}")
         self._policy = RetryPolicy(attempts, timeout, back_off)
-        self._of_component = {name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()}
+        self._of_component = {
+            name: RetryPolicy(attempts, lasts, back_off) for name, lasts in by_name.items()
+        }
         self._quarantine = Quarantine(hold)
         self._budgets = Budgets(budgets)
         self._known: KnowledgeBase | None = None
@@ -191,8 +226,14 @@ class StagedExecutor:
         known = [command.attempt for command in self._stage if command.is_answered]
         for attempt in kb.history.attempts:
             if attempt.end is None and attempt not in known and self._plan in (attempt.plan, None):
-                kb.finish_attempt(attempt, "abandoned", "it was interrupted before its answer was known")
-        self._stages = self._staged(kb, kb.history.open_plans) if self._plan in kb.history.open_plans else iter(())
+                kb.finish_attempt(
+                    attempt, "abandoned", "it was interrupted before its answer was known"
+                )
+        self._stages = (
+            self._staged(kb, kb.history.open_plans)
+            if self._plan in kb.history.open_plans
+            else iter(())
+        )
 
     def _go_on(self, kb: KnowledgeBase) -> None:
         if kb is not self._known:
@@ -214,7 +255,9 @@ class StagedExecutor:
         self._drop_removed(kb)
         now = kb.now
         while True:
-            self._stage = [command for command in self._stage if not self._has_ended(kb, command, now)]
+            self._stage = [
+                command for command in self._stage if not self._has_ended(kb, command, now)
+            ]
             if self._stage:
                 return
             following = None if self._plan.end is not None else next(self._stages, None)
@@ -252,17 +295,25 @@ class StagedExecutor:
             active, _ = look(self._managed, command.component)
             if active is not None:
                 kb.component_active(command.component, active)
-            kb.component_failed(command.component, f"it could not be {command.operation}d, {command.reason}")
+            kb.component_failed(
+                command.component, f"it could not be {command.operation}d, {command.reason}"
+            )
         else:
             reason = f"its parameters could not be set, {command.reason}"
             self._quarantine.put(kb, command.configuration.name, reason)
 
-    def _staged(self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]) -> Iterator[list["_Command"]]:
+    def _staged(
+        self, kb: KnowledgeBase, open_plans: Sequence[ReconfigurationPlan]
+    ) -> Iterator[list["_Command"]]:
         """Yield the stages of the latest open plan; the commands of each are decided when it begins."""
         plan = open_plans[-1]
         with kb.reading() as state:
             activated, deactivated, parameters = _steps(state, open_plans)
-            stops = [name for name, one in _running(state, parameters).items() if one.element.stops_to_configure]
+            stops = [
+                name
+                for name, one in _running(state, parameters).items()
+                if one.element.stops_to_configure
+            ]
         self._paused += [name for name in stops if name not in (*deactivated, *self._paused)]
         started, stopped = [*activated, *self._paused], [*deactivated, *self._paused]
         if stopped:
@@ -277,7 +328,11 @@ class StagedExecutor:
             yield self._rolled_back(kb, plan, started)
 
     def _configured_within_budgets(
-        self, kb: KnowledgeBase, plan: ReconfigurationPlan, parameters: Sequence[str], started: Sequence[str]
+        self,
+        kb: KnowledgeBase,
+        plan: ReconfigurationPlan,
+        parameters: Sequence[str],
+        started: Sequence[str],
     ) -> Iterator[list["_Command"]]:
         """Configure active components one after the other, first those that use no more of a budget than before.
 
@@ -308,8 +363,14 @@ class StagedExecutor:
         """Return commands to components and to active ones of configurations; a failed one is only deactivated."""
         with kb.reading() as state:
             known = _known(state, [*_running(state, configurations), *names])
-            chosen = [part for one in known.values() for part in one.parts if state.selected[part.index]]
-        selected = {part.wholes[0].name: part.element for part in chosen} if operation == "configure" else {}
+            chosen = [
+                part for one in known.values() for part in one.parts if state.selected[part.index]
+            ]
+        selected = (
+            {part.wholes[0].name: part.element for part in chosen}
+            if operation == "configure"
+            else {}
+        )
         commands = []
         for name, component in known.items():
             if operation != "deactivate" and (
@@ -317,24 +378,47 @@ class StagedExecutor:
             ):
                 continue
             is_booked = operation != "configure" and component.element.kind is ComponentKind.PLAIN
-            policy, managed = self._of_component.get(name, self._policy), None if is_booked else self._managed
-            commands.append(_Command(kb, plan, policy, managed, name, operation, selected.get(name)))
+            policy, managed = (
+                self._of_component.get(name, self._policy),
+                None if is_booked else self._managed,
+            )
+            commands.append(
+                _Command(kb, plan, policy, managed, name, operation, selected.get(name))
+            )
         return commands
 
-    def _rolled_back(self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]) -> list["_Command"]:
+    def _rolled_back(
+        self, kb: KnowledgeBase, plan: ReconfigurationPlan, started: list[str]
+    ) -> list["_Command"]:
         """Stop and unselect what was started for functions that are unfeasible now: each plan would start it again."""
-        given = [one for one in kb.history.attempts if one.plan is plan and one.operation == "activate"]
+        given = [
+            one for one in kb.history.attempts if one.plan is plan and one.operation == "activate"
+        ]
         commanded = self._failed.intersection(one.component for one in given)
-        unsure = [name for name in started if name in commanded and look(self._managed, name)[0] is not False]
+        unsure = [
+            name
+            for name in started
+            if name in commanded and look(self._managed, name)[0] is not False
+        ]
         with kb.reading() as state:
-            users = {design for component in _known(state, started).values() for design in component.wholes}
+            users = {
+                design
+                for component in _known(state, started).values()
+                for design in component.wholes
+            }
             selected = [design for design in users if state.selected[design.index]]
-            in_vain = [one for one in selected if state.status[one.wholes[0].index] is Status.UNFEASIBLE]
+            in_vain = [
+                one for one in selected if state.status[one.wholes[0].index] is Status.UNFEASIBLE
+            ]
         for design in sorted(in_vain, key=lambda design: design.index):
             kb.assert_selected(design.element, False)
         with kb.reading() as state:
             known = _known(state, started).items()
-            idle = [name for name, one in known if state.active[one.index] and not state.users[one.index]]
+            idle = [
+                name
+                for name, one in known
+                if state.active[one.index] and not state.users[one.index]
+            ]
         return self._commands(kb, plan, "deactivate", [*unsure, *idle])
 
 
@@ -365,13 +449,19 @@ class _Command:
 
     def begin(self, now: float) -> None:
         """Give the command if its pause is over and no attempt is under way."""
-        if self.managed is None or now < self._due or (self.attempt is not None and self.attempt.end is None):
+        if (
+            self.managed is None
+            or now < self._due
+            or (self.attempt is not None and self.attempt.end is None)
+        ):
             return
         chosen, number = self.configuration, self._count + 1
         name, values = (None, None) if chosen is None else (chosen.name, chosen.parameters)
         self._under_way = self._refusal = None
         self.is_answered = False
-        self.attempt = self.kb.record_attempt(self.plan, self.component, self.operation, name, values, number)
+        self.attempt = self.kb.record_attempt(
+            self.plan, self.component, self.operation, name, values, number
+        )
         try:
             self._under_way = self._given(self.managed)
         except ProtocolError as slip:
@@ -386,7 +476,9 @@ class _Command:
             answer = managed.set_parameters(self.component, self.configuration.parameters)
             return operation_of(answer, f"set_parameters({self.component!r}, ...)", managed)
         switch = managed.activate if self.operation == "activate" else managed.deactivate
-        return operation_of(switch(self.component), f"{self.operation}({self.component!r})", managed)
+        return operation_of(
+            switch(self.component), f"{self.operation}({self.component!r})", managed
+        )
 
     def advance(self, now: float) -> str | None:
         """Return "completed" or "failed" once the command has ended, None before."""
@@ -453,7 +545,9 @@ class _Command:
             raise wrong_answer("done()", operation, ended, "True or False")
         if error is None or isinstance(error, BaseException):
             return ended, error
-        raise wrong_answer("exception()", operation, error, "what went wrong, as an exception, or None")
+        raise wrong_answer(
+            "exception()", operation, error, "what went wrong, as an exception, or None"
+        )
 
     def _cancel(self) -> None:
         """Cancel the operation if it can be cancelled, so that it does not take effect later."""
@@ -471,12 +565,18 @@ def _steps(
     The older plans are abandoned when the latest completes, so it also does their steps that are still needed.
     """
     plan, known = open_plans[-1], state.network.configurations
-    activated, deactivated, parameters = list(plan.activate), list(plan.deactivate), list(plan.parameters)
+    activated, deactivated, parameters = (
+        list(plan.activate),
+        list(plan.deactivate),
+        list(plan.parameters),
+    )
     for older in open_plans[:-1]:
         for name, component in _known(state, [*older.activate, *older.deactivate]).items():
             if state.required[component.index] != state.active[component.index]:
                 (deactivated if state.active[component.index] else activated).append(name)
-        parameters += [name for name in older.parameters if name in known and state.selected[known[name].index]]
+        parameters += [
+            name for name in older.parameters if name in known and state.selected[known[name].index]
+        ]
     return activated, deactivated, parameters
 
 

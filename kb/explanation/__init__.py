@@ -100,8 +100,13 @@ class Explanation:
 
     def _repr_html_(self) -> str:
         def unfolding(one: Explanation) -> str:
-            below, said = "".join(f"<li>{unfolding(cause)}</li>" for cause in one.causes), escape(one.sentence)
-            return f"<details><summary>{said}</summary><ul>{below}</ul></details>" if below else said
+            below, said = (
+                "".join(f"<li>{unfolding(cause)}</li>" for cause in one.causes),
+                escape(one.sentence),
+            )
+            return (
+                f"<details><summary>{said}</summary><ul>{below}</ul></details>" if below else said
+            )
 
         return f"{unfolding(self)}<p>{escape(self._what_would_help().lstrip('; '))}</p>"
 
@@ -110,9 +115,15 @@ class Explanation:
         if self.kind in ("constraint", "attribute"):
             return self.fact
         if self.status is Status.FAILURE and not self.fact:
-            return f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
+            return (
+                f"{subject} has failed ({self.reason})" if self.reason else f"{subject} has failed"
+            )
         verb = "is in" if self.status in _IN else "is"
-        statement = f"{subject} is not unfeasible" if self.possible_only else f"{subject} {verb} {self.status}"
+        statement = (
+            f"{subject} is not unfeasible"
+            if self.possible_only
+            else f"{subject} {verb} {self.status}"
+        )
         why = self.fact or self._causes_in_words()
         return f"{statement} because {why}" if why else statement
 
@@ -120,7 +131,11 @@ class Explanation:
         if self.kind == "constraint" or self.status not in IMPOSSIBLE:
             return ""
         if not self.remedies:
-            return "; nothing that can be measured or repaired would make it feasible" if self.has_all_remedies else ""
+            return (
+                "; nothing that can be measured or repaired would make it feasible"
+                if self.has_all_remedies
+                else ""
+            )
         texts = [str(remedy) for remedy in self.remedies[:_MOST_REMEDIES]]
         left = len(self.remedies) - len(texts)
         if left:
@@ -133,7 +148,9 @@ class Explanation:
         left = _MOST if count <= _MOST else _MOST - 1
         reasons = []
         for reason in self.reasons:
-            texts = list(dict.fromkeys(cause.text(f"{cause.kind} {cause.name}") for cause in reason[:left]))
+            texts = list(
+                dict.fromkeys(cause.text(f"{cause.kind} {cause.name}") for cause in reason[:left])
+            )
             left -= len(texts)
             if texts:
                 reasons.append(" and ".join(texts))
@@ -184,11 +201,21 @@ class _Explainer:
         if state.asserted[node.index] is not None:
             said = state.reason("asserted", node)
             reason = said.text
-            fact = f"{node.name} is asserted {status}{said}" if measurement else f"it is asserted so{said}"
+            fact = (
+                f"{node.name} is asserted {status}{said}"
+                if measurement
+                else f"it is asserted so{said}"
+            )
         elif measurement:
             fact = _compared(measurement, node, self._now, state.verdict[node.index])
-            if measurement.time is None and (forecast := state.reason("forecast", node.parts[0]).text):
-                fact = f"{forecast}; that makes {node.name} {status}" if status is Status.VIOLATED else forecast
+            if measurement.time is None and (
+                forecast := state.reason("forecast", node.parts[0]).text
+            ):
+                fact = (
+                    f"{forecast}; that makes {node.name} {status}"
+                    if status is Status.VIOLATED
+                    else forecast
+                )
         elif possible_only or status is Status.FEASIBLE:
             fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
         else:
@@ -207,14 +234,19 @@ class _Explainer:
         ]
         if len(users) > _MOST:
             users = [*users[: _MOST - 1], f"{len(users) - _MOST + 1} more constraints"]
-        fact = "; ".join([_reading(self._state, node, self._now), *(users or ["no constraint compares it"])])
+        fact = "; ".join(
+            [_reading(self._state, node, self._now), *(users or ["no constraint compares it"])]
+        )
         return Explanation(node.kind, node.name, None, fact, self._each(node.constraints))
 
     def _grounds(self, node: Node, status: Status) -> tuple[str, Reasons]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
         selected = [part for part in node.parts if self._state.selected[part.index]]
         if status is Status.UNFEASIBLE:
-            return "" if node.parts or node.kind != "function" else "it has no design", self._faults(node)
+            return (
+                "" if node.parts or node.kind != "function" else "it has no design",
+                self._faults(node),
+            )
         if status is Status.CONFIGURATION_ERROR:
             return "", self._each(part for part in selected if self._is(part, Status.UNFEASIBLE))
         if status is Status.IMPLICIT_CONFIGURATION_ERROR:
@@ -222,7 +254,9 @@ class _Explainer:
             return "", self._each(part for part in choices if self._is(part, *_ERRORS))
         if status is Status.SOLVED:
             parts = selected if node.kind in ("function", "component") else node.parts
-            return "it is required, and all that it needs is in place", self._all((*node.constraints, *parts))
+            return "it is required, and all that it needs is in place", self._all(
+                (*node.constraints, *parts)
+            )
         if status is Status.UNSOLVED and node.kind == "component":
             if self._state.active[node.index]:
                 return f"none of its configurations is selected{self._why_none(node)}", ()
@@ -252,7 +286,9 @@ class _Explainer:
             possible = [part for part in parts if not self._is(part, *IMPOSSIBLE)]
             selected = [part for part in possible if self._state.selected[part.index]]
             parts = (selected or possible)[:1]
-        feasible = [self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts]
+        feasible = [
+            self.status(part, possible_only=not self._is(part, Status.FEASIBLE)) for part in parts
+        ]
         return [*map(self.status, node.constraints), *feasible]
 
     def _each(self, nodes: Iterable[Node]) -> Reasons:
@@ -272,7 +308,11 @@ def _together(causes: Iterable[Explanation]) -> Reasons:
 
 def _comparison(state: State, node: Node) -> Comparison:
     constraint, attribute = node.element, node.parts[0]
-    value, time, is_stale = state.value[attribute.index], state.time[attribute.index], state.stale[attribute.index]
+    value, time, is_stale = (
+        state.value[attribute.index],
+        state.time[attribute.index],
+        state.stale[attribute.index],
+    )
     bound = constraint.attribute, constraint.operator, constraint.value
     return Comparison(*bound, value, time, is_stale, attribute.element.unit)
 
@@ -304,7 +344,9 @@ def _hold(value: float, node: Node, verdict: Status) -> str:
     is_beyond = verdict is Status.SATISFIED or OPERATORS[constraint.operator](value, turn)
     held = [f"for {exact(constraint.dwell)} s at least"] if constraint.dwell else []
     if attribute.agreement != (1, 1):
-        held.append(f"until {_votes(attribute)} {'say otherwise' if is_beyond else f'are {beyond}'}")
+        held.append(
+            f"until {_votes(attribute)} {'say otherwise' if is_beyond else f'are {beyond}'}"
+        )
     elif not is_beyond:
         held.append(f"until {attribute.name} {beyond}")
     return ", and ".join(held)
@@ -332,7 +374,9 @@ def shortest(value: float, thresholds: Iterable[float]) -> str:
     for digits in (3, 6, 9):
         text = f"{value:.{digits}g}"
         near = float(text)
-        if near == value or all((near < one, near > one) == (value < one, value > one) for one in bounds):
+        if near == value or all(
+            (near < one, near > one) == (value < one, value > one) for one in bounds
+        ):
             return text
     nearest = min(bounds, key=lambda bound: abs(bound - value))
     if nearest == value:
@@ -348,14 +392,18 @@ def staleness(time: float | None, attribute: Node, now: float) -> str:
     """Say that a measurement is stale, and why."""
     most = attribute.element.max_age
     is_over = time is not None and now - time > most  # otherwise it was told to be stale
-    return f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
+    return (
+        f"is stale: {_age(time, now)}, {f'at most {exact(most)} s' if is_over else 'and no more'}"
+    )
 
 
 def _votes(attribute: Attribute) -> str:
     return "{} of the last {} measurements".format(*attribute.agreement)
 
 
-def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()) -> str:
+def why_selected(
+    state: State, chosen: Sequence[Node], now: float, said: str = "", ended: Iterable[str] = ()
+) -> str:
     """Return, in words, why designs and configurations are about to be selected in a state.
 
     `said` is the reason given with the selection, if any; `ended` are sentences about requests that have ended.
@@ -379,7 +427,9 @@ def why_selected(state: State, chosen: Sequence[Node], now: float, said: str = "
             reasons.append(f"{node.name} is feasible and preferred to {before.name}")
     reasons += [said] if said else []
     reasons += _why_lacking(state, chosen, only_explained=bool(reasons))
-    return "; ".join(dict.fromkeys(reasons or [*ended, "what was active or selected is no longer needed"]))
+    return "; ".join(
+        dict.fromkeys(reasons or [*ended, "what was active or selected is no longer needed"])
+    )
 
 
 def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) -> list[str]:
@@ -387,7 +437,11 @@ def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) 
     anew = {node.wholes[0] for node in chosen} if state.lacking else set()
     sentences, others = [], []
     for component in state.lacking.nodes():
-        stay = (one for one in state.users[component.index] if one in chosen or one.wholes[0] not in anew)
+        stay = (
+            one
+            for one in state.users[component.index]
+            if one in chosen or one.wholes[0] not in anew
+        )
         if any(state.required[one.wholes[0].index] for one in stay):
             needed = f"needed by {_needed_by(state, component, ())}"
             text = state.reason("active", component).text
@@ -397,7 +451,9 @@ def _why_lacking(state: State, chosen: Sequence[Node], *, only_explained: bool) 
                 others.append((component.name, needed))
     if only_explained or not others:
         return sentences
-    names = [name for name, _ in others[:_MOST]] + ([f"{len(others) - _MOST} more"] if len(others) > _MOST else [])
+    names = [name for name, _ in others[:_MOST]] + (
+        [f"{len(others) - _MOST} more"] if len(others) > _MOST else []
+    )
     are = "is" if len(names) == 1 else "are"
     return [*sentences, f"{' and '.join(names)} {are} not active, and {are} {others[0][1]}"]
 
@@ -462,7 +518,9 @@ class ChoiceExplanation:
             start = f"nothing can be selected for {self.kind} {self.name} because {self.reason}"
         else:
             verb = "is" if self.is_selected else "would be"
-            start = f"{self.chosen} {verb} selected for {self.kind} {self.name} because {self.reason}"
+            start = (
+                f"{self.chosen} {verb} selected for {self.kind} {self.name} because {self.reason}"
+            )
         return "; ".join([start, *(f"not {one.name}: {one.reason}" for one in self.alternatives)])
 
     def _repr_html_(self) -> str:
@@ -482,7 +540,10 @@ def explain_choice(state: State, node: Node, now: float) -> ChoiceExplanation:
 def note_nothing(state: State, reason: str) -> None:
     """Keep the reason why nothing can be selected for what is required, in words; empty if something can."""
     required = [node for node in state.network.functions.values() if state.required[node.index]]
-    concerned = {*required, *(part for node in required for design in node.parts for part in design.parts)}
+    concerned = {
+        *required,
+        *(part for node in required for design in node.parts for part in design.parts),
+    }
     for node in (*state.network.functions.values(), *state.network.components.values()):
         state.give_reason("selected", node, reason if node in concerned else "")
 
@@ -496,27 +557,43 @@ class _Choosing:
         self.possible = ranked(state, node)
         self.selected = next((part for part in node.parts if state.selected[part.index]), None)
         self.said = state.reason("selected", self.selected).text if self.selected else ""
-        preferred = self.possible[:1] if not self.said else [one for one in self.possible if one is self.selected]
-        self.first = next(iter(() if self.nothing else preferred), None)  # with a reason, priority does not count
+        preferred = (
+            self.possible[:1]
+            if not self.said
+            else [one for one in self.possible if one is self.selected]
+        )
+        self.first = next(
+            iter(() if self.nothing else preferred), None
+        )  # with a reason, priority does not count
         self.chosen = self.selected or self.first
 
     def explanation(self) -> ChoiceExplanation:
         others = tuple(
-            Alternative(part.name, self.state.status[part.index], part.element.priority, self._why_not(part))
+            Alternative(
+                part.name, self.state.status[part.index], part.element.priority, self._why_not(part)
+            )
             for part in self.node.parts
             if part is not self.chosen
         )
         name, is_selected = self.chosen.name if self.chosen else None, self.selected is not None
-        return ChoiceExplanation(self.node.kind, self.node.name, name, is_selected, self._why_chosen(), others)
+        return ChoiceExplanation(
+            self.node.kind, self.node.name, name, is_selected, self._why_chosen(), others
+        )
 
     def _why_chosen(self) -> str:
         chosen, what, node = self.chosen, _PARTS[self.node.kind], self.node
         if chosen is None:
-            return self.nothing or (f"each {what} of it is unfeasible" if node.parts else f"it has no {what}")
+            return self.nothing or (
+                f"each {what} of it is unfeasible" if node.parts else f"it has no {what}"
+            )
         if chosen not in self.possible:
             return f"it was possible before; now {why(self.state, chosen, self.now)}"
         advantage = self._advantage(chosen)
-        return advantage if self.state.required[node.index] else f"{advantage}; nothing requires the {node.kind} now"
+        return (
+            advantage
+            if self.state.required[node.index]
+            else f"{advantage}; nothing requires the {node.kind} now"
+        )
 
     def _advantage(self, chosen: Node) -> str:
         what, priority = _PARTS[self.node.kind], chosen.element.priority
@@ -528,7 +605,9 @@ class _Choosing:
             return self.said
         if len(self.possible) == 1:
             return f"no other {what} is feasible"
-        if any(other.element.priority == priority for other in self.possible if other is not chosen):
+        if any(
+            other.element.priority == priority for other in self.possible if other is not chosen
+        ):
             return f"of those with {_in_words(priority)} it comes first by name"
         return f"{_in_words(priority)} is the lowest of those that are feasible"
 
@@ -540,7 +619,11 @@ class _Choosing:
         if part is self.first:
             return self._why_not_yet(part)
         if self.said:
-            return "it is not part of that choice" if self.first else "it is possible, but not selected yet"
+            return (
+                "it is not part of that choice"
+                if self.first
+                else "it is possible, but not selected yet"
+            )
         assert self.first is not None  # `part` is possible and not the first
         mine, best = part.element.priority, self.first.element.priority
         if mine == best:
@@ -549,7 +632,10 @@ class _Choosing:
 
     def _why_not_yet(self, part: Node) -> str:
         node, due = self.node, choice_by_priority(self.state)
-        if due is not None and part.name in (due.designs.get(node.name), due.configurations.get(node.name)):
+        if due is not None and part.name in (
+            due.designs.get(node.name),
+            due.configurations.get(node.name),
+        ):
             return "it is to be selected next"
         return f"nothing new is selected for the {node.kind}, whose status is {self.state.status[node.index]}"
 

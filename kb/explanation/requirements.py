@@ -35,7 +35,10 @@ class Interval:
     @classmethod
     def of(cls, constraint: Constraint, turn: float | None = None) -> "Interval":
         """Return the values that satisfy a constraint, or those beyond `turn` instead of its threshold."""
-        bound = constraint.value if turn is None else turn, {">": 1, "<": -1}.get(constraint.operator, 0)
+        bound = (
+            constraint.value if turn is None else turn,
+            {">": 1, "<": -1}.get(constraint.operator, 0),
+        )
         return cls(low=bound) if constraint.operator in (">=", ">") else cls(high=bound)
 
     def __contains__(self, value: float) -> bool:
@@ -44,7 +47,10 @@ class Interval:
     @property
     def is_empty(self) -> bool:
         """Whether it contains no finite number."""
-        least, greatest = (math.nextafter(end, side * math.inf) if side else end for end, side in (self.low, self.high))
+        least, greatest = (
+            math.nextafter(end, side * math.inf) if side else end
+            for end, side in (self.low, self.high)
+        )
         return max(least, -sys.float_info.max) > min(greatest, sys.float_info.max)
 
     def covers(self, other: "Interval") -> bool:
@@ -56,8 +62,14 @@ class Interval:
     def text(self, attribute: str, unit: str = "") -> str:
         """Write it as comparisons of an attribute, e.g. "light >= 0.2 and light <= 0.8"."""
         signs = ">" if self.low[1] else ">=", "<" if self.high[1] else "<="
-        ends = [(sign, end) for sign, (end, _) in zip(signs, (self.low, self.high), strict=True) if abs(end) < math.inf]
-        return " and ".join(f"{attribute} {sign} {exact(end)} {unit}".rstrip() for sign, end in ends)
+        ends = [
+            (sign, end)
+            for sign, (end, _) in zip(signs, (self.low, self.high), strict=True)
+            if abs(end) < math.inf
+        ]
+        return " and ".join(
+            f"{attribute} {sign} {exact(end)} {unit}".rstrip() for sign, end in ends
+        )
 
 
 def bounds(*nodes: Node) -> dict[str, Interval]:
@@ -104,7 +116,9 @@ class Box:
         theirs = other.intervals
         if len(self.intervals) > len(theirs) or not self.repairs <= other.repairs:
             return False
-        return all(name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items())
+        return all(
+            name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items()
+        )
 
     def meet(self, other: "Box") -> "Box | None":
         intervals = dict(self.intervals)
@@ -181,11 +195,15 @@ class Requirements:
             if not is_known and not _is_counted_violated(state, attribute):
                 return FREE
             if attribute.index not in self._holding:
-                self._holding[attribute.index] = all(_holds(state, attribute, one) for one in attribute.constraints)
+                self._holding[attribute.index] = all(
+                    _holds(state, attribute, one) for one in attribute.constraints
+                )
             if self._holding[attribute.index]:
                 return FREE
         interval = _wanted(node, None if state is None else state.verdict[node.index])
-        return NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
+        return (
+            NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
+        )
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
         boxes: list[Box] = []
@@ -198,13 +216,17 @@ class Requirements:
         return self._kept(boxes, complete, self._limit)
 
     def _all_of(self, needed: Iterable[Alternatives]) -> Alternatives:
-        restricting = sorted((one for one in needed if one is not FREE), key=lambda one: len(one.boxes))
+        restricting = sorted(
+            (one for one in needed if one is not FREE), key=lambda one: len(one.boxes)
+        )
         if any(one == NOTHING for one in restricting):
             return NOTHING
         limit = min(self._limit, max(2, WORK // max(1, sum(len(one.boxes) for one in restricting))))
         together = restricting[0] if restricting else FREE
         for one in restricting[1:]:
-            together = self._kept(_meetings(together.boxes, one.boxes), together.complete and one.complete, limit)
+            together = self._kept(
+                _meetings(together.boxes, one.boxes), together.complete and one.complete, limit
+            )
         return together
 
     def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
@@ -224,7 +246,9 @@ class Requirements:
         if state is None:
             return 0, len(box.intervals)
         table = state.network.attributes
-        changed = sum(_is_outside(state, table[name], interval) for name, interval in box.intervals.items())
+        changed = sum(
+            _is_outside(state, table[name], interval) for name, interval in box.intervals.items()
+        )
         return changed + len(box.repairs), len(box.intervals)
 
 
@@ -242,7 +266,8 @@ def _is_outside(state: State, attribute: Node, interval: Interval) -> bool:
     if _is_counted_violated(state, attribute) or (value is not None and value not in interval):
         return True
     return any(
-        state.verdict[one.index] is Status.VIOLATED and _wanted(one, Status.VIOLATED).covers(interval)
+        state.verdict[one.index] is Status.VIOLATED
+        and _wanted(one, Status.VIOLATED).covers(interval)
         for one in state.network.thresholds(attribute).steady
     )
 
@@ -288,7 +313,13 @@ class Measured:
 
     def __str__(self) -> str:
         bounds = self.interval.text(self.attribute, self.unit)
-        return f"{bounds} measured again" if self.again else f"{bounds} for longer" if self.longer else bounds
+        return (
+            f"{bounds} measured again"
+            if self.again
+            else f"{bounds} for longer"
+            if self.longer
+            else bounds
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -302,10 +333,15 @@ class Remedy:
 
     def covers(self, other: "Remedy") -> bool:
         """Return whether the other remedy asks for more: further facts, or the same facts in narrower intervals."""
-        own, its = ({getattr(one, "attribute", one) for one in each.facts} for each in (self, other))  # without values
+        own, its = (
+            {getattr(one, "attribute", one) for one in each.facts} for each in (self, other)
+        )  # without values
         if own != its:
             return own < its
-        mine, theirs = ([one.interval for one in each.facts if isinstance(one, Measured)] for each in (self, other))
+        mine, theirs = (
+            [one.interval for one in each.facts if isinstance(one, Measured)]
+            for each in (self, other)
+        )
         return all(one.covers(its) for one, its in zip(mine, theirs, strict=True))
 
 

@@ -83,7 +83,11 @@ class Series(NamedTuple):
 
 def straight(time: float, value: float, slope: float, words: str = "") -> Curve:
     """Go on from a point with a slope [1/s]."""
-    way = f"{'rises' if slope > 0 else 'falls'} by {abs(slope):.3g}{{}}/s" if slope else "stays as it is"
+    way = (
+        f"{'rises' if slope > 0 else 'falls'} by {abs(slope):.3g}{{}}/s"
+        if slope
+        else "stays as it is"
+    )
     return Curve(lambda then: value + slope * (then - time), way + words)
 
 
@@ -92,8 +96,14 @@ def slope_of(series: Series) -> float | None:
 
     Nearly three in ten points may be arbitrarily wrong; None of too few points.
     """
-    points = list(zip(*series, strict=True))[:: -max(1, math.ceil(len(series.times) / _MOST_POINTS))]
-    slopes = [(two[1] - one[1]) / (two[0] - one[0]) for one, two in combinations(points, 2) if two[0] != one[0]]
+    points = list(zip(*series, strict=True))[
+        :: -max(1, math.ceil(len(series.times) / _MOST_POINTS))
+    ]
+    slopes = [
+        (two[1] - one[1]) / (two[0] - one[0])
+        for one, two in combinations(points, 2)
+        if two[0] != one[0]
+    ]
     return median(slopes) if len(series.times) >= _LEAST_POINTS and slopes else None
 
 
@@ -117,14 +127,18 @@ def periodic(series: Series, _: float) -> Curve | None:
         angles = 2 * math.pi * times / periods[:, None]
         basis = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
         # ever so little more than the normal equations, which are singular where the times hide a wave
-        swings = np.linalg.solve(basis @ basis.transpose(0, 2, 1) + _ROUNDING * np.eye(3), basis @ values[:, None])
+        swings = np.linalg.solve(
+            basis @ basis.transpose(0, 2, 1) + _ROUNDING * np.eye(3), basis @ values[:, None]
+        )
         rest = values - (swings.transpose(0, 2, 1) @ basis)[:, 0]
         return (rest * rest).sum(axis=1)
 
     end = series.times[-1]
     width = (end - series.times[-_WAVE_POINTS:][0]) / _WAVE_POINTS
     while True:
-        found = sorted({bisect_right(series.times, end - width * back) for back in range(_WAVE_POINTS)} - {0})
+        found = sorted(
+            {bisect_right(series.times, end - width * back) for back in range(_WAVE_POINTS)} - {0}
+        )
         times = np.array([series.times[place - 1] - end for place in found])
         values = np.array([series.values[place - 1] for place in found])
         span = -float(times[0])
@@ -133,14 +147,19 @@ def periodic(series: Series, _: float) -> Curve | None:
         periods = np.geomspace(4 * width, 3 * span, _PERIODS)
         for _ in range(_ROUNDS):
             best = int(np.argmin(misfits(periods)))
-            periods = np.linspace(periods[max(best - 1, 0)], periods[min(best + 1, len(periods) - 1)], _MOST_POINTS)
+            periods = np.linspace(
+                periods[max(best - 1, 0)], periods[min(best + 1, len(periods) - 1)], _MOST_POINTS
+            )
         period = float(periods[int(np.argmin(misfits(periods)))])
         if period < _SEEN * span or end - width * _WAVE_POINTS < series.times[0]:
             break
         width *= 2
     waves = range(1, 3 if period < _SEEN * span else 2)
     angles = [2 * math.pi * wave / period for wave in waves]
-    columns = [np.ones_like(times), *(one(angle * times) for angle in angles for one in (np.cos, np.sin))]
+    columns = [
+        np.ones_like(times),
+        *(one(angle * times) for angle in angles for one in (np.cos, np.sin)),
+    ]
     base, *swings = np.linalg.lstsq(np.stack(columns, axis=1), values, rcond=None)[0].tolist()
     low, high = float(values.min()), float(values.max())
     low, high = 2 * low - high, 2 * high - low
@@ -152,7 +171,9 @@ def periodic(series: Series, _: float) -> Curve | None:
     return Curve(value, f"goes up and down every {period:.3g} s")
 
 
-def by_function(function: Callable[[Sequence[tuple[float, float]], float], float | None], series: Series) -> Curve:
+def by_function(
+    function: Callable[[Sequence[tuple[float, float]], float], float | None], series: Series
+) -> Curve:
     """Go on as a function of one's own says; what it raises is logged, and then nothing is known."""
     samples = tuple(zip(*series, strict=True))
 
@@ -181,9 +202,13 @@ class Outlook:
     the same actions are done in both. A stated rate is trusted, however little was measured.
     """
 
-    def __init__(self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], is_stated: bool) -> None:
+    def __init__(
+        self, series: Series, fit: Fit, is_alike: Callable[[float, float], bool], is_stated: bool
+    ) -> None:
         self._series, self._fit, self._is_alike, self._is_stated = series, fit, is_alike, is_stated
-        steps = sorted(two - one for one, two in pairwise(series.times[-2 * _LEAST_POINTS :]) if two > one)
+        steps = sorted(
+            two - one for one, two in pairwise(series.times[-2 * _LEAST_POINTS :]) if two > one
+        )
         self._step = 2.0 ** math.floor(math.log2(steps[len(steps) // 2])) if steps else 1.0
         self._radii: list[float] = []
         self._curves: dict[int, Curve | None] = {}
@@ -216,7 +241,11 @@ class Outlook:
             low = radii[max(knot - 1, 0)]
             return low + (radii[knot] - low) * (2.0 * ahead / (self._step * 2.0**knot) - 1.0)
         most = self._step * 2.0 ** (len(radii) - 1)
-        return radii[-1] * ahead / most if radii and (self._is_stated or ahead <= _REACH * most) else None
+        return (
+            radii[-1] * ahead / most
+            if radii and (self._is_stated or ahead <= _REACH * most)
+            else None
+        )
 
     def _errors(self, ahead: float) -> list[float]:
         """Return how far forecasts so far ahead [s] were off, by time; only of alike spans, if enough."""
@@ -243,7 +272,11 @@ class Outlook:
         is_seldom = times[came] > then + 2 * self._step  # then it is what it was last
         came, then = (came - 1, then) if is_seldom else (came, times[came])
         value = curve.value(then)
-        return None if value is None else (abs(values[came] - value), self._is_alike(times[place], then))
+        return (
+            None
+            if value is None
+            else (abs(values[came] - value), self._is_alike(times[place], then))
+        )
 
 
 def _quantile(errors: Sequence[float]) -> float | None:
@@ -251,7 +284,9 @@ def _quantile(errors: Sequence[float]) -> float | None:
     chance, radius = 1.0 - LEVEL, None
     for count in range(_ENOUGH, len(errors) + 1):
         ranked, rank = sorted(errors[:count]), max(1, math.ceil((count + 1) * (1.0 - chance)))
-        radius = ranked[rank - 1] if rank <= count else 2.0 * ranked[-1]  # beyond what can be told from so few
+        radius = (
+            ranked[rank - 1] if rank <= count else 2.0 * ranked[-1]
+        )  # beyond what can be told from so few
         chance += _PACE * (1.0 - LEVEL - any(error > radius for error in errors[count : count + 1]))
     return radius
 
@@ -263,7 +298,9 @@ _LOOKS, _HALVINGS = 128, 24
 """At how many instants a horizon is looked at, and how often it is halved where something changes between two."""
 _WORSE, _EXPECTED, _BETTER = -1, 0, 1
 _At = Callable[[float], Expected | None]
-_Slopes = tuple[dict[str, float], set[str]]  # by action [1/s], and those of which nothing was learned yet
+_Slopes = tuple[
+    dict[str, float], set[str]
+]  # by action [1/s], and those of which nothing was learned yet
 
 
 class Forecast(NamedTuple):
@@ -301,12 +338,18 @@ class FeasibleUntil(NamedTuple):
     is_bounded: bool = False
 
     def __str__(self) -> str:
-        at, earliest, latest = (f"{one - self.now:.3g}" if one is not None else "" for one in self[1:4])
+        at, earliest, latest = (
+            f"{one - self.now:.3g}" if one is not None else "" for one in self[1:4]
+        )
         if self.at == self.now:
             return f"unfeasible now: {self.reason}"
         if at:
             between = f"{earliest or at} to {latest or f'more than {self.within:g}'}"
-            exactly = between if self.is_bounded or self.earliest != self.latest else "how exactly is not known"
+            exactly = (
+                between
+                if self.is_bounded or self.earliest != self.latest
+                else "how exactly is not known"
+            )
             return f"unfeasible in {at} s ({exactly}): {self.reason}"
         first = f", unfeasible in {earliest} s at the earliest: {self.reason}" if earliest else ""
         return f"feasible for {self.within:g} s, as far as is known{first}"
@@ -316,9 +359,14 @@ class _Deeds:
     """Which actions were done when, as far as that is on record."""
 
     def __init__(self, requests: Sequence[RequiredAction]) -> None:
-        spans = [(one.start, math.inf if one.end is None else one.end, one.action) for one in requests]
+        spans = [
+            (one.start, math.inf if one.end is None else one.end, one.action) for one in requests
+        ]
         self._times = [-math.inf, *sorted({time for *span, _ in spans for time in span})]
-        self._doing = [frozenset(one for start, end, one in spans if start <= time < end) for time in self._times]
+        self._doing = [
+            frozenset(one for start, end, one in spans if start <= time < end)
+            for time in self._times
+        ]
 
     def between(self, start: float, end: float) -> Iterator[tuple[float, float, frozenset[str]]]:
         """Yield the spans between two times [s] within which the same was done, the latest first."""
@@ -339,7 +387,9 @@ class Forecaster:
         self._fits: dict[object, Any] = {}
         self._deeds: tuple[object, _Deeds] = None, _Deeds(())
 
-    def __call__(self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None) -> Forecast:
+    def __call__(
+        self, attribute: str, horizon: float, *, doing: Iterable[str] | None = None
+    ) -> Forecast:
         """Forecast an attribute `horizon` s from now, while actions are done; by default those required now."""
         now, ahead = self._base.now, _horizon(horizon)
         with self._base.reading() as state:
@@ -353,7 +403,9 @@ class Forecaster:
         names = (given,) if isinstance(given, str) else listed("the actions that are done", given)
         return frozenset(state.network.actions[name].name for name in names)
 
-    def at(self, state: State, node: Node, time: float, now: float, doing: frozenset[str]) -> Forecast:
+    def at(
+        self, state: State, node: Node, time: float, now: float, doing: frozenset[str]
+    ) -> Forecast:
         """Forecast an attribute for a time [s] while something is done."""
         outlook = self.outlook(state, node, doing)
         too_far = "too little was measured to go so far ahead"
@@ -361,13 +413,27 @@ class Forecaster:
         if isinstance(expected, str):
             reason = f"it is not known what {node.name} is in {time - now:.3g} s: {expected}"
             return Forecast(node.name, time, None, None, None, LEVEL, reason)
-        value, radius, words = expected[0], expected[1], expected[2].format(node.attribute.amount(""))
-        low, value, high = (_possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER))
+        value, radius, words = (
+            expected[0],
+            expected[1],
+            expected[2].format(node.attribute.amount("")),
+        )
+        low, value, high = (
+            _possible(node, value + side * (radius or 0.0)) for side in (_WORSE, _EXPECTED, _BETTER)
+        )
         span = "how exactly is not known" if radius is None else f"{low:.3g} to {high:.3g}"
         shown = reading(value, state.network.thresholds(node).around(value), node)
         reason = f"{node.name} is {shown} ({span}) in {time - now:.3g} s: it {words}"
         is_known = radius is not None
-        return Forecast(node.name, time, value, low if is_known else None, high if is_known else None, LEVEL, reason)
+        return Forecast(
+            node.name,
+            time,
+            value,
+            low if is_known else None,
+            high if is_known else None,
+            LEVEL,
+            reason,
+        )
 
     def outlook(self, state: State, node: Node, doing: frozenset[str]) -> Outlook | str:
         """Return how an attribute goes on while these actions are done, or why that is not known."""
@@ -380,13 +446,24 @@ class Forecaster:
             return "what was measured is stale"
         requests = self._known.records.requests
         past = next(reversed(requests), 0), self._known.records.last_end
-        key = *history.pairs[-2:], len(history.pairs), history.begins, past, doing, element.forecasting, element.rates
+        key = (
+            *history.pairs[-2:],
+            len(history.pairs),
+            history.begins,
+            past,
+            doing,
+            element.forecasting,
+            element.rates,
+        )
         known = self._outlooks.get(node.index)
         if known is None or known[0] != key:
             if self._deeds[0] != past:
                 self._deeds = past, _Deeds(list(requests.values())[-_MOST_REQUESTS:])
             series = Series(history.pairs[::2], history.pairs[1::2])
-            known = self._outlooks[node.index] = key, self._made(node, series, history.begins, doing)
+            known = self._outlooks[node.index] = (
+                key,
+                self._made(node, series, history.begins, doing),
+            )
         return known[1]
 
     def _once(self, key: object, make: Callable[[], Any]) -> Any:  # noqa: ANN401  # what is made
@@ -397,10 +474,14 @@ class Forecaster:
             self._fits[key] = make()
         return self._fits[key]
 
-    def _made(self, node: Node, series: Series, begins: float, doing: frozenset[str]) -> Outlook | str:
+    def _made(
+        self, node: Node, series: Series, begins: float, doing: frozenset[str]
+    ) -> Outlook | str:
         element, deeds, last = node.attribute, self._deeds[1], len(series.times) - 1
         way, function = element.forecasting, FUNCTIONS.get(element.forecasting)
-        is_stated = not way or any(not rate.while_ or rate.while_ in doing for rate in element.rates)
+        is_stated = not way or any(
+            not rate.while_ or rate.while_ in doing for rate in element.rates
+        )
         if not is_stated and ":" in way and function is None:
             return f"it is forecast by the function {way}, which this program has not given"
 
@@ -412,10 +493,17 @@ class Forecaster:
                 return _rated(node, rates, past, deeds, doing if place == last else None)
             if function is not None:
                 return by_function(function, past)
-            made: Curve | None = self._once((*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead))
+            made: Curve | None = self._once(
+                (*key, way, way == "trend" and ahead), lambda: WAYS[way](past, ahead)
+            )
             return made
 
-        return Outlook(series, fit, lambda *span: {doing}.issuperset(one[2] for one in deeds.between(*span)), is_stated)
+        return Outlook(
+            series,
+            fit,
+            lambda *span: {doing}.issuperset(one[2] for one in deeds.between(*span)),
+            is_stated,
+        )
 
 
 def feasible_until(
@@ -430,13 +518,28 @@ def feasible_until(
         node = state.network.actions[action]
         if state.status[node.index] is Status.UNFEASIBLE:
             return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
-        done = base.forecast.doing(state, (node.name,) if doing is None and not state.requested[node.index] else doing)
-        constraints = [one for one in dict.fromkeys(_constraints(node)) if state.status[one.index] is Status.SATISFIED]
+        done = base.forecast.doing(
+            state, (node.name,) if doing is None and not state.requested[node.index] else doing
+        )
+        constraints = [
+            one
+            for one in dict.fromkeys(_constraints(node))
+            if state.status[one.index] is Status.SATISFIED
+        ]
         outlooks = {one: base.forecast.outlook(state, one.parts[0], done) for one in constraints}
-        known = {one: cache(outlook.at) for one, outlook in outlooks.items() if isinstance(outlook, Outlook)}
-        found = [_first(state, node, known, now, ahead, side) for side in (_EXPECTED, _WORSE, _BETTER)]
+        known = {
+            one: cache(outlook.at)
+            for one, outlook in outlooks.items()
+            if isinstance(outlook, Outlook)
+        }
+        found = [
+            _first(state, node, known, now, ahead, side) for side in (_EXPECTED, _WORSE, _BETTER)
+        ]
     at, earliest, latest = (None if one is None else one[0] for one in found)
-    first = next((one for one in found if one is not None), (0.0, "nothing is known that makes it unfeasible", False))
+    first = next(
+        (one for one in found if one is not None),
+        (0.0, "nothing is known that makes it unfeasible", False),
+    )
     return FeasibleUntil(node.name, at, earliest, latest, first[1], now, ahead, first[2])
 
 
@@ -462,7 +565,9 @@ def _first(
         if is_unfeasible(violated(time)):
             for _ in range(_HALVINGS):
                 middle = (before + time) / 2
-                before, time = (before, middle) if is_unfeasible(violated(middle)) else (middle, time)
+                before, time = (
+                    (before, middle) if is_unfeasible(violated(middle)) else (middle, time)
+                )
             nodes, already = violated(time), violated(before)
             one = next((one for one in nodes if one not in already), nodes[0])
             _, radius, words = known[one](time) or (0.0, None, "")
@@ -477,7 +582,9 @@ def _is_violated(node: Node, expected: Expected | None, side: int) -> bool:
     if expected is None:
         return False
     far = side * (expected[1] or 0.0) * (1 if node.constraint.operator in (">=", ">") else -1)
-    return not OPERATORS[node.constraint.operator](_possible(node, expected[0] + far), node.constraint.value)
+    return not OPERATORS[node.constraint.operator](
+        _possible(node, expected[0] + far), node.constraint.value
+    )
 
 
 def suppose_forecast(state: State, node: Node, forecast: Forecast) -> Sequence[Node]:
@@ -489,7 +596,9 @@ def suppose_forecast(state: State, node: Node, forecast: Forecast) -> Sequence[N
         return ()
     for one in node.constraints:
         worse = forecast.low if one.constraint.operator in (">=", ">") else forecast.high
-        is_so = OPERATORS[one.constraint.operator](forecast.value if worse is None else worse, one.constraint.value)
+        is_so = OPERATORS[one.constraint.operator](
+            forecast.value if worse is None else worse, one.constraint.value
+        )
         state.verdict[one.index] = state.status[one.index] if is_so else Status.VIOLATED
     state.value[node.index], state.time[node.index] = forecast.value, None
     state.give_reason("forecast", node, forecast.reason)
@@ -507,8 +616,16 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> _Slopes:
     """Return the rate of each action [unit/s]: as stated, or, if it learns, as measured when last done alone."""
     slopes, guessed = {rate.while_: rate.per_s for rate in element.rates}, set[str]()
     for name in [rate.while_ for rate in element.rates if rate.learns]:
-        alone = (span for *span, done in deeds.between(past.times[0], past.times[-1]) if done == {name} - {""})
-        parts = (part for span in alone for part in reversed(past.between(*span).inside(element.low, element.high)))
+        alone = (
+            span
+            for *span, done in deeds.between(past.times[0], past.times[-1])
+            if done == {name} - {""}
+        )
+        parts = (
+            part
+            for span in alone
+            for part in reversed(past.between(*span).inside(element.low, element.high))
+        )
         learned = next((slope for slope in map(slope_of, parts) if slope is not None), None)
         if learned is None:
             guessed.add(name)
@@ -517,18 +634,30 @@ def _slopes(element: Attribute, past: Series, deeds: _Deeds) -> _Slopes:
     return slopes, guessed
 
 
-def _rated(node: Node, rates: _Slopes, past: Series, deeds: _Deeds, doing: frozenset[str] | None) -> Curve:
+def _rated(
+    node: Node, rates: _Slopes, past: Series, deeds: _Deeds, doing: frozenset[str] | None
+) -> Curve:
     """Go on with the rates of the actions that are done; without any given, of those that were done at each time."""
     (slopes, guessed), time, value = rates, past.times[-1], past.values[-1]
     if doing is not None:
         applying = [name for name in slopes if not name or name in doing]
         names = ", ".join(filter(None, applying))
-        way = straight(time, value, math.fsum(map(slopes.__getitem__, applying)), f" while {names}" if names else "")
+        way = straight(
+            time,
+            value,
+            math.fsum(map(slopes.__getitem__, applying)),
+            f" while {names}" if names else "",
+        )
         return Curve(way.value, way.words, not guessed.isdisjoint(applying))
 
     def at(then: float) -> float:
         spans = list(deeds.between(time, then))
-        done = [slopes[name] * (end - begin) for name in slopes for begin, end, one in spans if not name or name in one]
+        done = [
+            slopes[name] * (end - begin)
+            for name in slopes
+            for begin, end, one in spans
+            if not name or name in one
+        ]
         return _possible(node, value + math.fsum(done))
 
     return Curve(at, "")

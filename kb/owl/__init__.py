@@ -38,10 +38,14 @@ class Individual(NamedTuple):
     values: Mapping[str, tuple[Value, ...]]
 
 
-BASE: Final = "http://rosa-taca/model/"  # the prefix of all individuals; the id of the model and `#` follow
+BASE: Final = (
+    "http://rosa-taca/model/"  # the prefix of all individuals; the id of the model and `#` follow
+)
 PARAMETER, PREFERENCE, MODEL, STATED = "Parameter", "Preference", "RobotModel", "Fact"
 
-CLASSES: Final[Mapping[type, str]] = {cls: word.title().replace(" ", "") for cls, word in facts.ROSA.items()}
+CLASSES: Final[Mapping[type, str]] = {
+    cls: word.title().replace(" ", "") for cls, word in facts.ROSA.items()
+}
 """The kind of each class of element and fact, in the order in which they can be declared."""
 
 SPECIAL: Final[Mapping[tuple[type, str], str]] = {
@@ -78,7 +82,9 @@ _PROPERTIES: Final[Mapping[tuple[type | None, str], str]] = {
 }
 """The property of a field of a class (None: of any class), where it does not have the name of the field."""
 
-_NUMBERS: Final = frozenset({"value", "time", "start", "end", "max_age", "hysteresis", "dwell", "low", "high"})
+_NUMBERS: Final = frozenset(
+    {"value", "time", "start", "end", "max_age", "hysteresis", "dwell", "low", "high"}
+)
 _UNSAFE: Final = re.compile(r"[^A-Za-z0-9_-]")
 
 
@@ -119,8 +125,14 @@ def individuals(model: facts.Contents, serials: Serials | None = None) -> Iterat
     tables = [tuple(table.values()) for table in model.tables.values()]
     stated = [(fact, f"{STATED}.{position}", position) for position, fact in enumerate(model.facts)]
     given = Serials.of(model) if serials is None else serials
-    placed = ((one, element_id(one, given), place) for listed in tables for place, one in enumerate(listed))
-    return chain([own], chain.from_iterable(_described(*one, given) for one in chain(placed, stated)))
+    placed = (
+        (one, element_id(one, given), place)
+        for listed in tables
+        for place, one in enumerate(listed)
+    )
+    return chain(
+        [own], chain.from_iterable(_described(*one, given) for one in chain(placed, stated))
+    )
 
 
 def individual(element: elements.Changeable, serials: Serials) -> tuple[Individual, ...]:
@@ -132,17 +144,26 @@ def nested(kind: str, owner: str, values: Mapping[str, Any]) -> Iterator[Individ
     for key, value in values.items():
         inner = f"{kind}.{owner}.{_escaped(key)}"
         if kind == PREFERENCE:
-            yield Individual(kind, inner, {"prefers": (Ref(named_id(elements.Attribute, key)),), "weight": (value,)})
+            yield Individual(
+                kind,
+                inner,
+                {"prefers": (Ref(named_id(elements.Attribute, key)),), "weight": (value,)},
+            )
         else:
             written, sort = json.dumps(value), elements.parameter_type(value)
-            yield Individual(kind, inner, {"key": (key,), "parameterValue": (written,), "parameterType": (sort,)})
+            yield Individual(
+                kind, inner, {"key": (key,), "parameterValue": (written,), "parameterType": (sort,)}
+            )
 
 
 def plain_json(given: Iterable[Individual]) -> list[Any]:
     def plain(values: Iterable[Value]) -> list[object]:
         return [{"ref": value.id} if isinstance(value, Ref) else value for value in values]
 
-    return [[one.kind, one.id, {name: plain(values) for name, values in one.values.items()}] for one in given]
+    return [
+        [one.kind, one.id, {name: plain(values) for name, values in one.values.items()}]
+        for one in given
+    ]
 
 
 def from_json(given: Iterable[Any]) -> list[Individual]:
@@ -151,7 +172,10 @@ def from_json(given: Iterable[Any]) -> list[Individual]:
     def read(values: Iterable[Any]) -> tuple[Value, ...]:
         return tuple(Ref(value["ref"]) if isinstance(value, dict) else value for value in values)
 
-    return [Individual(kind, own, {name: read(each) for name, each in values.items()}) for kind, own, values in given]
+    return [
+        Individual(kind, own, {name: read(each) for name, each in values.items()})
+        for kind, own, values in given
+    ]
 
 
 def described(
@@ -180,7 +204,9 @@ def _described(
     unsaid = (
         {"model"} if isinstance(one, elements.Estimation) else {"model", "kind"}
     )  # the kind of the individual says it
-    said = {field.name: getattr(one, field.name) for field in fields(one) if field.name not in unsaid}
+    said = {
+        field.name: getattr(one, field.name) for field in fields(one) if field.name not in unsaid
+    }
     return described(kind, own, {"position": position, **said}, serials, type(one))
 
 
@@ -188,7 +214,11 @@ def _plain(field: str, value: object, serials: Serials) -> tuple[Value, ...]:
     if value is None or value == "" or value in (math.inf, -math.inf):
         return ()
     if isinstance(value, str):
-        return (Ref(named_id(elements.REFERENCES[field], value)) if field in elements.REFERENCES else str(value),)
+        return (
+            Ref(named_id(elements.REFERENCES[field], value))
+            if field in elements.REFERENCES
+            else str(value),
+        )
     if isinstance(value, Ref):
         return (value,)
     if isinstance(value, elements.Constraint | elements.Element):
@@ -207,21 +237,29 @@ def named_id(cls: type, name: str) -> str:
 @lru_cache(4096)
 def _escaped(name: str) -> str:
     """Escape a name for an IRI and an id; different names stay different."""
-    return _UNSAFE.sub(lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name)
+    return _UNSAFE.sub(
+        lambda found: quote(found[0], safe="", errors="surrogatepass").replace(".", "%2E"), name
+    )
 
 
 # -------------------------------------------------------------------- and back
 
 _BY_KIND: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
-_LISTS: Final = frozenset({"functions", "components", "constrained", "activate", "deactivate", "parameters"})
-_UNSAID: Final = frozenset({"position", "prefersNothing"})  # the latter is in files of earlier versions
+_LISTS: Final = frozenset(
+    {"functions", "components", "constrained", "activate", "deactivate", "parameters"}
+)
+_UNSAID: Final = frozenset(
+    {"position", "prefersNothing"}
+)  # the latter is in files of earlier versions
 
 
 class Declarer:
     """Declares individuals in a model; they may refer to each other and to known elements, by id."""
 
-    def __init__(self, model: facts.Contents, known: Mapping[str, elements.Changeable] | None = None) -> None:
+    def __init__(
+        self, model: facts.Contents, known: Mapping[str, elements.Changeable] | None = None
+    ) -> None:
         self.model = model
         self.known: dict[str, elements.Changeable] = dict(known or {})
         self.nested: dict[str, Individual] = {}
@@ -234,7 +272,9 @@ class Declarer:
         """
         listed = list(given)
         self.nested = {one.id: one for one in listed}
-        for one in sorted((one for one in listed if GENERAL.get(one.kind, one.kind) in _BY_KIND), key=_rank):
+        for one in sorted(
+            (one for one in listed if GENERAL.get(one.kind, one.kind) in _BY_KIND), key=_rank
+        ):
             try:
                 made = self._make(one)
             except KnowledgeBaseError as error:
@@ -247,7 +287,9 @@ class Declarer:
         own = {property_of(cls, field.name): field for field in fields(cls)}
         for name in one.values:
             if name not in own and name not in _UNSAID:
-                raise UnknownName(f"property of {one.kind}", name, [each for each in own if each != "model"])
+                raise UnknownName(
+                    f"property of {one.kind}", name, [each for each in own if each != "model"]
+                )
         found: dict[str, Any] = {}
         for name, field in own.items():
             if name in one.values:
@@ -276,7 +318,9 @@ class Declarer:
             raise ModelError(f"{shown(value)} is not described")
         said = self.nested[value.id].values
         if field == "preference":
-            attribute = self._element(_single("prefers", said.get("prefers", ())), elements.Attribute)
+            attribute = self._element(
+                _single("prefers", said.get("prefers", ())), elements.Attribute
+            )
             return attribute.name, _single("weight", said.get("weight", ()))
         try:
             return str(said["key"][0]), json.loads(str(said["parameterValue"][0]))
@@ -296,7 +340,10 @@ class Declarer:
         if cls is elements.Estimation:
             return self.model.add_estimation(**values)
         if cls is elements.Constraint:
-            constrained, value = values.pop("constrained"), elements.finite_number(values.pop("value"))
+            constrained, value = (
+                values.pop("constrained"),
+                elements.finite_number(values.pop("value")),
+            )
             return self.model.constrain(constrained, elements.Expression(**values, value=value))
         if issubclass(cls, elements.Element):
             special = {other: one for (of, one), other in SPECIAL.items() if of is cls}
@@ -325,4 +372,8 @@ def shown(value: Value) -> str:
 def _rank(one: Individual) -> tuple[int, int, str]:
     rank = _RANKS[GENERAL.get(one.kind, one.kind)]
     (position, *_) = (*one.values.get("position", ()), 0)
-    return min(rank, _RANKS["Estimation"] + 1), (position if isinstance(position, int) else 0), one.id
+    return (
+        min(rank, _RANKS["Estimation"] + 1),
+        (position if isinstance(position, int) else 0),
+        one.id,
+    )

@@ -19,14 +19,28 @@ from pyoxigraph import Literal, NamedNode, RdfFormat, parse, serialize
 from kb.exceptions import KnowledgeBaseError, ModelError, UnknownName
 from kb.facts import Contents
 from kb.files import ModelFileError, read_text
-from kb.owl import BASE, CLASSES, GENERAL, MODEL, PARAMETER, PREFERENCE, Declarer, Individual, Ref, Value, individuals
+from kb.owl import (
+    BASE,
+    CLASSES,
+    GENERAL,
+    MODEL,
+    PARAMETER,
+    PREFERENCE,
+    Declarer,
+    Individual,
+    Ref,
+    Value,
+    individuals,
+)
 from kb.owl.queries import METAMODEL, PREFIXES, ROSA, XSD, answer_of, value_of
 
 _TYPE, _LABEL = f"{PREFIXES['rdf']}type", f"{PREFIXES['rdfs']}label"
 _NAMED: Final = f"{PREFIXES['owl']}NamedIndividual"
 _QUOTED: Final = json.JSONEncoder(ensure_ascii=False)  # texts are escaped in JSON as in N-Triples
 _ONTOLOGY: Final = re.compile(r"  <owl:Ontology.*?</owl:Ontology>\n", re.DOTALL)
-_UNFIT: Final = re.compile("[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})")
+_UNFIT: Final = re.compile(
+    "[^\t\n\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]|\\\\(?=u[0-9a-f]{4})"
+)
 _FITTED: Final = re.compile(r"\\u([0-9a-f]{4})")
 _KINDS: Final = frozenset({*CLASSES.values(), *GENERAL, MODEL, PARAMETER, PREFERENCE})
 _ABSTRACT: Final = frozenset({"Element", "Relation", "Fact", "Period"})
@@ -66,7 +80,9 @@ def triples(one: Individual, base: str, fit: Callable[[str], str]) -> str:
     for name, values in one.values.items():
         lines += [f"{subject} <{ROSA}{name}> {_term(value, base, fit)} .\n" for value in values]
         if len(values) > 1:
-            order.append(" ".join((name, *(value.id for value in values if isinstance(value, Ref)))))
+            order.append(
+                " ".join((name, *(value.id for value in values if isinstance(value, Ref))))
+            )
     if order:
         lines.append(f'{subject} <{ROSA}order> "{"; ".join(order)}" .\n')
     return "".join(lines)
@@ -103,7 +119,9 @@ def load_owl(cls: Callable[[str], ModelT], paths: Sequence[Path], name: str | No
     try:
         found = [_individual(subject, values) for subject, values in said_of.items()]
         given = [one for one in found if one is not None]
-        names = [str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())]
+        names = [
+            str(said) for one in given if one.kind == MODEL for said in one.values.get("name", ())
+        ]
         model = cls(name or next(iter(names), paths[0].stem))
         Declarer(model).declare(given)
     except KnowledgeBaseError as error:
@@ -117,16 +135,26 @@ def _triples(path: Path) -> Iterator[tuple[str, str, Value]]:
     if not content.strip():
         raise ModelFileError("the file is empty", str(path))
     try:
-        expat.ParserCreate().Parse(content, True)  # says where an error is, and refuses endless entities
+        expat.ParserCreate().Parse(
+            content, True
+        )  # says where an error is, and refuses endless entities
         for one in parse(content.encode(), format=RdfFormat.RDF_XML, base_iri=_RELATIVE):
             about = one.subject.value if isinstance(one.subject, NamedNode) else str(one.subject)
-            value = value_of(one.object) if isinstance(one.object, Literal) else Ref(str(answer_of(one.object)))
+            value = (
+                value_of(one.object)
+                if isinstance(one.object, Literal)
+                else Ref(str(answer_of(one.object)))
+            )
             yield about, one.predicate.value, plain_text(value) if isinstance(value, str) else value
     except expat.ExpatError as error:
         said = expat.ErrorString(error.code)
-        raise ModelFileError(f"this is not RDF/XML: {said}", str(path), error.lineno, error.offset + 1) from None
+        raise ModelFileError(
+            f"this is not RDF/XML: {said}", str(path), error.lineno, error.offset + 1
+        ) from None
     except SyntaxError as error:
-        raise ModelFileError(f"this is not RDF/XML: {' '.join(str(error).split())}", str(path)) from None
+        raise ModelFileError(
+            f"this is not RDF/XML: {' '.join(str(error).split())}", str(path)
+        ) from None
 
 
 def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual | None:
@@ -134,7 +162,9 @@ def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual
     ours = [one for one in types if one and one not in _ABSTRACT]
     if not ours:
         return None
-    kinds = [one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}]
+    kinds = [
+        one for one in dict.fromkeys(ours) if one not in {GENERAL.get(other) for other in ours}
+    ]
     if len(kinds) > 1:
         raise ModelError(f"{subject} is {' and '.join(kinds)}; it can be only one of them")
     if kinds[0] not in _KINDS:
@@ -148,13 +178,17 @@ def _individual(subject: str, said: Mapping[str, Sequence[Value]]) -> Individual
 
 def _ordered(values: Sequence[Value], places: Sequence[str]) -> tuple[Value, ...]:
     """Return values in the stated order, with repetitions; other values come last."""
-    by_place: dict[str, Value] = {one.id.rpartition("#")[2]: one for one in values if isinstance(one, Ref)}
+    by_place: dict[str, Value] = {
+        one.id.rpartition("#")[2]: one for one in values if isinstance(one, Ref)
+    }
     known = [by_place[place] for place in places if place in by_place]
     return (*known, *sorted((one for one in values if one not in known), key=str))
 
 
 def _local(value: Value) -> str:
-    return value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
+    return (
+        value.id.removeprefix(ROSA) if isinstance(value, Ref) and value.id.startswith(ROSA) else ""
+    )
 
 
 def inconsistency(text: str) -> str | None:
@@ -169,10 +203,14 @@ def inconsistency(text: str) -> str | None:
         missing = "HermiT, the reasoner, comes with owlready2, which is not installed"
         raise KnowledgeBaseError(f"{missing}; pip install 'rosa-taca[reason]' brings it") from error
     if shutil.which(owlready2.JAVA_EXE) is None:
-        raise KnowledgeBaseError("HermiT, the reasoner, needs Java, which is not found; install a Java runtime")
+        raise KnowledgeBaseError(
+            "HermiT, the reasoner, needs Java, which is not found; install a Java runtime"
+        )
     world = owlready2.World()
     try:
-        world.get_ontology("http://rosa-taca/checked#").load(only_local=True, fileobj=BytesIO(text.encode()))
+        world.get_ontology("http://rosa-taca/checked#").load(
+            only_local=True, fileobj=BytesIO(text.encode())
+        )
         owlready2.sync_reasoner_hermit(world, debug=0, ignore_unsupported_datatypes=True)
         empty = sorted(one.name for one in world.inconsistent_classes())
     except owlready2.OwlReadyInconsistentOntologyError:

@@ -34,11 +34,17 @@ _MEMORY: Final = 4 << 30  # the most that the process may use [bytes]
 _MOST_ROWS: Final = 1_000_000
 _LOOK: Final = 1.0  # how often it is looked whether the asking program is still there [s]
 _LOADED: Final = 5000  # triples that are loaded at once
-_AT_ONCE: Final = 500  # rows in a line; reading a longer one would stop the other threads of the asking program
+_AT_ONCE: Final = (
+    500  # rows in a line; reading a longer one would stop the other threads of the asking program
+)
 _VERBS: Final = ("SELECT", "ASK", "CONSTRUCT", "DESCRIBE")
-_QUOTED: Final = r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
+_QUOTED: Final = (
+    r"""\#[^\n\r]*|<[^<>\s]*>|'''.*?'''|\"{3}.*?\"{3}|'(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*\""""
+)
 _BEGIN: Final = re.compile(r"(?is)(?:\s|#[^\n\r]*|(?:PREFIX\s+\S*:|BASE)\s*<[^>]*>)*(\w*)")
-_WORD: Final = re.compile(rf"(?is){_QUOTED}|(?<![\w?$:])(?P<other>SERVICE)\b|(?<![\w.-])(?:rosa)?:(?P<rosa>\w+)")
+_WORD: Final = re.compile(
+    rf"(?is){_QUOTED}|(?<![\w?$:])(?P<other>SERVICE)\b|(?<![\w.-])(?:rosa)?:(?P<rosa>\w+)"
+)
 _OWN_PREFIX: Final = re.compile(r"(?i)PREFIX\s+(rosa)?:")
 _PLACE: Final = re.compile(r"error at (\d+):(\d+): ")
 _SENTENCE: Final = re.compile(r"(The [A-Z]+ .*?|Prefix not found)(?:,|$)")
@@ -100,9 +106,16 @@ def _check(world: Store, query: str) -> None:
         raise _Refused("InvalidValue", what)
     for found in _WORD.finditer(query):
         if found["other"]:
-            raise _Refused("InvalidValue", "SERVICE is not supported; leave it out, nothing is asked of other places")
+            raise _Refused(
+                "InvalidValue",
+                "SERVICE is not supported; leave it out, nothing is asked of other places",
+            )
         rosa = NamedNode(f"{ROSA}{found['rosa']}")
-        if found["rosa"] and not _OWN_PREFIX.search(query) and not any(world.quads_for_pattern(rosa, None, None)):
+        if (
+            found["rosa"]
+            and not _OWN_PREFIX.search(query)
+            and not any(world.quads_for_pattern(rosa, None, None))
+        ):
             named = (one.subject.value for one in world if isinstance(one.subject, NamedNode))
             known = sorted({name.removeprefix(ROSA) for name in named if name.startswith(ROSA)})
             raise _Refused("UnknownName", "word of ROSA", found["rosa"], known)
@@ -116,11 +129,17 @@ def _complaint(query: str, message: str) -> str:
     line, column = int(place[1]), int(place[2])
     at = len(query) - len("\n".join(query.split("\n")[line - 1 :])) + column - 1
     read, rest = query[:at].strip()[-20:], query[at : at + 20]
-    what = f"from {rest!r} on this is not understood" if rest else "the query ends too early, or this cannot stand here"
+    what = (
+        f"from {rest!r} on this is not understood"
+        if rest
+        else "the query ends too early, or this cannot stand here"
+    )
     return f"line {line}, column {column} of the query, after {read!r}: {said[1] if said else what}"
 
 
-def answer_of(term: NamedNode | BlankNode | Literal | Triple | None) -> str | bool | int | float | None:
+def answer_of(
+    term: NamedNode | BlankNode | Literal | Triple | None,
+) -> str | bool | int | float | None:
     """Return a term as a plain value; an individual becomes its IRI."""
     if isinstance(term, NamedNode):
         return term.value

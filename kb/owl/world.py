@@ -25,7 +25,18 @@ from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, UnknownName
 from kb.facts import ActiveFact, Fact, RequiredFact, SelectedFact, StatusFact
 from kb.knowledge import Knowledge
-from kb.owl import BASE, CLASSES, STATED, Individual, Ref, Values, described, element_id, individuals, named_id
+from kb.owl import (
+    BASE,
+    CLASSES,
+    STATED,
+    Individual,
+    Ref,
+    Values,
+    described,
+    element_id,
+    individuals,
+    named_id,
+)
 from kb.records import Records
 from kb.state import State
 from kb.store import Store
@@ -66,7 +77,9 @@ _UNSAID: Final = frozenset({"plan", "plain", "cause", "serial"})
 """The fields of records that are not described."""
 _LONGEST: Final = 1_000_000  # query [characters]
 _LONGEST_WAIT: Final = 1_000_000.0  # for an answer [s]; the system takes no longer time-outs
-_SLICE: Final = 1000  # number of events that are read from the store, and of individuals that are sent, at once
+_SLICE: Final = (
+    1000  # number of events that are read from the store, and of individuals that are sent, at once
+)
 _REQUIRABLE: Final = frozenset({"action", "function", "component"})
 _ERRORS: Final = {cls.__name__: cls for cls in (InvalidValue, UnknownName, KnowledgeBaseError)}
 _ENDED: Final = "the process that answers the query has ended; if it needed more than 4 GB of memory, ask for less"
@@ -76,11 +89,17 @@ class World:
     """All that a knowledge base knows, with the newest `keep` measurements, to be asked in SPARQL."""
 
     def __init__(
-        self, known: Knowledge, store: Store | None, keep: int, reading: Callable[[], AbstractContextManager[State]]
+        self,
+        known: Knowledge,
+        store: Store | None,
+        keep: int,
+        reading: Callable[[], AbstractContextManager[State]],
     ) -> None:
         self._known, self._store, self._keep, self._reading = known, store, keep, reading
         self._begun = known.model.facts  # facts that the model states later are not of this base
-        self._kept: dict[int, _Process] = {}  # by the last event it knows; while it answers it is taken out
+        self._kept: dict[
+            int, _Process
+        ] = {}  # by the last event it knows; while it answers it is taken out
         self._is_closed = False
         finalize(self, _end, self._kept)
 
@@ -88,7 +107,9 @@ class World:
         """Answer a query; see `KnowledgeBase.query`."""
         if not isinstance(sparql, str) or len(sparql) > _LONGEST:
             what = f"{len(sparql)} characters" if isinstance(sparql, str) else repr(sparql)
-            raise InvalidValue(f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters")
+            raise InvalidValue(
+                f"a query is a text in SPARQL, not {what}; it has at most {_LONGEST} characters"
+            )
         process, deadline = None, time.monotonic() + min(timeout, _LONGEST_WAIT)
         reading = self._reading()  # it reads the clock, which may raise any error, too
         try:
@@ -102,7 +123,9 @@ class World:
                 process.end()
             if isinstance(error, TimeoutError):
                 much = "ask for less, or allow it a longer timeout"
-                raise KnowledgeBaseError(f"the query was stopped after {timeout:g} s; {much}") from None
+                raise KnowledgeBaseError(
+                    f"the query was stopped after {timeout:g} s; {much}"
+                ) from None
             if isinstance(error, ConnectionError | EOFError):
                 raise KnowledgeBaseError(_ENDED) from None
             raise
@@ -129,21 +152,38 @@ class World:
             process = None
         return process or _Process()
 
-    def _individuals(self, process: "_Process", reading: AbstractContextManager[State]) -> Iterator[Individual]:
+    def _individuals(
+        self, process: "_Process", reading: AbstractContextManager[State]
+    ) -> Iterator[Individual]:
         """Yield the model, the inferred statuses, and what was told; older events come from the store."""
         known, chronicle = self._known, _Chronicle(self._known, self._begun)
         held = list(known.log.since(0, measurements=False))
         with reading as state:  # only what is new is read while those who tell wait
             process.last = known.log.last
             held += known.log.since(held[-1].number if held else 0, measurements=False)
-            histories = [(node.name, state.histories.get(node.index)) for node in state.network.attributes.values()]
-            measured = [(name, history.samples(self._keep)) for name, history in histories if history is not None]
+            histories = [
+                (node.name, state.histories.get(node.index))
+                for node in state.network.attributes.values()
+            ]
+            measured = [
+                (name, history.samples(self._keep))
+                for name, history in histories
+                if history is not None
+            ]
             model = individuals(known.model, known.serials)
-            inferred, present, records = _inferred(state, known), chronicle.of_state(state), _recorded(known.records)
+            inferred, present, records = (
+                _inferred(state, known),
+                chronicle.of_state(state),
+                _recorded(known.records),
+            )
         past = [*self._older(held[0].number if held else process.last + 1, process), *held]
         yield (own := next(model))
-        yield from (one for one in model if not one.id.startswith(f"{STATED}."))  # its facts come from the log
-        yield from (Individual("", element_id(element, known.serials), said) for element, said in inferred)
+        yield from (
+            one for one in model if not one.id.startswith(f"{STATED}.")
+        )  # its facts come from the log
+        yield from (
+            Individual("", element_id(element, known.serials), said) for element, said in inferred
+        )
         if past:
             yield Individual("", own.id, {"historyBegins": (float(past[0].time),)})
         for name, samples in measured:
@@ -184,7 +224,12 @@ class _Process:
         self._lines = self._socket.makefile("rb")
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-PS", str(Path(__file__).with_name("queries.py")), str(self._owner)],
+                [
+                    sys.executable,
+                    "-PS",
+                    str(Path(__file__).with_name("queries.py")),
+                    str(self._owner),
+                ],
                 stdin=theirs.fileno(),
                 stdout=theirs.fileno(),
                 stderr=subprocess.DEVNULL,
@@ -244,7 +289,9 @@ def _whole(text: str) -> str:
 def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]:
     found = list[tuple[Changeable, Values]]()
     for node in (node for node in state.network.present() if node.kind != "attribute"):
-        required: Values = {"isRequired": (state.required[node.index],)} if node.kind in _REQUIRABLE else {}
+        required: Values = (
+            {"isRequired": (state.required[node.index],)} if node.kind in _REQUIRABLE else {}
+        )
         found.append((node.element, {"status": (str(state.status[node.index]),), **required}))
     return found
 
@@ -252,7 +299,10 @@ def _inferred(state: State, known: Knowledge) -> list[tuple[Changeable, Values]]
 def _recorded(records: Records) -> dict[str, list[tuple[int, Any]]]:
     """Return the records by table; those that have not ended are copied."""
     return {
-        name: [(number, one if getattr(one, "end", 0.0) is not None else copy(one)) for number, one in table.items()]
+        name: [
+            (number, one if getattr(one, "end", 0.0) is not None else copy(one))
+            for number, one in table.items()
+        ]
         for name, table in ((name, getattr(records, name)) for name in _RECORDS)
     }
 
@@ -268,7 +318,11 @@ class _Chronicle:
 
     def measurement(self, attribute: str, time: float, value: float) -> Individual:
         values: Values = {"measures": (Ref(named_id(Attribute, attribute)),)}
-        return Individual("Measurement", self._next(), {**values, "value": (float(value),), "time": (float(time),)})
+        return Individual(
+            "Measurement",
+            self._next(),
+            {**values, "value": (float(value),), "time": (float(time),)},
+        )
 
     def of_state(self, state: State) -> list[Period]:
         """Return what holds now."""
@@ -277,10 +331,18 @@ class _Chronicle:
             for word, column in _PRESENT.items():
                 if value := state.columns[column][node.index]:
                     said = state.reason(column, node)
-                    status = {"status": str(value), "until": said.until} if column == "asserted" else {}
+                    status = (
+                        {"status": str(value), "until": said.until} if column == "asserted" else {}
+                    )
                     found.append((word, self._id(node.element), {**status, "reason": said.text}))
         given = state.parameters.items()
-        return [*found, *(("ParametersInForce", self._about(name), {"parameters": values}) for name, values in given)]
+        return [
+            *found,
+            *(
+                ("ParametersInForce", self._about(name), {"parameters": values})
+                for name, values in given
+            ),
+        ]
 
     def older(self, present: Iterable[Period]) -> Iterator[Individual]:
         """Yield what holds now but began before the oldest known event; it has no start."""
@@ -304,25 +366,43 @@ class _Chronicle:
                     given, about = attempt.parameters, self._about(attempt.component)
                     yield from self._is_so("ParametersInForce", about, time, True, parameters=given)
             case "select", (designs, configurations, reason):
-                yield from self._selected(event, {"function design": designs, "configuration": configurations}, reason)
+                yield from self._selected(
+                    event, {"function design": designs, "configuration": configurations}, reason
+                )
             case "amend", (how, written):
                 yield from self._amended(time, how, written)
             case "begin", _:
                 for fact in self._begun:
                     if isinstance(fact, ActiveFact | StatusFact | RequiredFact | SelectedFact):
                         element = fact.component if isinstance(fact, ActiveFact) else fact.element
-                        about = self._about(element) if isinstance(element, str) else self._id(element)
-                        yield from self._began(CLASSES[type(fact)], about, time, status=getattr(fact, "status", None))
+                        about = (
+                            self._about(element) if isinstance(element, str) else self._id(element)
+                        )
+                        yield from self._began(
+                            CLASSES[type(fact)], about, time, status=getattr(fact, "status", None)
+                        )
             case verb, (ref, *said) if verb in _STATED:
                 word, names = _STATED[verb]
                 values = dict(zip(names, said, strict=False))
-                is_so = bool(values.pop("is_so", names))  # verbs without further arguments only end something
+                is_so = bool(
+                    values.pop("is_so", names)
+                )  # verbs without further arguments only end something
                 yield from self._is_so(word, self._about(ref), time, is_so, **values)
 
-    def _selected(self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str) -> Iterator[Individual]:
+    def _selected(
+        self, event: Event, chosen: Mapping[str, Mapping[str, str]], reason: str
+    ) -> Iterator[Individual]:
         changed = {self._about((kind, name)): is_so for kind, name, is_so in event.effects}
-        kept = (self._about((kind, name)) for kind, by_whole in chosen.items() for name in by_whole.values())
-        changed |= {about: True for about in kept if about not in changed and ("Selection", about) in self._open}
+        kept = (
+            self._about((kind, name))
+            for kind, by_whole in chosen.items()
+            for name in by_whole.values()
+        )
+        changed |= {
+            about: True
+            for about in kept
+            if about not in changed and ("Selection", about) in self._open
+        }
         for about, is_so in changed.items():
             yield from self._is_so("Selection", about, event.time, is_so, reason)
 
@@ -340,11 +420,19 @@ class _Chronicle:
         if is_so:
             yield from self._began(word, about, time, reason=reason, **said)
 
-    def _began(self, word: str, about: str, time: float | None, **said: object) -> Iterator[Individual]:
+    def _began(
+        self, word: str, about: str, time: float | None, **said: object
+    ) -> Iterator[Individual]:
         self._open[word, about] = own = self._next()
         if word == "AssertedStatus":
-            (self._asserted_failed.add if said["status"] == "failure" else self._asserted_failed.discard)(about)
-        return described(word, own, {"about": Ref(about), "start": time, **said}, self._known.serials)
+            (
+                self._asserted_failed.add
+                if said["status"] == "failure"
+                else self._asserted_failed.discard
+            )(about)
+        return described(
+            word, own, {"about": Ref(about), "start": time, **said}, self._known.serials
+        )
 
     def _ended(self, word: str, about: str, time: float) -> Iterator[Individual]:
         own = self._open.pop((word, about), None)
@@ -368,7 +456,11 @@ class _Chronicle:
         for name, word in _RECORDS.items():
             for number, record in tables[name]:
                 own = self._next()
-                said = {one.name: getattr(record, one.name) for one in fields(record) if one.name not in _UNSAID}
+                said = {
+                    one.name: getattr(record, one.name)
+                    for one in fields(record)
+                    if one.name not in _UNSAID
+                }
                 if name != "attempts":
                     said.pop("number", None)  # of an event, which means nothing here
                 if name == "plans":

@@ -24,7 +24,9 @@ class Choice(NamedTuple):
 
     def __repr__(self) -> str:
         why = f", reason={self.reason!r}" if self.reason else ""
-        return f"Choice(designs={dict(self.designs)}, configurations={dict(self.configurations)}{why})"
+        return (
+            f"Choice(designs={dict(self.designs)}, configurations={dict(self.configurations)}{why})"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +73,9 @@ class Criterion:
         words = ""
         for name, weight in weights.items():
             sign = (" - " if words else "-") if weight < 0.0 else (" + " if words else "")
-            words += f"{sign}{name}" if abs(weight) == 1.0 else f"{sign}{number(abs(weight))} {name}"
+            words += (
+                f"{sign}{name}" if abs(weight) == 1.0 else f"{sign}{number(abs(weight))} {name}"
+            )
         return words
 
     @property
@@ -133,7 +137,9 @@ def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> d
     return {name: weight for name, weight in weights.items() if weight}
 
 
-def by_priority(candidate: FunctionDesign | Configuration | DesignView | ConfigurationView) -> tuple[bool, float, str]:
+def by_priority(
+    candidate: FunctionDesign | Configuration | DesignView | ConfigurationView,
+) -> tuple[bool, float, str]:
     """Return a key for sorting: the lowest priority number first, no priority last, ties by name."""
     return candidate.priority is None, candidate.priority or 0, candidate.name
 
@@ -155,7 +161,9 @@ def choice_by_priority(state: State) -> Choice | None:
         following = Overlay(state)
         reselect(following, designs, ())
         adaptable = following.adaptable.nodes()
-    configurations = firsts_by_priority(state, (node for node in adaptable if node.kind == "component"))
+    configurations = firsts_by_priority(
+        state, (node for node in adaptable if node.kind == "component")
+    )
     if not (designs or configurations or is_obsolete):
         return None
     return Choice(by_whole(designs), by_whole(configurations))
@@ -221,7 +229,9 @@ def reselect(state: State, designs: Iterable[Node], configurations: Iterable[Nod
     ]
     return Selection(
         activate=_names(_lacking(state)),
-        deactivate=_names(node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]),
+        deactivate=_names(
+            node for node in dict.fromkeys([*given_up, *idle]) if state.active[node.index]
+        ),
         parameters=_names(node for node in newly_configured if state.selected[node.index]),
         changes=tuple(changes),
         reselected=(*changed, *newly_configured, *unselected),
@@ -233,7 +243,12 @@ def by_whole(chosen: Iterable[Node]) -> Mapping[str, str]:
 
 
 def planned(
-    state: State, selection: Selection, reason: str, now: float, cause: int | None = None, number: int = 0
+    state: State,
+    selection: Selection,
+    reason: str,
+    now: float,
+    cause: int | None = None,
+    number: int = 0,
 ) -> ReconfigurationPlan:
     activate, deactivate, *_ = selection
     elements = (state.network.components[name].element for name in (*activate, *deactivate))
@@ -259,7 +274,9 @@ def _choose(state: State, chosen: Iterable[Node]) -> tuple[list[Node], list[Node
 def _lacking(state: State) -> list[Node]:
     lacking = state.lacking.nodes()
     users = {user.index: user for component in lacking for user in state.users[component.index]}
-    designs = [users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]]
+    designs = [
+        users[index] for index in sorted(users) if state.required[users[index].wholes[0].index]
+    ]
     inactive = (part for design in designs for part in design.parts if not state.active[part.index])
     return list(dict.fromkeys(inactive))
 

@@ -42,7 +42,9 @@ class OptimalPlanner:
         if finite_number(effort) <= 0.0:
             raise InvalidValue(f"an effort is more than 0, not {effort!r}")
         if not isinstance(budgets, Mapping | None):
-            raise InvalidValue(f"budgets are given as the most by name of attribute, not as {budgets!r}")
+            raise InvalidValue(
+                f"budgets are given as the most by name of attribute, not as {budgets!r}"
+            )
         self._solver = solver
         self._given = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
@@ -91,7 +93,11 @@ class OptimalPlanner:
         with kb.reading() as state:
             problem = self._solver.Problem(state, criterion)
         found = problem.solve(self._effort) if problem.is_weighed else None
-        is_lost = found is not None and found.choice is None and not (found.is_proven or criterion.budgets)
+        is_lost = (
+            found is not None
+            and found.choice is None
+            and not (found.is_proven or criterion.budgets)
+        )
         return None if is_lost else found
 
     def _is_due(self, kb: KnowledgeBase) -> bool:

@@ -55,8 +55,12 @@ class Slot(NamedTuple):
     """A function, or a component of a design, and a literal for each option, in order of priority."""
 
     node: Node
-    options: Mapping[Node | None, Untyped]  # the only option of a component without configurations is None
-    idle: Node | None = None  # the configuration to select even if nothing needs the component, if any
+    options: Mapping[
+        Node | None, Untyped
+    ]  # the only option of a component without configurations is None
+    idle: Node | None = (
+        None  # the configuration to select even if nothing needs the component, if any
+    )
 
 
 class Problem:
@@ -77,24 +81,40 @@ class Problem:
         required = (node for node in state.network.functions.values() if state.required[node.index])
         self._designs = {node: ranked(state, node) for node in required}
         stuck = [node for node, designs in self._designs.items() if not designs]
-        self._kept = [design for node in stuck for design in node.parts if state.selected[design.index]]
+        self._kept = [
+            design for node in stuck for design in node.parts if state.selected[design.index]
+        ]
         parts = {part for node in self._designs for design in node.parts for part in design.parts}
-        self._parts = {node: ranked(state, node) for node in sorted(parts, key=lambda node: node.index)}
+        self._parts = {
+            node: ranked(state, node) for node in sorted(parts, key=lambda node: node.index)
+        }
         self._obsolete = [one for one in state.obsolete.nodes() if one.kind == "component"]
         choices = (one for node in (*self._designs, *self._parts) for one in node.parts)
         self._selected = {one for one in choices if state.selected[one.index]}
         self._active = {node for node in parts if state.active[node.index]}
         self._asserted = {node for node in parts if state.asserted_required[node.index]}
         self._given_up = {
-            node for node in parts if any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
+            node
+            for node in parts
+            if any(self._designs.get(design.wholes[0]) for design in state.users[node.index])
         }
 
-        names = {*criterion.budgets, *(name for name, weight in criterion.weights.items() if weight)}
+        names = {
+            *criterion.budgets,
+            *(name for name, weight in criterion.weights.items() if weight),
+        }
         estimations = (one for one in state.network.model.estimations if one.attribute in names)
         self._causers = {one: state.network.find(one.causer) for one in estimations}
         possible = [design for designs in self._designs.values() for design in designs]
-        concerned = {*self._parts, *(one for node in self._parts for one in node.parts), *self._kept, *possible}
-        self.is_weighed = bool(criterion.budgets) or not concerned.isdisjoint(self._causers.values())
+        concerned = {
+            *self._parts,
+            *(one for node in self._parts for one in node.parts),
+            *self._kept,
+            *possible,
+        }
+        self.is_weighed = bool(criterion.budgets) or not concerned.isdisjoint(
+            self._causers.values()
+        )
 
     # ---------------------------------------------------------------- the model
 
@@ -105,9 +125,13 @@ class Problem:
         self._levels: dict[str, list[tuple[Untyped, int]]] = {}
         self._users: dict[Node, list[list[Untyped]]] = {node: [] for node in self._parts}
         self._add(1, *self._kept, cost=sum(self._cost_to_switch(node) for node in self._obsolete))
-        self._slots = [self._function(node, designs) for node, designs in self._designs.items() if designs]
+        self._slots = [
+            self._function(node, designs) for node, designs in self._designs.items() if designs
+        ]
         self._slots += [self._component(node, possible) for node, possible in self._parts.items()]
-        self._gain = cp_model.LinearExpr.sum([*self._gains, *map(self._worst, self._levels.values())])
+        self._gain = cp_model.LinearExpr.sum(
+            [*self._gains, *map(self._worst, self._levels.values())]
+        )
         self._cost = cp_model.LinearExpr.sum(self._switching)
 
     def _estimate(self) -> None:
@@ -116,8 +140,13 @@ class Problem:
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         limits = {name: _decimal(limit) for name, limit in criterion.budgets.items()}
         values = [_decimal(one.adds) for one in self._causers]
-        gains = [weights.get(one.attribute, 0) * value for one, value in zip(self._causers, values, strict=True)]
-        costs = {node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)}
+        gains = [
+            weights.get(one.attribute, 0) * value
+            for one, value in zip(self._causers, values, strict=True)
+        ]
+        costs = {
+            node: _decimal(criterion.cost_of(node.name)) for node in (*self._parts, *self._obsolete)
+        }
         amounts = [*gains, *costs.values()]
         self._unit, is_exact = _unit(amounts)  # the worth of a gain of 1
         self._resolution = 0.0 if is_exact else float(self._unit * len(amounts))
@@ -125,12 +154,17 @@ class Problem:
         for one, value in zip(self._causers, values, strict=True):
             loads.get(one.attribute, []).append(value)
         self._load_units = {name: _unit(amounts)[0] for name, amounts in loads.items()}
-        self._limits = [_whole(limits[name], unit, ROUND_FLOOR) for name, unit in self._load_units.items()]
+        self._limits = [
+            _whole(limits[name], unit, ROUND_FLOOR) for name, unit in self._load_units.items()
+        ]
         self._costs = {node: _whole(cost, self._unit) for node, cost in costs.items()}
         self._estimated: dict[Node, list[Estimated]] = {}
         for (one, causer), value, amount in zip(self._causers.items(), values, gains, strict=True):
             units = self._load_units.items()
-            load = tuple(_whole(value, unit, ROUND_CEILING) if one.attribute == name else 0 for name, unit in units)
+            load = tuple(
+                _whole(value, unit, ROUND_CEILING) if one.attribute == name else 0
+                for name, unit in units
+            )
             is_level = one.kind is EstimationKind.ABSOLUTE and one.attribute in weights
             estimated = Estimated(one.attribute, _whole(amount, self._unit), is_level, load)
             self._estimated.setdefault(causer, []).append(estimated)
@@ -147,7 +181,9 @@ class Problem:
                 self._levels.setdefault(one.attribute, []).append((literal, one.gain))
         gain = sum(one.gain for one in estimated if not one.is_level) - cost
         loads = (sum(one.loads[place] for one in estimated) for place in range(len(self._loads)))
-        for terms, amount in zip((self._gains, self._switching, *self._loads), (gain, cost, *loads), strict=True):
+        for terms, amount in zip(
+            (self._gains, self._switching, *self._loads), (gain, cost, *loads), strict=True
+        ):
             if amount:
                 terms.append(literal * amount)
 
@@ -159,7 +195,9 @@ class Problem:
 
     def _function(self, node: Node, designs: Sequence[Node]) -> Slot:
         """Encode that exactly one design is chosen, and note which options need which component."""
-        options: dict[Node | None, Untyped] = {one: self._literal(one, is_now=one in self._selected) for one in designs}
+        options: dict[Node | None, Untyped] = {
+            one: self._literal(one, is_now=one in self._selected) for one in designs
+        }
         self._model.add_exactly_one(options.values())
         for part in dict.fromkeys(part for one in designs for part in one.parts):
             self._users[part].append([options[one] for one in designs if part in one.parts])
@@ -174,7 +212,9 @@ class Problem:
         stays = active and node not in self._given_up
         to_start = 0 if active else to_switch
         options: dict[Node | None, Untyped] = {
-            one: self._literal(node, one, is_now=one in selected, cost=to_start + (0 if one in selected else cost))
+            one: self._literal(
+                node, one, is_now=one in selected, cost=to_start + (0 if one in selected else cost)
+            )
             for one in nodes
         } or {None: self._literal(node, *selected, is_now=False, cost=to_start)}
 
@@ -184,13 +224,19 @@ class Problem:
         if (stays and asserted) or any(node in design.parts for design in self._kept):
             model.add(needed == 1)
         else:
-            model.add_bool_or([*(literal for users in self._users[node] for literal in users), ~needed])
+            model.add_bool_or(
+                [*(literal for users in self._users[node] for literal in users), ~needed]
+            )
         model.add(cp_model.LinearExpr.sum([*options.values()]) == needed)
 
         if stays:
             self._add(1 - needed, node, *selected)
             return Slot(node, options)
-        idle = next((one for one in nodes if cost and one in selected), nodes[0]) if asserted and nodes else None
+        idle = (
+            next((one for one in nodes if cost and one in selected), nodes[0])
+            if asserted and nodes
+            else None
+        )
         to_stop = (to_switch if active else 0) + (cost if idle and idle not in selected else 0)
         self._add(1 - needed, cost=to_stop)
         return Slot(node, options, idle)
@@ -234,7 +280,10 @@ class Problem:
             return Optimum(resolution=self._resolution, reason=reason)
         gains = round(self._solver.objective_value), round(self._solver.best_objective_bound)
         choice, cost, is_proven = self._choice(), self._solver.value(self._cost), False
-        if status == cp_model.OPTIMAL and self._run_for_first(gains[0]) in (cp_model.OPTIMAL, cp_model.FEASIBLE):
+        if status == cp_model.OPTIMAL and self._run_for_first(gains[0]) in (
+            cp_model.OPTIMAL,
+            cp_model.FEASIBLE,
+        ):
             choice, cost, is_proven = self._choice(), self._solver.value(self._cost), True
         worth, most, switching = (float(amount * self._unit) for amount in (*gains, cost))
         found = Optimum(choice, worth, switching, most, self._resolution, is_proven)
@@ -264,7 +313,9 @@ class Problem:
         for slot in self._slots:
             found = (node for node, literal in slot.options.items() if self._solver.value(literal))
             if (node := next(found, slot.idle)) is not None:
-                (designs if slot.node.kind == "function" else configurations)[slot.node.name] = node.name
+                (designs if slot.node.kind == "function" else configurations)[slot.node.name] = (
+                    node.name
+                )
         return Choice(designs, configurations)
 
     def _reason(self, found: Optimum) -> str:
@@ -276,7 +327,9 @@ class Problem:
             best = f"the one that is cheapest to switch to ({number(found.switching)}), and then the first by priority"
         worth = f", worth {found.worth}" if criterion.goal else ""
         rounded = (
-            f" by more than {number(found.resolution)}, to which its worth was rounded" if found.resolution else ""
+            f" by more than {number(found.resolution)}, to which its worth was rounded"
+            if found.resolution
+            else ""
         )
         if found.is_proven and not rounded:
             return f"of all choices{within} this is {best}{worth}"
@@ -290,9 +343,14 @@ class Problem:
     def _why_nothing_fits(self, unlimited: Untyped) -> str:
         """Say which budgets are too small for any choice, as far as this is found within the effort that is left."""
         reasons = []
-        for load, limit, (name, unit) in zip(self._loads, self._limits, self._load_units.items(), strict=True):
+        for load, limit, (name, unit) in zip(
+            self._loads, self._limits, self._load_units.items(), strict=True
+        ):
             unlimited.minimize(cp_model.LinearExpr.sum(load))
-            if self._run(unlimited) == cp_model.OPTIMAL and (least := round(self._solver.objective_value)) > limit:
+            if (
+                self._run(unlimited) == cp_model.OPTIMAL
+                and (least := round(self._solver.objective_value)) > limit
+            ):
                 least_said, limit_said = number(float(least * unit)), number(float(limit * unit))
                 reasons.append(f"{name} would be {least_said} at least, more than {limit_said}")
         return " and ".join(reasons) or f"no choice keeps within {self._criterion.limits}"

@@ -38,7 +38,9 @@ MOST: Final = 1 << 20
 """How much output of each component is kept [bytes], in two files: the newest, and what came before it."""
 _CHUNK, _TAIL, _LINES, _WIDTH = 1 << 16, 2000, 3, 160
 
-_Report = tuple[str, tuple[Any, ...]]  # a method of the knowledge base, and its arguments: the component first
+_Report = tuple[
+    str, tuple[Any, ...]
+]  # a method of the knowledge base, and its arguments: the component first
 _PLACE = re.compile(r"\{\{(\w+)\}\}|\{([^\W\d]\w*)\}")
 _TO_DIE_S: Final = 5.0
 """How long a killed process may take to be gone [s]; after that nobody waits for it."""
@@ -72,15 +74,27 @@ class Program:
     back_off: float = 0.5
 
     def __post_init__(self) -> None:
-        if isinstance(self.arguments, str) or not isinstance(self.arguments, Sequence) or not self.arguments:
-            example = 'arguments are a list that begins with the executable, e.g. ["node", "--quiet"]'
+        if (
+            isinstance(self.arguments, str)
+            or not isinstance(self.arguments, Sequence)
+            or not self.arguments
+        ):
+            example = (
+                'arguments are a list that begins with the executable, e.g. ["node", "--quiet"]'
+            )
             raise InvalidValue(f"{example}, not {self.arguments!r}; no shell takes them apart")
-        if not isinstance(self.environment, Mapping) or any(not one or "=" in str(one) for one in self.environment):
+        if not isinstance(self.environment, Mapping) or any(
+            not one or "=" in str(one) for one in self.environment
+        ):
             names = "whose names are not empty and have no '='"
-            raise InvalidValue(f"an environment is a mapping of text to text, {names}, not {self.environment!r}")
+            raise InvalidValue(
+                f"an environment is a mapping of text to text, {names}, not {self.environment!r}"
+            )
         for text in (*self.arguments, *self.environment, *self.environment.values()):
             if not isinstance(text, str) or "\0" in text:
-                raise InvalidValue(f"arguments and variables are text without null characters, not {text!r}")
+                raise InvalidValue(
+                    f"arguments and variables are text without null characters, not {text!r}"
+                )
         whole("the number of restarts", self.restarts, 0)
         for what in ("grace", "back_off"):
             value = getattr(self, what)
@@ -91,10 +105,14 @@ class Program:
         """Raise `InvalidValue` if the executable or the directory is missing on this machine."""
         directory, name = Path(self.directory or "."), self.arguments[0]
         if not directory.is_dir():
-            raise InvalidValue(f"there is no working directory {str(directory)!r}; create it or name another")
+            raise InvalidValue(
+                f"there is no working directory {str(directory)!r}; create it or name another"
+            )
         path = self.environment.get("PATH", os.environ.get("PATH"))
         if shutil.which(directory.absolute() / name if os.sep in name else name, path=path) is None:
-            raise InvalidValue(f"no executable {name!r} is found; install it, correct the path, or chmod +x it")
+            raise InvalidValue(
+                f"no executable {name!r} is found; install it, correct the path, or chmod +x it"
+            )
 
     def command(self, parameters: Parameters) -> list[str]:
         """Return the arguments with the parameters in place; one that was not given raises `KnowledgeBaseError`."""
@@ -140,12 +158,18 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         InvalidValue: one of the programs cannot be run on this machine.
     """
 
-    def __init__(self, programs: Mapping[str, Program], *, output: str | Path | None = None) -> None:
+    def __init__(
+        self, programs: Mapping[str, Program], *, output: str | Path | None = None
+    ) -> None:
         if not Path("/proc/self/environ").exists():
-            raise KnowledgeBaseError("components as processes need the /proc of Linux; manage them by objects instead")
+            raise KnowledgeBaseError(
+                "components as processes need the /proc of Linux; manage them by objects instead"
+            )
         for name, program in programs.items():
             if not isinstance(program, Program):
-                raise InvalidValue(f"component {name!r} is run as a kb.processes.Program, not as {program!r}")
+                raise InvalidValue(
+                    f"component {name!r} is run as a kb.processes.Program, not as {program!r}"
+                )
             try:
                 program.check()
             except InvalidValue as error:
@@ -158,9 +182,13 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         try:
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         except OSError as error:
-            raise InvalidValue(f"output cannot go to {str(folder)!r}: {error.strerror}; name another folder") from None
+            raise InvalidValue(
+                f"output cannot go to {str(folder)!r}: {error.strerror}; name another folder"
+            ) from None
         outputs = {name: Output(folder / f"{quote(name, safe=' ')[:200]}.log") for name in programs}
-        self._handles = {name: _Handle(name, one, self._reports, outputs[name]) for name, one in programs.items()}
+        self._handles = {
+            name: _Handle(name, one, self._reports, outputs[name]) for name, one in programs.items()
+        }
         self._lock = RLock()
         self._guardian: subprocess.Popen[bytes] | None = None
         self._tidiers: dict[str, subprocess.Popen[bytes]] = {}
@@ -174,7 +202,9 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         handle = self._handle(component)
         with self._lock:
             if not self._is_open:
-                raise KnowledgeBaseError(f"{component!r} cannot be started: its processes are closed for good")
+                raise KnowledgeBaseError(
+                    f"{component!r} cannot be started: its processes are closed for good"
+                )
             if self._guardian is not None and self._guardian.poll() is not None:
                 _dismiss(self._guardian, self._grace)
                 self._guardian = None
@@ -196,7 +226,11 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         handle = self._handle(component)
         with self._lock:
             handle.look()
-            news = [] if self._observed is None else [(verb, arguments[0]) for verb, arguments in self._reports]
+            news = (
+                []
+                if self._observed is None
+                else [(verb, arguments[0]) for verb, arguments in self._reports]
+            )
             return handle.process is not None or ("component_active", component) in news
 
     def output(self, component: str) -> Path:
@@ -225,12 +259,19 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         The knowledge base that was last given to `observe` is told.
         """
         with self._lock:
-            if not self._is_open or os.getpid() != self._owner:  # a forked process owns none of them
+            if (
+                not self._is_open or os.getpid() != self._owner
+            ):  # a forked process owns none of them
                 return
             self._is_open = False
             atexit.unregister(self.close)
-            left, deadline = list(self._handles.values()), time.monotonic() + self._grace + _TO_DIE_S
-            while (left := [handle for handle in left if not handle.stop()]) and time.monotonic() < deadline:
+            left, deadline = (
+                list(self._handles.values()),
+                time.monotonic() + self._grace + _TO_DIE_S,
+            )
+            while (
+                left := [handle for handle in left if not handle.stop()]
+            ) and time.monotonic() < deadline:
                 time.sleep(0.01)
             for one in (self._guardian, *self._tidiers.values()):
                 if one is not None:
@@ -243,7 +284,9 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
             if (kb := self._observed) is not None:
                 self._tell(kb)
                 for name in (one for one in self._handles if one in kb.components):
-                    kb.component_active(name, False, f"the process of {name} was ended with all others")
+                    kb.component_active(
+                        name, False, f"the process of {name} was ended with all others"
+                    )
         except KnowledgeBaseError as error:
             _log.warning("the knowledge base was not told that the processes have ended: %s", error)
 
@@ -259,7 +302,11 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
         with self._lock:
             for handle in self._handles.values():
                 handle.look()
-            return {name: one.process.pid for name, one in self._handles.items() if one.process is not None}
+            return {
+                name: one.process.pid
+                for name, one in self._handles.items()
+                if one.process is not None
+            }
 
     def _meet(self, kb: KnowledgeBase) -> None:
         mine = self._pids()
@@ -269,7 +316,9 @@ class ProcessComponents(AbstractContextManager["ProcessComponents"]):
                 self._tidy_up(name, pid)
                 kb.component_ended(name, pid)
         for name in self._handles:
-            kb.component_active(name, name in mine, "" if name in mine else f"the process of {name} is no more")
+            kb.component_active(
+                name, name in mine, "" if name in mine else f"the process of {name} is no more"
+            )
 
     def _tidy_up(self, component: str, pid: int) -> None:
         """End a process that an earlier program left over; its component starts only after that."""
@@ -308,7 +357,9 @@ class Output:
         """Read from a pipe in a thread until all its writers have closed it; then close it."""
         os.set_blocking(source.fileno(), False)
         self._source, self._tail = source, b""
-        Thread(target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True).start()
+        Thread(
+            target=self._follow, args=(source,), name=f"output to {self.path.name}", daemon=True
+        ).start()
 
     def catch_up(self) -> None:
         """Read what the pipe holds now, which is all that an ended process wrote; others may still write to it."""
@@ -319,7 +370,10 @@ class Output:
         """Return the last lines of the output, joined by " | "; empty if there is none."""
         self.catch_up()
         text = self._tail.decode("utf-8", "replace")
-        lines = ["".join(one for one in line if one.isprintable()).strip()[:_WIDTH] for line in text.splitlines()]
+        lines = [
+            "".join(one for one in line if one.isprintable()).strip()[:_WIDTH]
+            for line in text.splitlines()
+        ]
         return " | ".join([line for line in lines if line][-_LINES:])
 
     def _follow(self, source: IO[bytes]) -> None:
@@ -371,8 +425,13 @@ class _Handle:
     reports: deque[_Report]
     output: Output
     process: subprocess.Popen[bytes] | None = None
-    crash: tuple[int, str] = (-1, "")  # pid of the process that last ended by itself, and how, in words
-    predecessors: dict[int, int | None] = field(default_factory=dict)  # pid and start of what must end first
+    crash: tuple[int, str] = (
+        -1,
+        "",
+    )  # pid of the process that last ended by itself, and how, in words
+    predecessors: dict[int, int | None] = field(
+        default_factory=dict
+    )  # pid and start of what must end first
     _parameters: Parameters = field(default_factory=dict)
     _in_force: Parameters = field(default_factory=dict)
     _started: float = 0.0
@@ -398,7 +457,9 @@ class _Handle:
         """Do the next step of a start; return the pid once the process runs."""
         self.look()
         left = {pid: began for pid, began in self.predecessors.items() if began is not None}
-        self.predecessors = {pid: began for pid, began in left.items() if guardian.started(pid) == began}
+        self.predecessors = {
+            pid: began for pid, began in left.items() if guardian.started(pid) == began
+        }
         if self.process is None and time.monotonic() >= self._not_before and not self.predecessors:
             self._spawn(mark)
         return None if self.process is None or self._kill_at is not None else self.process.pid
@@ -444,7 +505,9 @@ class _Handle:
             )
         except OSError as error:
             remedy = "see whether its first line names an interpreter that is there"
-            raise KnowledgeBaseError(f"{command[0]!r} cannot be run: {error.strerror}; {remedy}") from None
+            raise KnowledgeBaseError(
+                f"{command[0]!r} cannot be run: {error.strerror}; {remedy}"
+            ) from None
         assert self.process.stdout is not None
         self.output.follow(self.process.stdout)
         self._started, self._in_force, self.crash = time.monotonic(), self._parameters, (-1, "")
@@ -488,7 +551,9 @@ def _has_ended(pid: int) -> bool:
 
 
 def _signal_group(leader: int, number: signal.Signals) -> None:
-    with suppress(ProcessLookupError, PermissionError):  # it has ended, or belongs to another user now
+    with suppress(
+        ProcessLookupError, PermissionError
+    ):  # it has ended, or belongs to another user now
         os.killpg(leader, number)
 
 

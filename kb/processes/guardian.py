@@ -41,7 +41,9 @@ def started(pid: int) -> int | None:
 def left_over(pid: int) -> str | None:
     """Return the mark of a process whose starter is no more; None for any other process, which must be left alone."""
     begin = f"{MARK}=".encode()
-    marks = [entry.removeprefix(begin).decode() for entry in _environment(pid) if entry.startswith(begin)]
+    marks = [
+        entry.removeprefix(begin).decode() for entry in _environment(pid) if entry.startswith(begin)
+    ]
     if not marks or marks[0].count(".") != 2:
         return None
     _, starter, began = marks[0].split(".")

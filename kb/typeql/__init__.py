@@ -23,14 +23,28 @@ from kb.facts import Contents, Fact
 from kb.files import Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql.syntax import Define, Literal, parse
-from kb.typeql.things import ATTRIBUTES, CLASSES, EXTENSIONS, ROLES, SPECIAL, Field, Own, Store, Thing, seconds, shown
+from kb.typeql.things import (
+    ATTRIBUTES,
+    CLASSES,
+    EXTENSIONS,
+    ROLES,
+    SPECIAL,
+    Field,
+    Own,
+    Store,
+    Thing,
+    seconds,
+    shown,
+)
 
 ModelT = TypeVar("ModelT", bound=Contents)
 Stated = tuple[int, Fact, Place]
 """The number of a statement, its fact, and its place."""
 
 _KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
-_STATED: Final = frozenset({"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"})
+_STATED: Final = frozenset(
+    {"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"}
+)
 """The attributes that are no fields of an element: facts, its name, and what ROSA does not have."""
 _FLAGS: Final[Mapping[str, Callable[[Any], Fact]]] = {
     "required": facts.RequiredFact,
@@ -45,7 +59,9 @@ _STEPS: Final = {
 }
 """The kinds of steps of a plan: the role in each, the field of the plan, and the class of the players."""
 _RESULTS: Final[Mapping[str, str]] = {
-    **dict.fromkeys(("completed", "complete", "success", "succeeded", "successful", "done"), "completed"),
+    **dict.fromkeys(
+        ("completed", "complete", "success", "succeeded", "successful", "done"), "completed"
+    ),
     **dict.fromkeys(("failed", "failure", "error", "aborted"), "failed"),
     **dict.fromkeys(("abandoned", "cancelled", "canceled", "interrupted"), "abandoned"),
 }
@@ -72,19 +88,27 @@ def _complete(store: Store) -> None:
         for thing in store.things[kind]:
             for role in roles:
                 if len(thing.players(role.name)) < role.least and not _only_states(thing):
-                    raise thing.place.error(f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)")
+                    raise thing.place.error(
+                        f"this {thing.type.label} has no {role.name}; write ({role.name}: $x, ...)"
+                    )
     for kind in ("function-design", "component-configuration"):
         whole, _, what = kind.partition("-")
         for thing in store.things[kind]:
             if thing.own("name") is None:
                 name = _unused(f"{thing.players(whole)[0].name} {what}", store.named[kind])
                 store.give(thing, "name", name, thing.place)
-                store.note(thing.place, f"this {thing.type.label} has no name; it is called {name!r}")
+                store.note(
+                    thing.place, f"this {thing.type.label} has no name; it is called {name!r}"
+                )
 
 
 def _only_states(thing: Thing) -> bool:
     """Return whether a constraint only has a status and something constrained, so it need not compare anything."""
-    return thing.kind == "constraint" and thing.own("status") is not None and bool(thing.players("constrained"))
+    return (
+        thing.kind == "constraint"
+        and thing.own("status") is not None
+        and bool(thing.players("constrained"))
+    )
 
 
 class _Reading:
@@ -100,7 +124,11 @@ class _Reading:
             for thing in self.store.things[kind] if issubclass(cls, Element) else ():
                 with thing.place.blamed():
                     is_action = cls is elements.Action
-                    given = {"functions": required.get(thing, [])} if is_action else self._fields(cls, thing)
+                    given = (
+                        {"functions": required.get(thing, [])}
+                        if is_action
+                        else self._fields(cls, thing)
+                    )
                     self._keep(thing, self.model.declare(cls, thing.name, **given))
         for thing in self.store.things["constraint"]:
             with thing.place.blamed():
@@ -125,7 +153,9 @@ class _Reading:
         return required
 
     def _fields(self, cls: type[Element], thing: Thing) -> dict[str, Any]:
-        given: dict[str, Any] = {own.name: own.value for own in thing.owns if own.name not in _STATED}
+        given: dict[str, Any] = {
+            own.name: own.value for own in thing.owns if own.name not in _STATED
+        }
         for role in ROLES.get(CLASSES[cls], ()):
             if role.field:
                 names = _names(thing, role.name)
@@ -150,7 +180,9 @@ class _Reading:
 
     def _stand_in(self, thing: Thing) -> str:
         name = _unused("unnamed attribute", self.store.named["attribute"])
-        self.store.note(thing.place, f"this constraint has a status and no attribute; it is given {name!r}")
+        self.store.note(
+            thing.place, f"this constraint has a status and no attribute; it is given {name!r}"
+        )
         self.store.named["attribute"][name] = thing
         return self.model.declare(Attribute, name).name
 
@@ -172,7 +204,9 @@ class _Reading:
         for thing in self.store.things["required-action"]:
             preference = _preference(thing)
             for name in _names(thing, "action"):
-                requested = facts.RequiredActionFact(name, preference, **_period(thing), result=self._result(thing))
+                requested = facts.RequiredActionFact(
+                    name, preference, **_period(thing), result=self._result(thing)
+                )
                 yield thing.order, requested, thing.place
         for thing in self.store.things["component-process"]:
             pid = thing.value("pid")
@@ -196,7 +230,9 @@ class _Reading:
         if word in known:
             return facts.StatusFact(element, Status(word))
         unknown = UnknownName(f"status of a {thing.type.label}", own.value, map(str, known))
-        self.store.note(own.place, f"{unknown}; not asserted")  # no error: other programs read such files too
+        self.store.note(
+            own.place, f"{unknown}; not asserted"
+        )  # no error: other programs read such files too
         return None
 
     def _measurements(self) -> Iterator[Stated]:
@@ -212,17 +248,23 @@ class _Reading:
             unsaid = [thing for thing in things if thing.own("latest") is None]
             if any(thing.value("latest") is True for thing in things):
                 unsaid = []
-            newest = max(unsaid, key=lambda thing: (_time(thing, "time") or 0.0, _order(thing)), default=None)
+            newest = max(
+                unsaid, key=lambda thing: (_time(thing, "time") or 0.0, _order(thing)), default=None
+            )
             for thing in things:
                 own = thing.own("value")
                 if own is None:
-                    raise thing.place.error(f"this {thing.type.label} has no value; write `has measurement-value 0.5`")
+                    raise thing.place.error(
+                        f"this {thing.type.label} has no value; write `has measurement-value 0.5`"
+                    )
                 latest = thing is newest or thing.value("latest") is True
                 fact = facts.MeasurementFact(name, own.value, _time(thing, "time"), latest)  # type: ignore[arg-type]  # a number: checked
                 yield _order(thing), fact, own.place
 
     def _plan(self, thing: Thing) -> facts.PlanFact:
-        steps: dict[str, Any] = {field: self._steps(thing, kind, role) for kind, (role, field, _) in _STEPS.items()}
+        steps: dict[str, Any] = {
+            field: self._steps(thing, kind, role) for kind, (role, field, _) in _STEPS.items()
+        }
         return facts.PlanFact(**steps, **_period(thing), result=self._result(thing))
 
     def _steps(self, whole: Thing, kind: str, role: str) -> tuple[str, ...]:
@@ -234,8 +276,15 @@ class _Reading:
             elif one.thing.kind == kind:
                 names += (chosen := _names(one.thing, role))
                 if not chosen:
-                    self.store.note(one.thing.place, f"this {one.thing.type.label} names no {role}; it is ignored")
-            elif one.thing.kind in ("component", "component-configuration") and one.role and one.role.name == kind:
+                    self.store.note(
+                        one.thing.place,
+                        f"this {one.thing.type.label} names no {role}; it is ignored",
+                    )
+            elif (
+                one.thing.kind in ("component", "component-configuration")
+                and one.role
+                and one.role.name == kind
+            ):
                 names.append(one.thing.name)
         return tuple(names)
 
@@ -259,7 +308,9 @@ def _number(thing: Thing, name: str, default: float | None = None) -> float:
     if isinstance(value, int | float):
         return value
     if default is None and thing.kind:
-        raise thing.place.error(f"this {thing.type.label} has no {name}; write `has {thing.kind}-{name} 0.5`")
+        raise thing.place.error(
+            f"this {thing.type.label} has no {name}; write `has {thing.kind}-{name} 0.5`"
+        )
     return default or 0.0
 
 
@@ -291,7 +342,9 @@ def _preference(thing: Thing) -> dict[str, float] | None:
         weights = map(finite_number, json.loads(str(own.value)))
         return dict(zip(names, weights, strict=True))
     except (ValueError, TypeError, RecursionError) as error:
-        raise own.place.error(f"{own.value!r:.60} is no list of weights for {len(names)} attributes: {error}") from None
+        raise own.place.error(
+            f"{own.value!r:.60} is no list of weights for {len(names)} attributes: {error}"
+        ) from None
 
 
 def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
@@ -300,7 +353,9 @@ def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
         key, value, sort = one.own("key"), one.own("value"), one.value("type")
         if key is None or value is None:
             missing = "key" if key is None else "value"
-            raise one.place.error(f"this {one.type.label} has no {missing}; write `has parameter-{missing} '...'`")
+            raise one.place.error(
+                f"this {one.type.label} has no {missing}; write `has parameter-{missing} '...'`"
+            )
         read = _parameter(value.value, None if sort is None else str(sort), value.place)
         if values.setdefault(str(key.value), read) != read:
             raise one.place.error(f"parameter {key.value!r} has two values in one configuration")
@@ -310,13 +365,22 @@ def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
 def _parameter(value: Literal, type_name: str | None, place: Place) -> elements.Parameter:
     if type_name is None:
         return value  # type: ignore[return-value]  # no date: it was checked
-    word = re.sub(r"[-\s]", "_", type_name.strip().lower()).removeprefix("parameter_").replace("[]", "_array")
+    word = (
+        re.sub(r"[-\s]", "_", type_name.strip().lower())
+        .removeprefix("parameter_")
+        .replace("[]", "_array")
+    )
     read = _READERS.get(word.removesuffix("_array"))
     if read is None:
-        known = [*elements.PARAMETER_TYPES.values(), *(f"{one}_array" for one in elements.PARAMETER_TYPES.values())]
+        known = [
+            *elements.PARAMETER_TYPES.values(),
+            *(f"{one}_array" for one in elements.PARAMETER_TYPES.values()),
+        ]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
-        return [read(item) for item in _items(value, word)] if word.endswith("_array") else read(value)  # type: ignore[return-value]  # all of one type
+        return (
+            [read(item) for item in _items(value, word)] if word.endswith("_array") else read(value)
+        )  # type: ignore[return-value]  # all of one type
     except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 
@@ -329,10 +393,16 @@ def _whole(value: object) -> int:
 
 
 _READERS: Final[Mapping[str, Callable[[object], bool | int | float | str]]] = {
-    **dict.fromkeys(("boolean", "bool"), lambda value: {"true": True, "false": False}[str(value).strip().lower()]),
+    **dict.fromkeys(
+        ("boolean", "bool"),
+        lambda value: {"true": True, "false": False}[str(value).strip().lower()],
+    ),
     **dict.fromkeys(("long", "integer", "int"), _whole),
     **dict.fromkeys(("double", "float"), lambda value: finite_number(float(str(value)))),
-    **dict.fromkeys(("string", "str"), lambda value: str(value).lower() if isinstance(value, bool) else str(value)),
+    **dict.fromkeys(
+        ("string", "str"),
+        lambda value: str(value).lower() if isinstance(value, bool) else str(value),
+    ),
 }
 
 
@@ -342,7 +412,9 @@ def _items(value: Literal, word: str) -> list[object]:
         return [value]
     with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
         items = ast.literal_eval(value.strip())
-        if isinstance(items, list) and (not word.startswith("str") or all(isinstance(item, str) for item in items)):
+        if isinstance(items, list) and (
+            not word.startswith("str") or all(isinstance(item, str) for item in items)
+        ):
             return items
     inner = re.fullmatch(r"\s*\[\s*([\s\S]*?)\s*\]\s*", value)
     if inner is None:
@@ -400,12 +472,22 @@ class _Writer:
             sort = elements.parameter_type(value)
             variable = self._fresh("parameter", key)
             players.append(("parameter", variable))
-            given = {"parameter-key": quoted(key), "parameter-value": quoted(text), "parameter-type": quoted(sort)}
+            given = {
+                "parameter-key": quoted(key),
+                "parameter-value": quoted(text),
+                "parameter-type": quoted(sort),
+            }
             yield _statement(variable, (), "ComponentParameter", given)
-        variable = self.variables[one] = self._fresh(facts.ROSA[type(one)].split()[-1], elements.called(one))
-        yield self._described(one, "" if isinstance(one, elements.Estimation) else variable, players)
+        variable = self.variables[one] = self._fresh(
+            facts.ROSA[type(one)].split()[-1], elements.called(one)
+        )
+        yield self._described(
+            one, "" if isinstance(one, elements.Estimation) else variable, players
+        )
         if isinstance(one, elements.Action) and one.functions:
-            needs = [("required-function", self._of(elements.Function, name)) for name in one.functions]
+            needs = [
+                ("required-function", self._of(elements.Function, name)) for name in one.functions
+            ]
             yield _statement("", [("action", variable), *needs], "functional-requirement", {})
 
     def _fact(self, fact: Fact) -> Iterator[str]:
@@ -427,7 +509,9 @@ class _Writer:
         else:
             yield self._described(fact, "", [])
 
-    def _described(self, one: elements.Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]) -> str:
+    def _described(
+        self, one: elements.Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]
+    ) -> str:
         kind = CLASSES[type(one)]
         named = []
         for role in ROLES.get(kind, ()):
@@ -468,7 +552,9 @@ def written_time(time: float) -> str | None:
     return text if seconds(datetime.fromisoformat(text).replace(tzinfo=UTC)) == time else None
 
 
-def _statement(variable: str, players: Iterable[tuple[str, str]], label: str, given: Mapping[str, str | None]) -> str:
+def _statement(
+    variable: str, players: Iterable[tuple[str, str]], label: str, given: Mapping[str, str | None]
+) -> str:
     relation = ", ".join(f"{role}: {player}" for role, player in players)
     head = [variable, f"({relation})" if relation else "", f"isa {label}"]
     owns = [f"has {label} {value}" for label, value in given.items() if value is not None]

@@ -25,14 +25,22 @@ MAX_DEPTH: Final = 100
 _ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
 _ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 
-_KEYWORDS: Final = "sub owns relates plays abstract value regex as isa has when then rule define insert match"
+_KEYWORDS: Final = (
+    "sub owns relates plays abstract value regex as isa has when then rule define insert match"
+)
 _EXPECTED: Final = {
     "VARIABLE": "a variable such as `$x`",
     "LABEL": "a name",
     **dict.fromkeys(("STRING", "NUMBER", "DATETIME", "BOOLEAN"), "a value"),
     **{word.upper(): f"`{word}`" for word in _KEYWORDS.split()},
     **{"ANNOTATION": "`@key`", "COMMA": "`,`", "SEMICOLON": "`;`", "COLON": "`:`"},
-    **{"OPEN": "`(`", "RPAR": "`)`", "BRACE": "`{`", "RBRACE": "`}`", "$END": "the end of the file"},
+    **{
+        "OPEN": "`(`",
+        "RPAR": "`)`",
+        "BRACE": "`{`",
+        "RBRACE": "`}`",
+        "$END": "the end of the file",
+    },
 }
 """The words for terminals in messages, in the order in which these list them; other terminals are not listed."""
 
@@ -109,17 +117,25 @@ class _Refusal(PostLex):
         depth = 0
         for word in stream:
             if word.type == "REFUSED":
-                does = "reads; a model file only states: ask `KnowledgeBase.query` instead, in SPARQL"
+                does = (
+                    "reads; a model file only states: ask `KnowledgeBase.query` instead, in SPARQL"
+                )
                 if word in ("delete", "update", "undefine"):
                     does = "changes what a database holds; a model file only states: change the `insert` that says it"
-                raise _Refused(word, f"`{word}` {does}. Expected `define`, `insert` or `match ... insert`")
+                raise _Refused(
+                    word, f"`{word}` {does}. Expected `define`, `insert` or `match ... insert`"
+                )
             depth += {"BRACE": 1, "OPEN": 1, "RBRACE": -1, "RPAR": -1}.get(word.type, 0)
             if depth > MAX_DEPTH:
-                raise _Refused(word, f"brackets are nested deeper than {MAX_DEPTH}; no model needs that")
+                raise _Refused(
+                    word, f"brackets are nested deeper than {MAX_DEPTH}; no model needs that"
+                )
             yield word
 
 
-def _statement(first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Player, ...]) -> Statement:
+def _statement(
+    first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Player, ...]
+) -> Statement:
     every = (first, *clauses)
     isa, *more = (*(one for one in every if isinstance(one, Word) and one.type == "LABEL"), None)
     if more and more[0] is not None:
@@ -132,7 +148,9 @@ def _statement(first: Word | tuple[Player, ...], *clauses: Word | Has | tuple[Pl
 
 def _stated(statements: tuple[Statement, ...]) -> tuple[Statement, ...]:
     for value in (has.value for one in statements for has in one.has):
-        if isinstance(value, Word):  # only reading queries have such variables, and they are refused elsewhere
+        if isinstance(
+            value, Word
+        ):  # only reading queries have such variables, and they are refused elsewhere
             raise _Refused(value, f"unexpected `{value}`; expected a value")
     return statements
 
@@ -174,14 +192,18 @@ _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
     "isa": lambda label: label,
     "has": lambda label, value: Has(label, _value(value)),
     "players": lambda _, *players: players,
-    "player": lambda *words: Player(words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1]),
+    "player": lambda *words: Player(
+        words[-2] if len(words) > 1 and words[-2].type == "LABEL" else None, words[-1]
+    ),
 }
 """The function that makes the result of each rule of the grammar."""
 
 
 @cache
 def _parser() -> Lark:
-    shapes = SimpleNamespace(**{rule: lambda parts, make=make: make(*parts) for rule, make in _SHAPES.items()})
+    shapes = SimpleNamespace(
+        **{rule: lambda parts, make=make: make(*parts) for rule, make in _SHAPES.items()}
+    )
     how = {"parser": "lalr", "lexer": "contextual", "postlex": _Refusal(), "transformer": shapes}
     return Lark.open("grammar.lark", rel_to=__file__, **how)
 
@@ -202,7 +224,9 @@ def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) 
 
 
 def _wanted(error: UnexpectedToken | UnexpectedCharacters) -> str:
-    accepted = error.accepts or error.expected if isinstance(error, UnexpectedToken) else error.allowed
+    accepted = (
+        error.accepts or error.expected if isinstance(error, UnexpectedToken) else error.allowed
+    )
     names = {name.lstrip("_") for name in accepted or ()}
     words = list(dict.fromkeys(word for name, word in _EXPECTED.items() if name in names))
     return " or ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)

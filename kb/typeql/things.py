@@ -19,9 +19,21 @@ from typing import Any, Final, NamedTuple, TypeVar
 from kb import elements, facts
 from kb.exceptions import UnknownName
 from kb.files import DuplicateInFile, ModelFileError, Place
-from kb.typeql.syntax import MAX_DEPTH, Define, Has, Insert, Literal, Player, Statement, Word, place_of
+from kb.typeql.syntax import (
+    MAX_DEPTH,
+    Define,
+    Has,
+    Insert,
+    Literal,
+    Player,
+    Statement,
+    Word,
+    place_of,
+)
 
-_WORDS: Final[dict[str, Any]] = tomllib.loads(files(__package__).joinpath("vocabulary.toml").read_text())
+_WORDS: Final[dict[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("vocabulary.toml").read_text()
+)
 EXTENSIONS: Final[Mapping[str, list[str]]] = _WORDS["extensions"]
 """Attributes that ROSA's schema does not have: the sort of their value, and the types that own them."""
 _QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
@@ -70,23 +82,31 @@ class Role(NamedTuple):
     most: int
 
 
-def _role(name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0) -> Role:
+def _role(
+    name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0
+) -> Role:
     for group, members in _WORDS["groups"].items():
         words = words.replace(f"@{group}", members)
     return Role(name, field, tuple(by), tuple(words.split()), least, most)
 
 
 ROLES: Final[Mapping[str, tuple[Role, ...]]] = {
-    kind: tuple(_role(name, **given) for name, given in roles.items()) for kind, roles in _WORDS["roles"].items()
+    kind: tuple(_role(name, **given) for name, given in roles.items())
+    for kind, roles in _WORDS["roles"].items()
 }
 
 ATTRIBUTES: Final[Mapping[str, tuple[Field, ...]]] = {
-    kind: tuple(Field(name, value, label, tuple(words.split())) for label, (name, value, words) in own.items())
+    kind: tuple(
+        Field(name, value, label, tuple(words.split()))
+        for label, (name, value, words) in own.items()
+    )
     for kind, own in _WORDS["attributes"].items()
 }
 
 CLASSES: Final[Mapping[type, str]] = {
-    cls: kind for cls, word in facts.ROSA.items() if (kind := word.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
+    cls: kind
+    for cls, word in facts.ROSA.items()
+    if (kind := word.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
 }
 """The kind of each class of elements and facts; each comes after those that it refers to."""
 
@@ -120,7 +140,9 @@ class Vocabulary:
         self.attributes: set[str] = set()
         for file, query in defined:
             for label, parents in query.definitions:
-                self._parents.update((str(label), (str(one), place_of(file, one))) for one in parents)
+                self._parents.update(
+                    (str(label), (str(one), place_of(file, one))) for one in parents
+                )
         for label in self._parents:
             self._link(label, [])
 
@@ -128,7 +150,9 @@ class Vocabulary:
         found = self._types.get(_plain(label))
         if found is None:
             known = list(dict.fromkeys(one.label for one in self._types.values()))
-            raise place.error(f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`")
+            raise place.error(
+                f"{UnknownName('type', str(label), known)}; a type of your own is declared by `define`"
+            )
         return found
 
     def role(self, of: Type, word: Word | None, player: Type, place: Place) -> Role:
@@ -142,21 +166,29 @@ class Vocabulary:
             return fitting[0]
         if fitting:
             names = ", ".join(role.name for role in fitting)
-            raise place.error(f"what this {player.label} is in {of.label} is not clear; write one of the roles {names}")
+            raise place.error(
+                f"what this {player.label} is in {of.label} is not clear; write one of the roles {names}"
+            )
         needed = ", ".join(dict.fromkeys(one for role in candidates for one in role.kinds))
         what = f"role `{word}`" if word else "a player"
-        raise place.error(f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here")
+        raise place.error(
+            f"{what} of {of.label} can be: {needed}; not a thing of type {player.label}, as here"
+        )
 
     def roles(self, of: Type, word: Word, place: Place) -> tuple[Role, ...]:
         """Return the roles that a word can mean."""
         name, every = _word(word), ROLES.get(of.kind, ())
         while name:
-            if found := tuple(role for role in every if name in role.words or name.removesuffix("s") in role.words):
+            if found := tuple(
+                role for role in every if name in role.words or name.removesuffix("s") in role.words
+            ):
                 return found
             first, _, rest = name.partition("-")
             name = rest if first in _QUALIFIERS else ""
         known = [role.name for role in every]
-        raise place.error(f"{UnknownName(f'role of {of.label}', str(word), known)} (roles: {', '.join(known)})")
+        raise place.error(
+            f"{UnknownName(f'role of {of.label}', str(word), known)} (roles: {', '.join(known)})"
+        )
 
     def _link(self, label: str, below: list[str]) -> Type | None:
         """Return a type by its label, made with its parents if need be; None for an attribute."""
@@ -165,18 +197,26 @@ class Vocabulary:
             return known
         parent, place = self._parents[label]
         if label in below:
-            raise place.error(f"{label} is declared a subtype of itself: {' sub '.join([*below, label])}")
+            raise place.error(
+                f"{label} is declared a subtype of itself: {' sub '.join([*below, label])}"
+            )
         if len(below) > MAX_DEPTH:
-            raise place.error(f"more than {MAX_DEPTH} types are below one another; declare {parent} before {label}")
+            raise place.error(
+                f"more than {MAX_DEPTH} types are below one another; declare {parent} before {label}"
+            )
         above = None if parent in _ROOTS else self._link(parent, [*below, label])
-        is_attribute = parent in self.attributes or any(field_of(kind, parent) for kind in ATTRIBUTES)
+        is_attribute = parent in self.attributes or any(
+            field_of(kind, parent) for kind in ATTRIBUTES
+        )
         if parent == "attribute" or (above is None and parent not in _ROOTS and is_attribute):
             self.attributes.add(label)
             return None
         if above is None and parent not in _ROOTS:
             self.type(parent, place)
         above = above or Type("", "", ())
-        return self._types.setdefault(_plain(label), Type(label, above.kind, (label, *above.lineage)))
+        return self._types.setdefault(
+            _plain(label), Type(label, above.kind, (label, *above.lineage))
+        )
 
 
 def seconds(moment: datetime) -> float:
@@ -188,7 +228,12 @@ def seconds(moment: datetime) -> float:
 def field_of(kind: str, label: str) -> Field | None:
     """Return the attribute of a kind of thing that a label means, or None if ROSA has none."""
     name = f"-{_word(label)}"
-    found = [(len(one), field) for field in ATTRIBUTES.get(kind, ()) for one in field.words if name.endswith(f"-{one}")]
+    found = [
+        (len(one), field)
+        for field in ATTRIBUTES.get(kind, ())
+        for one in field.words
+        if name.endswith(f"-{one}")
+    ]
     return max(found, key=lambda one: one[0])[1] if found else None
 
 
@@ -241,7 +286,9 @@ class Thing:
     def name(self) -> str:
         own = self.own("name")
         if own is None and self.kind:
-            raise self.place.error(f"this {self.type.label} has no name; write `has {self.kind}-name '...'`")
+            raise self.place.error(
+                f"this {self.type.label} has no name; write `has {self.kind}-name '...'`"
+            )
         return str(own.value) if own else ""
 
     def own(self, name: str) -> Own | None:
@@ -287,7 +334,10 @@ class Store:
         if found is None:
             if thing.kind and label not in self.vocabulary.attributes:
                 known = [one.words[0] for one in ATTRIBUTES.get(thing.kind, ())]
-                self.note(place, f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; ignored")
+                self.note(
+                    place,
+                    f"{UnknownName(f'attribute of {thing.type.label}', label, known)}; ignored",
+                )
             thing.owns.append(Own("", label, value, place, self.order))
             return
         own = Own(found.name, label, _checked(found, value, label, place), place, self.order)
@@ -295,8 +345,12 @@ class Store:
         if before is not None and found.name not in _REPEATABLE:
             if before.value != own.value:
                 if before.label == label:
-                    raise place.error(f"{label} is {own.value!r} here, and {before.value!r} at {before.place}")
-                self.note(place, f"{label} is ignored: {before.label} at {before.place} has said it")
+                    raise place.error(
+                        f"{label} is {own.value!r} here, and {before.value!r} at {before.place}"
+                    )
+                self.note(
+                    place, f"{label} is ignored: {before.label} at {before.place} has said it"
+                )
             return
         thing.owns.append(own)
         if found.name == "name":
@@ -322,7 +376,9 @@ class Store:
             for has in statement.has:
                 self.give(thing, str(has.label), has.value, self._place(has.label))
             for role, variable in statement.players:
-                self._play(thing, role, self._thing(things, variable), self._place(role or variable))
+                self._play(
+                    thing, role, self._thing(things, variable), self._place(role or variable)
+                )
 
     def _declared(self, things: dict[str, Thing], statement: Statement) -> Thing | None:
         """Return the thing that a statement declares; None if it declares none."""
@@ -349,7 +405,11 @@ class Store:
 
     def _thing(self, things: dict[str, Thing], word: Word) -> Thing:
         if str(word) not in things:
-            what = UnknownName("variable", str(word), things) if things else f"unknown variable '{word}'"
+            what = (
+                UnknownName("variable", str(word), things)
+                if things
+                else f"unknown variable '{word}'"
+            )
             raise self._place(word).error(f"{what}; a type is given by `{word} isa ...`")
         return things[str(word)]
 
@@ -365,9 +425,13 @@ class Store:
             ModelFileError: nothing matches; the message says what was looked for and what there is.
         """
         found: list[Bindings] = [{}]
-        for one in sorted(patterns, key=lambda one: 0 if self._name(one) else 1 if one.players else 2):
+        for one in sorted(
+            patterns, key=lambda one: 0 if self._name(one) else 1 if one.players else 2
+        ):
             place = self._place(one.word)
-            found = _bounded((more for known in found for more in self._extended(known, one)), place)
+            found = _bounded(
+                (more for known in found for more in self._extended(known, one)), place
+            )
             if not found:
                 raise self._nothing(one, place)
         return list({tuple(each.items()): each for each in found}.values())
@@ -375,8 +439,12 @@ class Store:
     def _extended(self, known: Bindings, one: Statement) -> Iterator[Bindings]:
         wanted = self._type(one)
         for thing in self._candidates(known, one):
-            if (wanted is None or wanted.label in thing.type.lineage) and all(_has(thing, has) for has in one.has):
-                yield from self._relating({**known, one.variable: thing} if one.variable else known, thing, one.players)
+            if (wanted is None or wanted.label in thing.type.lineage) and all(
+                _has(thing, has) for has in one.has
+            ):
+                yield from self._relating(
+                    {**known, one.variable: thing} if one.variable else known, thing, one.players
+                )
 
     def _candidates(self, known: Bindings, one: Statement) -> Iterable[Thing]:
         if one.variable is not None and one.variable in known:
@@ -410,7 +478,9 @@ class Store:
     def _name(self, one: Statement) -> str | None:
         """Return the name in a statement that also has the type, or None."""
         wanted = self._type(one)
-        fields = ((field_of(wanted.kind, has.label), has.value) for has in one.has) if wanted else ()
+        fields = (
+            ((field_of(wanted.kind, has.label), has.value) for has in one.has) if wanted else ()
+        )
         return next((str(value) for field, value in fields if field and field.name == "name"), None)
 
     def _nothing(self, one: Statement, place: Place) -> ModelFileError:
@@ -439,12 +509,21 @@ def _checked(field: Field, value: Literal, label: str, place: Place) -> Literal:
 
 def _has(thing: Thing, wanted: Has) -> bool:
     meant = field_of(thing.kind, str(wanted.label))
-    said = (own.value for own in thing.owns if wanted.label == own.label or (meant and own.name == meant.name))
-    return any(one == wanted.value and isinstance(one, bool) is isinstance(wanted.value, bool) for one in said)
+    said = (
+        own.value
+        for own in thing.owns
+        if wanted.label == own.label or (meant and own.name == meant.name)
+    )
+    return any(
+        one == wanted.value and isinstance(one, bool) is isinstance(wanted.value, bool)
+        for one in said
+    )
 
 
 def _bounded(every: Iterator[T], place: Place) -> list[T]:
     found = list(islice(every, MOST + 1))
     if len(found) > MOST:
-        raise place.error(f"`match` finds more than {MOST} answers; say which things are meant, by their names")
+        raise place.error(
+            f"`match` finds more than {MOST} answers; say which things are meant, by their names"
+        )
     return found

@@ -9,21 +9,33 @@ from kb import KnowledgeBase
 from missions import SUMMARIES
 from missions.agv.joint import Modes
 from missions.agv.model import NAVIGATE, PAPER, Building, building_model
-from missions.agv.tree import PddlNames, Planned, PlanningState, Route, agv_tree, cross_schema, switch_schema
+from missions.agv.tree import (
+    PddlNames,
+    Planned,
+    PlanningState,
+    Route,
+    agv_tree,
+    cross_schema,
+    switch_schema,
+)
 from missions.agv.world import AgvKind
 from missions.engine.mission import Mission, Percepts
 from missions.engine.task_layer import by_schema
 
 __all__ = ["MISSION", "PAPER", "WEIGHTS", "agv_mission"]
 
-WEIGHTS: Final[Mapping[str, float]] = MappingProxyType({"time": 1.0, "energy": 0.02, "collisions": 10.0})
+WEIGHTS: Final[Mapping[str, float]] = MappingProxyType(
+    {"time": 1.0, "energy": 0.02, "collisions": 10.0}
+)
 """Default weights of what is minimised: seconds, joules, expected collisions; own choice."""
 
 LIMITED: Final = ("energy",)
 """The resources of which a plan may use no more than there is."""
 
 
-def agv_mission(name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS) -> Mission:
+def agv_mission(
+    name: str, summary: str, building: Building, weights: Mapping[str, float] = WEIGHTS
+) -> Mission:
     """Make a mission of a map; the weights are those of `missions.agv.joint.Question`."""
 
     @cache  # takes time to make, and a mission that is only listed does not need it
@@ -46,8 +58,14 @@ def agv_mission(name: str, summary: str, building: Building, weights: Mapping[st
         tree=partial(agv_tree, building, weights),
         problem=lambda: pddl().problem,
         actions=by_schema(
-            Planned(switch_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).switch(step)),
-            Planned(cross_schema(LIMITED), lambda kb, percepts, step: planning_state(kb, percepts).cross(step)),
+            Planned(
+                switch_schema(LIMITED),
+                lambda kb, percepts, step: planning_state(kb, percepts).switch(step),
+            ),
+            Planned(
+                cross_schema(LIMITED),
+                lambda kb, percepts, step: planning_state(kb, percepts).cross(step),
+            ),
         ),
         facts=lambda kb, percepts: planning_state(kb, percepts).facts,
         engines=("label-setting",),

@@ -94,10 +94,20 @@ class Modes:
     def running(self) -> Mode:
         """How the robot is configured now: the active ones among the components of the function's designs."""
         kb = self._kb
-        parts = {part for name in kb.functions[self._function].designs for part in kb.designs[name].components}
-        active = [part for part in kb.model.components if part in parts and kb.components[part].is_active]
+        parts = {
+            part
+            for name in kb.functions[self._function].designs
+            for part in kb.designs[name].components
+        }
+        active = [
+            part for part in kb.model.components if part in parts and kb.components[part].is_active
+        ]
         selected = {part: kb.components[part].selected_configuration for part in active}
-        return Mode("", Choice({}, {part: name for part, name in selected.items() if name}), frozenset(active))
+        return Mode(
+            "",
+            Choice({}, {part: name for part, name in selected.items() if name}),
+            frozenset(active),
+        )
 
     def under(self, conditions: Mapping[str, float]) -> list[Mode]:
         """Return the modes that are possible while attributes have these values; none if the function is unfeasible.
@@ -112,7 +122,9 @@ class Modes:
             situation = self._kb.situation(conditions)
             designs = {*situation.selectable_designs(self._function)}
             parts = {part for mode in self._all for part in mode.components}
-            settings = {name for part in parts for name in situation.selectable_configurations(part)}
+            settings = {
+                name for part in parts for name in situation.selectable_configurations(part)
+            }
             self._found[key] = [
                 mode
                 for mode in self._all
@@ -124,17 +136,24 @@ class Modes:
     def _key(self, conditions: Mapping[str, float]) -> tuple[float, ...]:
         """Return whether each constraint holds; with hysteresis, which depends on more than the value, the value."""
         concerned = [
-            (one, conditions[one.attribute]) for one in self._kb.model.constraints if one.attribute in conditions
+            (one, conditions[one.attribute])
+            for one in self._kb.model.constraints
+            if one.attribute in conditions
         ]
         return tuple(
-            [value if one.hysteresis else OPERATORS[one.operator](value, one.value) for one, value in concerned]
+            [
+                value if one.hysteresis else OPERATORS[one.operator](value, one.value)
+                for one, value in concerned
+            ]
         )
 
     def _read(self) -> Iterator[Mode]:
         """Yield all modes of the model, possible or not."""
         kb = self._kb
         for design in kb.functions[self._function].designs:
-            configured = {part: kb.components[part].configurations for part in kb.designs[design].components}
+            configured = {
+                part: kb.components[part].configurations for part in kb.designs[design].components
+            }
             parts = {part: names for part, names in configured.items() if names}
             for chosen in product(*parts.values()):
                 choice = Choice({self._function: design}, dict(zip(parts, chosen, strict=True)))
@@ -145,12 +164,21 @@ def _mode(model: Model, choice: Choice, components: frozenset[str]) -> Mode:
     chosen = [model.designs[one] for one in choice.designs.values()]
     configurations = [model.configurations[one] for one in choice.configurations.values()]
     name = " ".join(one.name for one in (*chosen, *configurations))
-    given = next((one.parameters["speed"] for one in configurations if "speed" in one.parameters), None)
+    given = next(
+        (one.parameters["speed"] for one in configurations if "speed" in one.parameters), None
+    )
     speed = checked(f"speed [m/s], a parameter of the configurations of {name},", given, 1e-6)
-    causers = {id(one) for one in (*chosen, *configurations, *(model.components[one] for one in components))}
+    causers = {
+        id(one)
+        for one in (*chosen, *configurations, *(model.components[one] for one in components))
+    }
     taken = []
     for attribute in ("energy", "safety"):
-        some = [one for one in model.estimations if one.attribute == attribute and id(one.causer) in causers]
+        some = [
+            one
+            for one in model.estimations
+            if one.attribute == attribute and id(one.causer) in causers
+        ]
         takes = 0.0 - sum([one.adds for one in some])
         what = f"what {name} takes from {attribute}, by estimations of the kind 'negative',"
         taken.append(checked(what, takes if some else None))
@@ -178,8 +206,12 @@ def switching(before: Mode, after: Mode) -> Amounts:
 
 def weighing(weights: Mapping[str, float]) -> Callable[[Amounts], int]:
     """Return the function that makes the weighted sum of amounts, in whole thousandths."""
-    per_ms, per_mj, per_millionth = (weights.get(one, 0.0) * (1e3 / scale) for one, scale in GOALS.items())
-    return lambda takes: round(per_ms * takes.time + per_mj * takes.energy + per_millionth * takes.collisions)
+    per_ms, per_mj, per_millionth = (
+        weights.get(one, 0.0) * (1e3 / scale) for one, scale in GOALS.items()
+    )
+    return lambda takes: round(
+        per_ms * takes.time + per_mj * takes.energy + per_millionth * takes.collisions
+    )
 
 
 class Place(NamedTuple):
@@ -216,7 +248,9 @@ class Question:
         for name, light in self.light.items():
             checked(f"light of corridor {name}", light, most=1.0)
         if not any(self.weights.values()):
-            raise MissionError(f"nothing is minimised; give one of {', '.join(GOALS)} a weight above 0")
+            raise MissionError(
+                f"nothing is minimised; give one of {', '.join(GOALS)} a weight above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -284,14 +318,21 @@ class Task:
         for corridor in (*question.light, *filter(None, [place.corridor])):
             building.check("corridor", corridor, "the question")
         if place.corridor and place.name not in building.corridors[place.corridor].ends:
-            raise MissionError(f"corridor {place.corridor} does not begin at {place.name}, from where the robot came")
+            raise MissionError(
+                f"corridor {place.corridor} does not begin at {place.name}, from where the robot came"
+            )
         checked("driven_m", place.driven_m, -math.inf)
         self.limited = tuple(name for name in GOALS if name in question.limits)
         # a hair more, as amounts are rounded
-        self.limits = tuple(math.floor(question.limits[name] * GOALS[name] + 1e-6) for name in self.limited)
+        self.limits = tuple(
+            math.floor(question.limits[name] * GOALS[name] + 1e-6) for name in self.limited
+        )
         self._indices = tuple(list(GOALS).index(name) for name in self.limited)
         self._weighed = weighing(question.weights)
-        self._whole = {name: self._priced(self._way(one, one.ends[0])) for name, one in building.corridors.items()}
+        self._whole = {
+            name: self._priced(self._way(one, one.ends[0]))
+            for name, one in building.corridors.items()
+        }
         self.crossings, self.switching = cache(self._crossings), cache(self._switching)
 
     def moves(self, state: State) -> Iterator[Move[State, Leg]]:
@@ -312,14 +353,19 @@ class Task:
 
     def demands(self, corridor: Corridor) -> Mapping[str, float]:
         """Return what a corridor demands, as values of attributes: light from 0 to 1, and obstacles [1/m]."""
-        return {"light": self.question.light.get(corridor.name, corridor.light), "obstacles": corridor.obstacles}
+        return {
+            "light": self.question.light.get(corridor.name, corridor.light),
+            "obstacles": corridor.obstacles,
+        }
 
     def _crossings(self, place: Place) -> list[tuple[Leg, int]]:
         """Return a leg and its cost for each way from a place and each possible mode, without the switching."""
         return [
             (Leg(way.corridor.name, way.origin, way.to, mode, way.conditions, takes), cost)
             for way in self._ways(place)
-            for mode, takes, cost in (self._priced(way) if place.corridor else self._whole[way.corridor.name])
+            for mode, takes, cost in (
+                self._priced(way) if place.corridor else self._whole[way.corridor.name]
+            )
         ]
 
     def _switching(self, before: Mode, after: Mode) -> tuple[Amounts, int]:
@@ -330,7 +376,9 @@ class Task:
     def _ways(self, place: Place) -> Iterator[_Way]:
         """Yield the corridors at a place; from within a corridor: on to its end, or back and into another one."""
         if not place.corridor:
-            yield from (self._way(corridor, place.name) for corridor in self.building.exits[place.name])
+            yield from (
+                self._way(corridor, place.name) for corridor in self.building.exits[place.name]
+            )
             return
         inside = self.building.corridors[place.corridor]
         back_m = min(max(place.driven_m, 0.0), inside.length_m)
@@ -338,9 +386,13 @@ class Task:
         light = ahead.conditions["light"]
         yield ahead
         if place.name == self.goal:
-            yield _Way(inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0})
+            yield _Way(
+                inside, ahead.to, place.name, back_m, 0.0, {"light": light, "obstacles": 0.0}
+            )
         for other in self.building.exits[place.name]:
-            if other is not inside:  # the robot knows the obstacles that it has passed, so none count on the way back
+            if (
+                other is not inside
+            ):  # the robot knows the obstacles that it has passed, so none count on the way back
                 way = self._way(other, place.name)
                 both = {**way.conditions, "light": min(light, way.conditions["light"])}
                 yield _Way(other, way.origin, way.to, way.length_m + back_m, way.passed, both)
@@ -349,12 +401,20 @@ class Task:
         """Return the way along a corridor from one of its ends; with a length [m], the rest of it."""
         left_m = corridor.length_m if length_m is None else length_m
         return _Way(
-            corridor, origin, corridor.other(origin), left_m, corridor.obstacles * left_m, self.demands(corridor)
+            corridor,
+            origin,
+            corridor.other(origin),
+            left_m,
+            corridor.obstacles * left_m,
+            self.demands(corridor),
         )
 
     def _priced(self, way: _Way) -> list[tuple[Mode, Amounts, int]]:
         """Return each mode that is possible on a way, with what the way takes in it and its cost."""
-        taken = [(mode, crossing(mode, way.length_m, way.passed)) for mode in self.modes.under(way.conditions)]
+        taken = [
+            (mode, crossing(mode, way.length_m, way.passed))
+            for mode in self.modes.under(way.conditions)
+        ]
         return [(mode, takes, self._weighed(takes)) for mode, takes in taken]
 
     @cached_property
@@ -363,12 +423,23 @@ class Task:
         arcs: list[tuple[str, str, list[int]]] = []
         for name, priced in self._whole.items():
             if priced:
-                counted = [[cost, *[takes[number] for number in self._indices]] for _, takes, cost in priced]
-                (one, two), least = self.building.corridors[name].ends, list(map(min, *counted, counted[0]))
+                counted = [
+                    [cost, *[takes[number] for number in self._indices]]
+                    for _, takes, cost in priced
+                ]
+                (one, two), least = (
+                    self.building.corridors[name].ends,
+                    list(map(min, *counted, counted[0])),
+                )
                 arcs += [(one, two, least), (two, one, least)]
         numbers = range(1 + len(self.limited))
-        far = [distances([(one, two, least[n]) for one, two, least in arcs], [self.goal]) for n in numbers]
-        return {name: (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()}
+        far = [
+            distances([(one, two, least[n]) for one, two, least in arcs], [self.goal])
+            for n in numbers
+        ]
+        return {
+            name: (cost, tuple([use[name] for use in far[1:]])) for name, cost in far[0].items()
+        }
 
 
 class JointPlanner:
@@ -395,15 +466,24 @@ class JointPlanner:
         if found is None:
             return Answer((), False, 0, Amounts(0, 0, 0), self._why_not(task))
         modes = [task.start[1], *(move.to[1] for move in found.moves)]
-        legs = tuple(self._leg(task, before, move.what) for before, move in zip(modes, found.moves, strict=False))
-        takes = Amounts(*map(sum, zip(*(leg.takes for leg in legs), strict=True))) if legs else Amounts(0, 0, 0)
+        legs = tuple(
+            self._leg(task, before, move.what)
+            for before, move in zip(modes, found.moves, strict=False)
+        )
+        takes = (
+            Amounts(*map(sum, zip(*(leg.takes for leg in legs), strict=True)))
+            if legs
+            else Amounts(0, 0, 0)
+        )
         return Answer(legs, True, found.cost, takes, self._why(task, legs, takes))
 
     def _leg(self, task: Task, before: Mode, leg: Leg) -> Leg:
         takes = Amounts(*map(add, task.switching(before, leg.mode)[0], leg.takes))
         possible = self.modes.under(leg.conditions)
         designs = {tuple(one.choice.designs.values()) for one in possible}
-        demands = f"light {leg.conditions['light']:g} and {leg.conditions['obstacles']:g} obstacles/m"
+        demands = (
+            f"light {leg.conditions['light']:g} and {leg.conditions['obstacles']:g} obstacles/m"
+        )
         choice = "the only design that is" if len(designs) == 1 else f"of {len(possible)} that are"
         return replace(leg, takes=takes, why=f"{choice} feasible with {demands}")
 
@@ -412,7 +492,9 @@ class JointPlanner:
             return f"already at {task.goal}"
         route = ", ".join(leg.corridor for leg in legs)
         weights = [(name, weight) for name, weight in task.question.weights.items() if weight]
-        goal = " + ".join(name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights)
+        goal = " + ".join(
+            name if weight == 1.0 else f"{weight:g} {name}" for name, weight in weights
+        )
         within = [f"{name} {task.question.limits[name]:g}" for name in task.limited]
         limits = f" within {' and '.join(within)}" if within else ""
         time_s, energy_j, collisions = takes.in_units.values()
@@ -420,14 +502,25 @@ class JointPlanner:
         return f"{route}: of all ways the best for {goal}{limits} ({amounts})"
 
     def _why_not(self, task: Task) -> str:
-        blocked = [one for one in self.building.corridors.values() if not self.modes.under(task.demands(one))]
+        blocked = [
+            one
+            for one in self.building.corridors.values()
+            if not self.modes.under(task.demands(one))
+        ]
         situations = [self._kb.situation(task.demands(one)) for one in blocked[:1]]
         why = "".join(one.why(one.functions[NAVIGATE]) for one in situations)
         if len(blocked) == len(self.building.corridors):
-            wrong = [f"{one.message}, {one.advice}; " for one in self._kb.model.check() if one.severity == "error"]
+            wrong = [
+                f"{one.message}, {one.advice}; "
+                for one in self._kb.model.check()
+                if one.severity == "error"
+            ]
             faults = "".join(wrong[:1])
             return f"no corridor can be crossed in any configuration; {faults}in {blocked[0].name}, {why}"
-        alone = {name: self.plan(replace(task.question, weights={name: 1e3}, limits={})) for name in task.limited}
+        alone = {
+            name: self.plan(replace(task.question, weights={name: 1e3}, limits={}))
+            for name in task.limited
+        }
         if not task.limited or not all(one.is_solved for one in alone.values()):
             named = ", ".join(one.name for one in blocked[:5])
             because = f"{named} cannot be crossed: {why}" if blocked else "no way"

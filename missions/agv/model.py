@@ -61,17 +61,27 @@ class Building:
     def __post_init__(self) -> None:
         for name in (*self.places, *self.corridors):
             if not _NAME.fullmatch(name):
-                raise MissionError(f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'")
+                raise MissionError(
+                    f"{name!r} in map {self.name} is not a name: a letter, then letters, digits or '_'"
+                )
         for place, point in self.places.items():
             for axis, value in zip("xy", point, strict=True):
                 checked(f"{axis} of place {place}", value, -_MOST)
-        object.__setattr__(self, "corridors", {name: self._judged(name, one) for name, one in self.corridors.items()})
+        object.__setattr__(
+            self,
+            "corridors",
+            {name: self._judged(name, one) for name, one in self.corridors.items()},
+        )
         self.check("place", self.start, "start")
         self.check("place", self.goal, "goal")
-        ways = [(*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])]
+        ways = [
+            (*ends, 1) for one in self.corridors.values() for ends in (one.ends, one.ends[::-1])
+        ]
         reached = distances(ways, [self.start])
         if lost := [place for place in self.places if place not in reached]:
-            problem = f"map {self.name} is disconnected: no way from {self.start} to {', '.join(lost)}"
+            problem = (
+                f"map {self.name} is disconnected: no way from {self.start} to {', '.join(lost)}"
+            )
             raise MissionError(f"{problem}; add a corridor")
 
     def _judged(self, name: str, corridor: Corridor) -> Corridor:
@@ -79,7 +89,9 @@ class Building:
         for end in corridor.ends:
             self.check("place", end, f"corridor {name}")
         if corridor.ends[0] == corridor.ends[1]:
-            raise MissionError(f"corridor {name} leads from {corridor.ends[0]} to itself; remove it")
+            raise MissionError(
+                f"corridor {name} leads from {corridor.ends[0]} to itself; remove it"
+            )
         length_m = corridor.length_m or math.dist(*(self.places[end] for end in corridor.ends))
         checked(f"length_m of corridor {name}", length_m, 1e-3)
         checked(f"obstacles of corridor {name}", corridor.obstacles)
@@ -90,7 +102,9 @@ class Building:
     def exits(self) -> Mapping[str, tuple[Corridor, ...]]:
         """The corridors at each place, in order of declaration."""
         corridors = self.corridors.values()
-        return {place: tuple(one for one in corridors if place in one.ends) for place in self.places}
+        return {
+            place: tuple(one for one in corridors if place in one.ends) for place in self.places
+        }
 
     def check(self, kind: str, name: str, who: str) -> None:
         """Raise MissionError unless there is a "place" or "corridor" (`kind`) of that name; `who` names it."""
@@ -131,7 +145,15 @@ NAVIGATOR: Final = "navigator"
 SPEEDS: Final = {"slow": 0.24, "medium": 0.35, "fast": 0.68}
 """Speeds of the base [m/s]; the figures are those of the ROSA paper's source (Camara et al.)."""
 
-DRAW_W: Final = {"amcl": 3.0, "mrpt": 4.0, "aruco": 1.0, "lidar": 8.0, "kinect": 5.0, "camera": 2.0, "lamp": 4.0}
+DRAW_W: Final = {
+    "amcl": 3.0,
+    "mrpt": 4.0,
+    "aruco": 1.0,
+    "lidar": 8.0,
+    "kinect": 5.0,
+    "camera": 2.0,
+    "lamp": 4.0,
+}
 """Power of each component while it runs [W]; own choice, of the order of such devices."""
 
 DRIVING_W: Final = {"slow": 8.0, "medium": 11.0, "fast": 30.0}
@@ -228,7 +250,11 @@ def building_model(building: Building) -> Model:
 
 def headings(building: Building) -> tuple[tuple[str, str], ...]:
     """Return (corridor, origin) for every corridor and each of its two ends, in order."""
-    return tuple((corridor.name, origin) for corridor in building.corridors.values() for origin in corridor.ends)
+    return tuple(
+        (corridor.name, origin)
+        for corridor in building.corridors.values()
+        for origin in corridor.ends
+    )
 
 
 def heading(corridor: str, origin: str) -> str:

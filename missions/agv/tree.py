@@ -20,7 +20,17 @@ from py_trees.composites import Composite
 
 from kb import Choice, KnowledgeBase, ReconfigurationPlan
 from kb import Status as ElementStatus
-from missions.agv.joint import Amounts, Answer, JointPlanner, Leg, Mode, Modes, Place, Question, Task
+from missions.agv.joint import (
+    Amounts,
+    Answer,
+    JointPlanner,
+    Leg,
+    Mode,
+    Modes,
+    Place,
+    Question,
+    Task,
+)
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, Building, heading, headings
 from missions.engine.mission import Percepts
 from rosa_bt import RosaAction, feasible_then_act
@@ -36,7 +46,13 @@ RESERVE: Final = 0.1
 class Route:
     """Knows where the robot is, what has failed and where the light has changed; replans when one of these changes."""
 
-    def __init__(self, building: Building, kb: KnowledgeBase, percepts: Percepts, weights: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        building: Building,
+        kb: KnowledgeBase,
+        percepts: Percepts,
+        weights: Mapping[str, float],
+    ) -> None:
         self.building, self.kb = building, kb
         self._percepts, self._weights = percepts, weights
         self._planner = JointPlanner(building, kb)
@@ -56,7 +72,11 @@ class Route:
     @property
     def answer(self) -> Answer:
         """The plan for where the robot is, what has failed and where the light has changed."""
-        failed = [name for name in self.kb.components if self.kb.components[name].status is ElementStatus.FAILURE]
+        failed = [
+            name
+            for name in self.kb.components
+            if self.kb.components[name].status is ElementStatus.FAILURE
+        ]
         believed = (self.at, self.inside, *failed, *self._light.items())
         if self._answer is None or believed != self._believed:
             self._believed, self._answer = believed, self._planner.plan(self.question)
@@ -82,7 +102,14 @@ class Route:
     @property
     def inside(self) -> str:
         """The corridor that the robot is in; empty at a place."""
-        return next((one.name for one in self.building.exits[self.at] if self._percepts.holds(f"in {one.name}")), "")
+        return next(
+            (
+                one.name
+                for one in self.building.exits[self.at]
+                if self._percepts.holds(f"in {one.name}")
+            ),
+            "",
+        )
 
     @property
     def standing(self) -> Mapping[str, float]:
@@ -104,7 +131,9 @@ class Route:
     @property
     def _light(self) -> Mapping[str, float]:
         """The light of the corridors for which it was reported."""
-        reported = {name: self._percepts.value(f"light in {name}") for name in self.building.corridors}
+        reported = {
+            name: self._percepts.value(f"light in {name}") for name in self.building.corridors
+        }
         return {name: light for name, light in reported.items() if light is not None}
 
 
@@ -127,8 +156,12 @@ class Cross(RosaAction):
         if leg is not None:
             way = headings(self._route.building).index((leg.corridor, leg.origin)) + 1.0
             self._route.measure({**leg.conditions, "way": way})
-            asked = next((one.number for one in self.kb.required_actions if one.action == self.action), None)
-            self._select(leg, asked)  # the action itself is the cause, not the measurements just made
+            asked = next(
+                (one.number for one in self.kb.required_actions if one.action == self.action), None
+            )
+            self._select(
+                leg, asked
+            )  # the action itself is the cause, not the measurements just made
 
     def update(self) -> Status:
         """Check whether the other end is reached; take over a new plan for the same corridor and direction."""
@@ -143,7 +176,12 @@ class Cross(RosaAction):
             self._leg = leg = anew
         choice, kb = _choice(leg), self.kb
         selected = [kb.designs[name].is_selected for name in choice.designs.values()]
-        if not all([*selected, *(kb.configurations[name].is_selected for name in choice.configurations.values())]):
+        if not all(
+            [
+                *selected,
+                *(kb.configurations[name].is_selected for name in choice.configurations.values()),
+            ]
+        ):
             self._select(leg)  # the plan is new, or a plan was pending at the beginning
         return Status.RUNNING
 
@@ -153,7 +191,10 @@ class Cross(RosaAction):
 
     def _select(self, leg: Leg, cause: int | None = None) -> None:
         if self.kb.pending_plan is None:  # else both would be abandoned together
-            choice, why = _choice(leg), f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}"
+            choice, why = (
+                _choice(leg),
+                f"{leg.mode.name} is the best to cross {leg.corridor}, {leg.why}",
+            )
             self.kb.select(choice.designs, choice.configurations, why, cause=cause)
 
 
@@ -171,7 +212,9 @@ class FollowRoute(Composite):
 
     def __init__(self, route: Route) -> None:
         self._route = route
-        self._crossings = {name: Cross(route, name, lambda: route.leg) for name in route.building.corridors}
+        self._crossings = {
+            name: Cross(route, name, lambda: route.leg) for name in route.building.corridors
+        }
         self._by_corridor = {name: feasible_then_act(one) for name, one in self._crossings.items()}
         self.plans: tuple[PlanRecord, ...] = ()
         self._planned: Answer | None = None
@@ -203,11 +246,17 @@ class FollowRoute(Composite):
             return
         first = f"; {answer.legs[0]}" if answer.legs else ""
         steps = [
-            Step("cross", (leg.corridor, leg.origin, leg.to, leg.mode.name), self._crossings[leg.corridor].action)
+            Step(
+                "cross",
+                (leg.corridor, leg.origin, leg.to, leg.mode.name),
+                self._crossings[leg.corridor].action,
+            )
             for leg in answer.legs
         ]
         outcome = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN
-        made = PlanRecord(self._route.kb.now, answer.reason + first, outcome, tuple(steps), "joint plan")
+        made = PlanRecord(
+            self._route.kb.now, answer.reason + first, outcome, tuple(steps), "joint plan"
+        )
         self.plans = made.added_to(self.plans)
 
     def _give_up(self, corridor: str) -> None:
@@ -220,11 +269,15 @@ class FollowRoute(Composite):
 
 
 def _is_rest(answer: Answer, before: Answer) -> bool:
-    ways, others = ([(leg.corridor, leg.to, leg.mode.name) for leg in one.legs] for one in (answer, before))
+    ways, others = (
+        [(leg.corridor, leg.to, leg.mode.name) for leg in one.legs] for one in (answer, before)
+    )
     return answer.is_solved is before.is_solved and ways == others[len(others) - len(ways) :]
 
 
-def agv_tree(building: Building, weights: Mapping[str, float], kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
+def agv_tree(
+    building: Building, weights: Mapping[str, float], kb: KnowledgeBase, percepts: Percepts
+) -> Behaviour:
     """Build the tree; it runs until the goal is reached."""
     return UntilSuccess("until arrived", FollowRoute(Route(building, kb, percepts, weights)))
 
@@ -296,13 +349,23 @@ class PddlNames:
         self._taken = {SWITCH}
         corridors = building.corridors.values()
         self.actions = {name: self._distinct(f"cross_{name}") for name in building.corridors}
-        self.places = {name: self._distinct(name) for name in building.places} | {"": self._distinct("here")}
+        self.places = {name: self._distinct(name) for name in building.places} | {
+            "": self._distinct("here")
+        }
         self.now = self._distinct("now")
-        self.by_mode = {self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes}
+        self.by_mode = {
+            self._distinct(re.sub(r"\W", "_", mode.name.lower())): mode for mode in modes
+        }
         self.modes = {mode.name: word for word, mode in self.by_mode.items()}
         ends = [(one, to) for one in corridors for to in one.ends]
-        vias = [*(Via(one.name, one.other(to), to) for one, to in ends), *(Via(one.name, "", to) for one, to in ends)]
-        self.vias = {via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}") for via in vias}
+        vias = [
+            *(Via(one.name, one.other(to), to) for one, to in ends),
+            *(Via(one.name, "", to) for one, to in ends),
+        ]
+        self.vias = {
+            via: self._distinct(f"{via.corridor}_{self.places[via.origin]}_{via.to}")
+            for via in vias
+        }
         # The way to where the robot is within a corridor. No plan uses it, but planners that work out which facts are
         # reachable would conclude without it that the robot is never there.
         self.vias[Via(vias[0].corridor, vias[0].to, "")] = self._distinct("entering")
@@ -336,7 +399,9 @@ class PddlNames:
         """
         place, now = task.start
         at = self.places["" if place.corridor else place.name]
-        configured = next((word for word, one in self.by_mode.items() if one.setup == now.setup), self.now)
+        configured = next(
+            (word for word, one in self.by_mode.items() if one.setup == now.setup), self.now
+        )
         facts: dict[str, bool | float] = {
             **{f"(at {one})": one == at for one in self.places.values()},
             **{f"(configured {mode})": mode == configured for mode in (*self.by_mode, self.now)},
@@ -344,7 +409,10 @@ class PddlNames:
         }
         for via, leg, cost in self._crossings(task):
             things = f"{self.vias[via]} {self.modes[leg.mode.name]}"
-            facts |= {f"(possible {things})": True, **self._numbers("crossing", things, leg.takes, cost)}
+            facts |= {
+                f"(possible {things})": True,
+                **self._numbers("crossing", things, leg.takes, cost),
+            }
         for before, one in {**self.by_mode, self.now: now}.items():
             for mode, other in self.by_mode.items():
                 facts |= self._numbers("switching", f"{before} {mode}", *task.switching(one, other))
@@ -361,7 +429,9 @@ class PddlNames:
         start = task.start[0]
         for place in [*map(Place, task.building.places), *([start] if start.corridor else [])]:
             for leg, cost in task.crossings(place):
-                if leg.mode.name in self.modes:  # else it was added to the model after the problem was made
+                if (
+                    leg.mode.name in self.modes
+                ):  # else it was added to the model after the problem was made
                     yield Via(leg.corridor, "" if place.corridor else leg.origin, leg.to), leg, cost
                     if not start.corridor:  # a step begun within a corridor goes on at its end
                         yield Via(leg.corridor, "", leg.to), leg, cost
@@ -421,7 +491,8 @@ class PlanningState:
         legs = [
             replace(leg, why="planned together with all that comes after it")
             for leg, _ in task.crossings(task.start[0])
-            if (leg.corridor, leg.to, self.pddl.modes[leg.mode.name]) == (via.corridor, via.to, mode)
+            if (leg.corridor, leg.to, self.pddl.modes[leg.mode.name])
+            == (via.corridor, via.to, mode)
         ]
         return Cross(self.route, via.corridor, lambda: next(iter(legs), None))
 

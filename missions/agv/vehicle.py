@@ -24,16 +24,27 @@ HALF_TRACK_M: Final = 0.17
 _HALF_WIDTH_M: Final = 1.2  # of a corridor
 _BOX_M: Final = 0.2  # half the edge of an obstacle
 _FREE_M: Final = 2.5  # without boxes, from either end
-_APART_M: Final = 1.25  # from one box to the next; if they are closer, the vehicle cannot drive round them
+_APART_M: Final = (
+    1.25  # from one box to the next; if they are closer, the vehicle cannot drive round them
+)
 
 _GEOM: Final = '<geom type="box" size="{} {} {}" pos="{:.4f} {:.4f} {}" euler="0 0 {}" group="1"/>'
 
 
 def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float) -> str:
     """Return the scene; see `Vehicle`."""
-    walls = "\n".join(wall for corridor in building.corridors.values() for wall in _walls(building, corridor))
-    blocks = "\n".join(_GEOM.format(_BOX_M, _BOX_M, 0.3, bx, by, 0.3, f"{turn:.4f}") for bx, by, turn in placed)
-    sizes = {"radius": RADIUS_M, "wheel": WHEEL_M, "half_track": HALF_TRACK_M, "caster": round(0.032 - WHEEL_M, 4)}
+    walls = "\n".join(
+        wall for corridor in building.corridors.values() for wall in _walls(building, corridor)
+    )
+    blocks = "\n".join(
+        _GEOM.format(_BOX_M, _BOX_M, 0.3, bx, by, 0.3, f"{turn:.4f}") for bx, by, turn in placed
+    )
+    sizes = {
+        "radius": RADIUS_M,
+        "wheel": WHEEL_M,
+        "half_track": HALF_TRACK_M,
+        "caster": round(0.032 - WHEEL_M, 4),
+    }
     scene = (files("missions.agv") / "building.xml").read_text(encoding="utf-8")
     x, y, yaw = pose
     return scene.format(walls=walls, blocks=blocks, x=x, y=y, yaw=yaw, step_s=step_s, **sizes)
@@ -41,7 +52,10 @@ def scene_xml(building: Building, placed: list[Pose], pose: Pose, step_s: float)
 
 def check_walls(building: Building) -> None:
     """Raise MissionError if two corridors cross: each would be closed by the walls of the other."""
-    lines = [(one, [complex(*building.places[end]) for end in one.ends]) for one in building.corridors.values()]
+    lines = [
+        (one, [complex(*building.places[end]) for end in one.ends])
+        for one in building.corridors.values()
+    ]
     for (one, (a, b)), (two, (c, d)) in combinations(lines, 2):
         if _side(a, b, c) * _side(a, b, d) < 0 and _side(c, d, a) * _side(c, d, b) < 0:
             problem = f"corridors {one.name} and {two.name} cross one another: the walls of each close the other"
@@ -64,11 +78,15 @@ def boxes(building: Building, rng: Generator) -> list[Pose]:
         for number in range(count):
             along = _FREE_M + room_m * (number + 0.5 + rng.uniform(-0.15, 0.15)) / count
             aside = (1 if number % 2 else -1) * rng.uniform(0.2, 0.45)
-            placed.append((x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux)))
+            placed.append(
+                (x + along * ux - aside * uy, y + along * uy + aside * ux, math.atan2(uy, ux))
+            )
     return placed
 
 
-def _line(building: Building, corridor: Corridor) -> tuple[tuple[float, float], float, float, float]:
+def _line(
+    building: Building, corridor: Corridor
+) -> tuple[tuple[float, float], float, float, float]:
     start, end = (building.places[place] for place in corridor.ends)
     length_m = math.dist(start, end)
     return start, (end[0] - start[0]) / length_m, (end[1] - start[1]) / length_m, length_m
@@ -87,11 +105,16 @@ def _walls(building: Building, corridor: Corridor) -> Iterator[str]:
 
 _AHEAD_M: Final = 1.0  # how far ahead on the line it aims
 _CLEAR_M: Final = 1.1  # how far a free heading is free
-_ROOMS_M: Final = (0.34, 0.24)  # free to either side of a heading; the second where the first is not possible
+_ROOMS_M: Final = (
+    0.34,
+    0.24,
+)  # free to either side of a heading; the second where the first is not possible
 _STOP_M: Final = 0.28  # how near the vehicle may get to what is in front
 _SLOW_M: Final = 0.7  # it slows down so far before that
 _BACK_M_S: Final = 0.1  # backwards, where no heading is free
-_OFFSETS: Final = np.radians([0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50, 60, -60, 75, -75, 90, -90])
+_OFFSETS: Final = np.radians(
+    [0, 10, -10, 20, -20, 30, -30, 40, -40, 50, -50, 60, -60, 75, -75, 90, -90]
+)
 _TURN_GAIN: Final = 2.0
 _TURN_RAD_S: Final = 1.2
 
@@ -108,7 +131,9 @@ def aim_along(position: Array, start: Array, end: Array) -> Array:
     line = end - start
     length = float(np.hypot(*line))
     unit = line / max(length, 1e-9)
-    along = min(max(float((position - start) @ unit), 0.0), length)  # a tenth of the time that numpy takes for one
+    along = min(
+        max(float((position - start) @ unit), 0.0), length
+    )  # a tenth of the time that numpy takes for one
     point: Array = start + unit * min(along + _AHEAD_M, length)
     return point
 
@@ -128,7 +153,9 @@ def steer(bearing: float, hits: Array, speed: float) -> Aim:
     speed *= min(max((room_m - _STOP_M) / _SLOW_M, 0.0), 1.0)
     headings, rooms = bearing + _OFFSETS, list[float]()
     x, y = hits[:, 0], hits[:, 1]
-    for heading, cos, sin in zip(headings.tolist(), np.cos(headings), np.sin(headings), strict=True):
+    for heading, cos, sin in zip(
+        headings.tolist(), np.cos(headings), np.sin(headings), strict=True
+    ):
         along, aside = cos * x + sin * y, np.abs(cos * y - sin * x)
         rooms.append(float(aside[(along > 0.0) & (along < _CLEAR_M)].min(initial=math.inf)))
         if rooms[-1] >= _ROOMS_M[0]:  # mostly the first heading is free
@@ -145,7 +172,11 @@ def _turned_to(heading: float, speed: float) -> Aim:
     return Aim(speed * max(0.0, math.cos(error)) ** 3, turn)
 
 
-SENSORS: Final = {"lidar": (math.radians(120), 8.0), "kinect": (math.radians(28.5), 4.0), "camera": (0.5, 2.0)}
+SENSORS: Final = {
+    "lidar": (math.radians(120), 8.0),
+    "kinect": (math.radians(28.5), 4.0),
+    "camera": (0.5, 2.0),
+}
 """Half of the angle of view [rad] and the range [m] of each sensor; Kinect: its data sheet, else own choice."""
 _RAY_STEP: Final = math.radians(4)
 _RAYS: Final = {
@@ -205,7 +236,9 @@ class Vehicle:
         origin = np.array([*here.tolist(), 0.2])
         hit, far = np.zeros(count, dtype=np.int32), np.zeros(count)
         past = self._groups, True, self._body
-        self._mujoco.mj_multiRay(self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m)
+        self._mujoco.mj_multiRay(
+            self._model, self._data, origin, rays.ravel(), *past, hit, far, None, count, reach_m
+        )
         found = (hit >= 0) & (far > 0.0)
         self._seen.append(origin[:2] + rays[found, :2] * far[found, None])
         apart = np.concatenate(self._seen) - here

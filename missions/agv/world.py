@@ -14,7 +14,16 @@ from missions.agv.model import DRAW_W, DRIVING_W, ERROR_M, NAVIGATOR, NEEDED_LIG
 from missions.agv.tree import Route
 from missions.agv.vehicle import Aim, Array, Vehicle, aim_along, boxes, check_walls, steer
 from missions.engine.components import VERBS, NamedComponents, SimulatedComponents
-from missions.engine.mission import Message, MissionError, Percepts, Sample, Setting, Verdict, World, WorldKind
+from missions.engine.mission import (
+    Message,
+    MissionError,
+    Percepts,
+    Sample,
+    Setting,
+    Verdict,
+    World,
+    WorldKind,
+)
 from missions.engine.settings import Constants, declared, setting
 
 _OWN: Final = "own choice"
@@ -41,7 +50,9 @@ class Settings(Constants):
     capacity_j: float = setting(20_000.0, "J", "energy at the start", _OWN, 1.0)
     physics_step_s: float = setting(0.01, "s", "step of the physics engine", _OWN, 1e-3, 0.01)
     control_period_s: float = setting(0.1, "s", "period of sensing and steering", _OWN, 1e-2)
-    monitor_period_s: float = setting(0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1)
+    monitor_period_s: float = setting(
+        0.5, "s", "period of the monitors of light, energy and position", _OWN, 0.1
+    )
     switching_s: float = setting(0.5, "s", "time to start or stop a component", _OWN, 0.0)
     parameter_s: float = setting(0.1, "s", "time to set parameters", _OWN, 0.0)
     standing_w: float = setting(2.0, "W", "power of the base while the vehicle stands", _OWN, 0.0)
@@ -74,7 +85,9 @@ def incidents(text: str, building: Building) -> tuple[Incident, ...]:
         component, change, light, corridor = read.groups(default="")
         if component not in ("", *DRAW_W) or corridor not in building.corridors:
             known = f"there are {', '.join(DRAW_W)}; {', '.join(building.corridors)}"
-            raise MissionError(f"incidents cannot be {text!r}: {known}; name others, or none with --set incidents=")
+            raise MissionError(
+                f"incidents cannot be {text!r}: {known}; name others, or none with --set incidents="
+            )
         found.append(Incident(change or light, component, corridor))
     return tuple(found)
 
@@ -93,7 +106,9 @@ class BuildingWorld(World):
         self._vehicle = Vehicle(building, placed, pose, settings.physics_step_s)
         self._components = _Components()
         takes = settings.switching_s, settings.switching_s, settings.parameter_s
-        self._managed = SimulatedComponents(lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True)))
+        self._managed = SimulatedComponents(
+            lambda: self.now, self._components, dict(zip(VERBS, takes, strict=True))
+        )
         self._waiting = _placed(incidents(settings.incidents, building), rng)
         self._light = {corridor.name: corridor.light for corridor in building.corridors.values()}
         self._ticks = 0
@@ -129,7 +144,9 @@ class BuildingWorld(World):
             if self._news or switched or self.is_still is not was_still:
                 break
         news, self._news = self._news, {}
-        said = [{"name": "building", "message": kind, "values": values} for kind, values in news.items()]
+        said = [
+            {"name": "building", "message": kind, "values": values} for kind, values in news.items()
+        ]
         return [{"time": self.now, "status": said}] if said else []
 
     @property
@@ -148,7 +165,9 @@ class BuildingWorld(World):
     def sample(self) -> Sample:
         x, y = self._vehicle.position
         signals = {"light [-]": self._light_here, "draws [W]": self._draws_w(self._sensor != "")}
-        return Sample(self.now, (float(x), float(y), 0.0), {**signals, "speed set [m/s]": self._speed})
+        return Sample(
+            self.now, (float(x), float(y), 0.0), {**signals, "speed set [m/s]": self._speed}
+        )
 
     def disturbances(self) -> list[tuple[float, str]]:
         return list(self._happened)
@@ -160,7 +179,9 @@ class BuildingWorld(World):
             is_dark = self._light[one.name] < one.light or one.light < NEEDED_LIGHT
             words = {"obstructed": one.obstacles > 0, "dark": is_dark}
             start, end = (np.array(self._building.places[place]) for place in one.ends)
-            shown[", ".join([one.name, *(word for word, holds in words.items() if holds)])] = np.linspace(start, end, 9)
+            shown[", ".join([one.name, *(word for word, holds in words.items() if holds)])] = (
+                np.linspace(start, end, 9)
+            )
         return shown
 
     def _step(self) -> None:
@@ -168,8 +189,12 @@ class BuildingWorld(World):
         before = self._vehicle.position
         self._take_orders()
         aim = self._aim()
-        self._vehicle.drive(aim, round(self._settings.control_period_s / self._settings.physics_step_s))
-        self._energy_j = max(0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s)
+        self._vehicle.drive(
+            aim, round(self._settings.control_period_s / self._settings.physics_step_s)
+        )
+        self._energy_j = max(
+            0.0, self._energy_j - self._draws_w(aim is not _STAND) * self._settings.control_period_s
+        )
         driven_m = math.dist(before, self._vehicle.position)
         self._driven_total_m += driven_m
         self._is_moving = driven_m > _CREEP_M
@@ -186,7 +211,9 @@ class BuildingWorld(World):
             return
         self._ordered = ordered
         to = self._building.corridors[ordered["corridor"]].other(ordered["origin"])
-        is_on_it = self._inside == ordered["corridor"] or (self._at == ordered["origin"] and not self._inside)
+        is_on_it = self._inside == ordered["corridor"] or (
+            self._at == ordered["origin"] and not self._inside
+        )
         self._way = [to] if is_on_it else [ordered["origin"], to]
 
     def _aim(self) -> Aim:
@@ -198,7 +225,9 @@ class BuildingWorld(World):
             return _STAND
         target = np.array(self._building.places[self._way[0]])
         believed = self._vehicle.position + self._drift()
-        corridor = self._building.corridors[self._ordered["corridor"] if len(self._way) == 1 else self._inside]
+        corridor = self._building.corridors[
+            self._ordered["corridor"] if len(self._way) == 1 else self._inside
+        ]
         start = np.array(self._building.places[corridor.other(self._way[0])])
         to = aim_along(believed, start, target) - believed
         bearing = math.remainder(math.atan2(to[1], to[0]) - self._vehicle.yaw, math.tau)
@@ -222,7 +251,10 @@ class BuildingWorld(World):
 
     def _look_where_it_is(self) -> None:
         position = self._vehicle.position
-        if self._way and math.dist(position, self._building.places[self._way[0]]) < self._settings.reach_m:
+        if (
+            self._way
+            and math.dist(position, self._building.places[self._way[0]]) < self._settings.reach_m
+        ):
             place = self._way.pop(0)
             if self._inside:
                 self._say("mission status", f"in {self._inside}", "false")
@@ -242,12 +274,16 @@ class BuildingWorld(World):
             (failed.add if is_failed else failed.discard)(one.component)
             self._say("component status", one.component, "failure" if is_failed else "recovered")
             self._say("mission status", f"{one.component} failed", str(is_failed).lower())
-            self._happened.append((self.now, f"{one.component} {'failed' if is_failed else 'recovered'}"))
+            self._happened.append(
+                (self.now, f"{one.component} {'failed' if is_failed else 'recovered'}")
+            )
             return
         self._light[one.corridor] = _DARK if one.what == "dark" else 1.0
         self._say("EA measurement", "light", repr(self._light_here))
         self._say("mission status", f"light in {one.corridor}", repr(self._light[one.corridor]))
-        self._happened.append((self.now, f"light in {one.corridor} goes {'out' if one.what == 'dark' else 'on'}"))
+        self._happened.append(
+            (self.now, f"light in {one.corridor} goes {'out' if one.what == 'dark' else 'on'}")
+        )
 
     def _monitor(self) -> None:
         self._monitor_due += self._settings.monitor_period_s
@@ -324,7 +360,9 @@ class AgvKind(WorldKind):
     def open(self, values: Mapping[str, str], rng: Generator) -> BuildingWorld:
         return BuildingWorld(self._building, Settings.read(values), rng)
 
-    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(
+        self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
+    ) -> Verdict:
         route = Route(self._building, kb, percepts, self._weights)
         if route.is_there:
             return Verdict("arrived", f"the robot is at {self._building.goal}")

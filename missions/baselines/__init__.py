@@ -6,12 +6,31 @@ from typing import Any, Final
 
 from missions.baselines.manager import BaselineRun, Manager, Robot
 from missions.baselines.policies import ByHand, Policy
-from missions.engine.mission import Mission, MissionError, World, blamed, built, load, needs, split_settings
+from missions.engine.mission import (
+    Mission,
+    MissionError,
+    World,
+    blamed,
+    built,
+    load,
+    needs,
+    split_settings,
+)
 from missions.engine.runner import OURS, MissionRun, RosaRun
 from missions.engine.settings import Setting
 from missions.engine.task_layer import TASK_KINDS, check_task
 
-__all__ = ["MANAGERS", "Manager", "OURS", "POLICIES", "Policy", "Robot", "Setting", "find_manager", "open_run"]
+__all__ = [
+    "MANAGERS",
+    "Manager",
+    "OURS",
+    "POLICIES",
+    "Policy",
+    "Robot",
+    "Setting",
+    "find_manager",
+    "open_run",
+]
 
 MANAGERS: Final = {
     "none": "missions.baselines.modes:NoManager",
@@ -45,7 +64,11 @@ def find_manager(name: str | AnyManager, mission: Mission) -> AnyManager:
         found: Any = name
     else:
         homes = POLICIES | (MANAGERS if in_sea else {})
-        where = f"; {name} manages the vehicle of the sea only" if name in MANAGERS and name not in homes else ""
+        where = (
+            f"; {name} manages the vehicle of the sea only"
+            if name in MANAGERS and name not in homes
+            else ""
+        )
         known = f"{', '.join((OURS, *homes))}; one of your own is given as package:Class{where}"
         found = load("manager", name, homes, known)
     if not (isinstance(found, type) and issubclass(found, Manager | Policy)):
@@ -55,7 +78,9 @@ def find_manager(name: str | AnyManager, mission: Mission) -> AnyManager:
         what = f"{found.__name__} commands the sea's vehicle, and {mission.name} does not happen in the sea"
         raise MissionError(f"{what}; make it a subclass of missions.baselines.Policy")
     if mission.selects:
-        raise MissionError(f"the task layer of mission {mission.name} selects configurations; run it under {OURS}")
+        raise MissionError(
+            f"the task layer of mission {mission.name} selects configurations; run it under {OURS}"
+        )
     return found
 
 
@@ -115,7 +140,9 @@ def open_run(
             chance = rng.spawn(1)[0]
             if issubclass(managed_by, Policy):
                 policy = managed_by(mission.model(), chance, chosen)
-                mission = built(f"what alter() of {name} gives", Mission, partial(policy.alter, mission, world))
+                mission = built(
+                    f"what alter() of {name} gives", Mission, partial(policy.alter, mission, world)
+                )
                 return RosaRun(mission, task, world, run_settings, name, policy, policy.hear)
             return BaselineRun(mission, world, run_settings, name, managed_by, chance, chosen)  # type: ignore[arg-type]  # a Manager's world is the Sea
     except BaseException:
@@ -123,7 +150,9 @@ def open_run(
         raise
 
 
-def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> tuple[AnyManager | None, str]:
+def check_run(
+    mission: Mission, manager: str | AnyManager, task: str | None
+) -> tuple[AnyManager | None, str]:
     """Return the manager (None for ours) and the task layer; MissionError unless both go with the mission."""
     managed_by = None if manager == OURS else find_manager(manager, mission)
     if managed_by is not None and issubclass(managed_by, ByHand) and mission.by_hand is None:
@@ -133,5 +162,7 @@ def check_run(mission: Mission, manager: str | AnyManager, task: str | None) -> 
     task = task or tasks[-1 if mission.tree is None else 0]
     check_task(task)
     if task not in tasks:
-        raise MissionError(f"--task {task} is a task layer of ours; --manager {manager} comes without one")
+        raise MissionError(
+            f"--task {task} is a task layer of ours; --manager {manager} comes without one"
+        )
     return managed_by, task

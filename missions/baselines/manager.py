@@ -41,7 +41,12 @@ class Robot:
     """
 
     def __init__(
-        self, mission: Mission, world: "Sea", rng: "Generator", options: Mapping[str, float], deadline_s: float
+        self,
+        mission: Mission,
+        world: "Sea",
+        rng: "Generator",
+        options: Mapping[str, float],
+        deadline_s: float,
     ) -> None:
         from suave_env.components import Agenda
 
@@ -52,7 +57,11 @@ class Robot:
         self.percepts = Percepts()
         self.tasks: list[RequiredAction] = []
         managed = world.managed
-        self.activate, self.deactivate, self.is_active = managed.activate, managed.deactivate, managed.is_active
+        self.activate, self.deactivate, self.is_active = (
+            managed.activate,
+            managed.deactivate,
+            managed.is_active,
+        )
         self.set_parameters, self.parameters = managed.set_parameters, managed.parameters
         self._world, self.agenda = world, Agenda()
 
@@ -72,7 +81,9 @@ class Robot:
             ValueError: the delay is not a finite number from 0.
         """
         if not 0 <= delay_s < inf:
-            raise ValueError(f"cannot put something off by {delay_s!r} s; allowed is a number from 0")
+            raise ValueError(
+                f"cannot put something off by {delay_s!r} s; allowed is a number from 0"
+            )
         self.agenda.at(self.now + delay_s, lambda time: what())
 
     def begin(self, task: str) -> None:
@@ -172,7 +183,9 @@ class BaselineRun(MissionRun):
         self._manager = manager(self.robot)
         mission_s, period_s = world.settings.mission_period_s, self._manager.period_s
         if not 0 < period_s < inf:
-            raise MissionError(f"manager {name}: period_s is {period_s!r}; allowed is a number of seconds above 0")
+            raise MissionError(
+                f"manager {name}: period_s is {period_s!r}; allowed is a number of seconds above 0"
+            )
         self.robot.agenda.every(mission_s, phases[0] * mission_s, self._decide_task)
         self.robot.agenda.every(period_s, phases[1] * period_s, self._update)
         self._is_ticked = False

@@ -48,7 +48,12 @@ _LOW, _MEDIUM, _HIGH = (Mode(True, {"spiral_altitude": metres}) for metres in (1
 FUNCTIONS: Final[Mapping[str, tuple[str, Mapping[str, Mode]]]] = {
     SEARCH: (
         "spiral_search",
-        {"__DEFAULT__": _LOW, "fd_spiral_high": _HIGH, "fd_spiral_medium": _MEDIUM, "fd_spiral_low": _LOW}
+        {
+            "__DEFAULT__": _LOW,
+            "fd_spiral_high": _HIGH,
+            "fd_spiral_medium": _MEDIUM,
+            "fd_spiral_low": _LOW,
+        }
         | {UNGROUND: _OFF},
     ),
     FOLLOW: ("follow_pipeline", {"__DEFAULT__": _OFF, "fd_follow_pipeline": _ON, UNGROUND: _OFF}),
@@ -95,7 +100,10 @@ class SystemModes:
         )
 
 
-MODES = {"search_pipeline": (SEARCH, "fd_spiral_low"), "inspect_pipeline": (FOLLOW, "fd_follow_pipeline")}
+MODES = {
+    "search_pipeline": (SEARCH, "fd_spiral_low"),
+    "inspect_pipeline": (FOLLOW, "fd_follow_pipeline"),
+}
 """Function and mode of each task; kas-lab/suave v1.3.0."""
 
 
@@ -168,9 +176,17 @@ class _RequestMode(Behaviour):
 class _DoTask(Behaviour):
     """Does a task until `until` is published once more; then, or when halted, it ungrounds the functions."""
 
-    def __init__(self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]) -> None:
+    def __init__(
+        self, robot: Robot, modes: SystemModes, task: str, until: str, functions: tuple[str, ...]
+    ) -> None:
         super().__init__(task)
-        self._robot, self._modes, self._task, self._until, self._functions = robot, modes, task, until, functions
+        self._robot, self._modes, self._task, self._until, self._functions = (
+            robot,
+            modes,
+            task,
+            until,
+            functions,
+        )
         self._before = 0
 
     def initialise(self) -> None:
@@ -178,7 +194,11 @@ class _DoTask(Behaviour):
         self._before = self._robot.percepts.count(self._until)
 
     def update(self) -> Status:
-        return Status.SUCCESS if self._robot.percepts.count(self._until) > self._before else Status.RUNNING
+        return (
+            Status.SUCCESS
+            if self._robot.percepts.count(self._until) > self._before
+            else Status.RUNNING
+        )
 
     def terminate(self, new_status: Status) -> None:
         if self.status is Status.RUNNING or new_status is Status.SUCCESS:
@@ -197,19 +217,40 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         return _DoTask(robot, modes, task, until, functions)
 
     def altitude(mode: str, least_m: float) -> Behaviour:
-        clear = Condition(f"visibility >= {least_m} m?", lambda: measured.get("water_visibility", 9.0) >= least_m)
+        clear = Condition(
+            f"visibility >= {least_m} m?", lambda: measured.get("water_visibility", 9.0) >= least_m
+        )
         return Sequence(mode, memory=False, children=[clear, request(SEARCH, mode)])
 
-    works = Condition("all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values()))
-    all_of_them = Sequence("thrusters ok", memory=False, children=[works, request(MOTION, "fd_all_thrusters")])
-    motion = Selector("motion", memory=False, children=[all_of_them, request(MOTION, "fd_recover_thrusters")])
-    altitudes = [altitude(f"fd_spiral_{name}", m) for name, m in (("high", 3.25), ("medium", 2.25), ("low", 1.25))]
-    search = [Selector("altitude", memory=False, children=altitudes), do("search_pipeline", "pipeline_found", SEARCH)]
+    works = Condition(
+        "all thrusters ok?", lambda: {"RECOVERED", "OK"}.issuperset(robot.reported.values())
+    )
+    all_of_them = Sequence(
+        "thrusters ok", memory=False, children=[works, request(MOTION, "fd_all_thrusters")]
+    )
+    motion = Selector(
+        "motion", memory=False, children=[all_of_them, request(MOTION, "fd_recover_thrusters")]
+    )
+    altitudes = [
+        altitude(f"fd_spiral_{name}", m)
+        for name, m in (("high", 3.25), ("medium", 2.25), ("low", 1.25))
+    ]
+    search = [
+        Selector("altitude", memory=False, children=altitudes),
+        do("search_pipeline", "pipeline_found", SEARCH),
+    ]
     found = Condition("found?", lambda: heard("pipeline_found") > 0)
-    inspect = [request(FOLLOW, "fd_follow_pipeline"), do("inspect_pipeline", "pipeline_inspected", FOLLOW)]
+    inspect = [
+        request(FOLLOW, "fd_follow_pipeline"),
+        do("inspect_pipeline", "pipeline_inspected", FOLLOW),
+    ]
     work = [
-        Condition("battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)),
-        Selector("find", memory=True, children=[found, Sequence("search", memory=False, children=search)]),
+        Condition(
+            "battery ok?", lambda: bool(np.float32(measured.get("battery_level", 1.0)) >= LOW_LEVEL)
+        ),
+        Selector(
+            "find", memory=True, children=[found, Sequence("search", memory=False, children=search)]
+        ),
         Sequence("inspect", memory=False, children=inspect),
     ]
     recharge = [
@@ -219,7 +260,10 @@ def _tree(robot: Robot, modes: SystemModes) -> Behaviour:
         do("recharge", "battery_recharged"),
         request(RECHARGE, "inactive"),
     ]
-    either = [Sequence("work", memory=False, children=work), Sequence("recharge", memory=True, children=recharge)]
+    either = [
+        Sequence("work", memory=False, children=work),
+        Sequence("recharge", memory=True, children=recharge),
+    ]
     root = [motion, Selector("work or recharge", memory=True, children=either)]
     return Sequence("mission", memory=False, children=root)
 
@@ -316,7 +360,9 @@ def standing(situation: Situation, function: str) -> Standing:
 def best_design(situation: Situation, function: str) -> Design | None:
     """Return the best design of a function that is possible now; None if there is none."""
     barred = situation.unrealisable | situation.errors
-    possible = (one for one in designs_of(function) if one.name not in barred and _suffices(one, situation))
+    possible = (
+        one for one in designs_of(function) if one.name not in barred and _suffices(one, situation)
+    )
     return next(possible, None)
 
 
@@ -339,8 +385,20 @@ class Metacontrol(ModesManager):
     """
 
     options: ClassVar = (
-        Setting("reasoning_period_s", 1.5, "s", "from one cycle of Metacontrol to the next", "mros2_reasoner"),
-        Setting("reasoning_s", 0.3, "s", "time that one pass of its reasoner takes", "own choice: a few tenths"),
+        Setting(
+            "reasoning_period_s",
+            1.5,
+            "s",
+            "from one cycle of Metacontrol to the next",
+            "mros2_reasoner",
+        ),
+        Setting(
+            "reasoning_s",
+            0.3,
+            "s",
+            "time that one pass of its reasoner takes",
+            "own choice: a few tenths",
+        ),
     )
 
     def __init__(self, robot: Robot) -> None:
@@ -366,8 +424,12 @@ class Metacontrol(ModesManager):
 
     def _reason(self) -> None:
         before = self._situation
-        failed = frozenset(name for name, word in self.robot.reported.items() if word in ("FALSE", "ERROR"))
-        amiss = frozenset(name for name, mode in before.grounded.items() if not self.modes.is_in(name, mode))
+        failed = frozenset(
+            name for name, word in self.robot.reported.items() if word in ("FALSE", "ERROR")
+        )
+        amiss = frozenset(
+            name for name, mode in before.grounded.items() if not self.modes.is_in(name, mode)
+        )
         situation = self._situation = replace(
             before,
             measured=dict(self.robot.measured),
@@ -399,4 +461,6 @@ class Metacontrol(ModesManager):
         design = best_design(replace(seen, errors=errors), function)
         if design is not None:
             self.modes.request(function, design.name)
-            self._situation = replace(self._situation, grounded={**self._situation.grounded, function: design.name})
+            self._situation = replace(
+                self._situation, grounded={**self._situation.grounded, function: design.name}
+            )

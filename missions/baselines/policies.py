@@ -36,17 +36,27 @@ class Policy:
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
         self.model, self.rng, self.given = model, rng, given
 
-    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+    def pick(
+        self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
+    ) -> Part | None:
         """Return what to select among the feasible ones, which come by priority; None changes nothing."""
         return possible[0] if selected is None and possible else None
 
     def alter(self, mission: Mission, world: World) -> Mission:
         """Return the mission as it is run under this manager."""
-        return mission if self.adapts_tasks else replace(mission, model=lambda: _unconstrained(mission.model()))
+        return (
+            mission
+            if self.adapts_tasks
+            else replace(mission, model=lambda: _unconstrained(mission.model()))
+        )
 
     def hear(self, message: Message) -> Message:
         """Return a message as the knowledge base receives it."""
-        return message if self.adapts_tasks else {**message, "status": [_as_percept(one) for one in message["status"]]}
+        return (
+            message
+            if self.adapts_tasks
+            else {**message, "status": [_as_percept(one) for one in message["status"]]}
+        )
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         """Choose a design for every required function, and a configuration for every component of it."""
@@ -54,7 +64,9 @@ class Policy:
         configurations: dict[str, str] = {}
         for function in kb.functions.values():
             if function.is_required:
-                design = self._choose(kb, [kb.designs[name] for name in function.designs], function.name, designs)
+                design = self._choose(
+                    kb, [kb.designs[name] for name in function.designs], function.name, designs
+                )
                 for name in design.components if isinstance(design, DesignView) else ():
                     parts = [kb.configurations[one] for one in kb.components[name].configurations]
                     self._choose(kb, parts, name, configurations)
@@ -62,7 +74,9 @@ class Policy:
             return None
         return kb.select(designs, configurations, f"chosen by the manager {type(self).__name__}")
 
-    def _choose(self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]) -> Part | None:
+    def _choose(
+        self, kb: KnowledgeBase, parts: Sequence[Part], whole: str, chosen: dict[str, str]
+    ) -> Part | None:
         """Enter a new choice in `chosen`; return what is selected then."""
         selected = next((one for one in parts if one.is_selected), None)
         possible = [one for one in parts if one.status is not Status.UNFEASIBLE]
@@ -79,7 +93,11 @@ class Policy:
 class Fixed(Policy):
     """Keeps its choice for an action until the action ends; only the task layer adapts."""
 
-    options = (Setting("use", "", "-", "designs and configurations, separated by commas; else by priority", "-"),)
+    options = (
+        Setting(
+            "use", "", "-", "designs and configurations, separated by commas; else by priority", "-"
+        ),
+    )
 
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
         super().__init__(model, rng, given)
@@ -89,7 +107,9 @@ class Fixed(Policy):
             if name not in known:
                 raise MissionError(f"setting use names {name!r}; the model has {', '.join(known)}")
 
-    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+    def pick(
+        self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
+    ) -> Part | None:
         wanted = [one for one in possible if one.name in self.wanted]
         return super().pick(kb, wanted or possible, selected)
 
@@ -103,7 +123,16 @@ class Unmanaged(Fixed):
 class Random(Policy):
     """Selects random feasible designs and configurations, anew every `period_s`; the task layer adapts."""
 
-    options = (Setting("period_s", 15.0, "s", "from one choice to the next", "as SUAVE's random manager", low=0.1),)
+    options = (
+        Setting(
+            "period_s",
+            15.0,
+            "s",
+            "from one choice to the next",
+            "as SUAVE's random manager",
+            low=0.1,
+        ),
+    )
 
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
         super().__init__(model, rng, given)
@@ -114,7 +143,9 @@ class Random(Policy):
         self._is_due, self._turn = turn != self._turn, turn
         return super().plan(kb)
 
-    def pick(self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None) -> Part | None:
+    def pick(
+        self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
+    ) -> Part | None:
         if not possible or not (self._is_due or selected is None):
             return None
         return possible[int(self.rng.integers(len(possible)))]
@@ -132,7 +163,10 @@ class ByHand(Policy):
     def alter(self, mission: Mission, world: World) -> Mission:
         by_hand = mission.by_hand
         assert by_hand is not None  # `check_run` has refused it otherwise
-        return replace(super().alter(mission, world), tree=lambda kb, percepts: by_hand(kb, percepts, world.managed))
+        return replace(
+            super().alter(mission, world),
+            tree=lambda kb, percepts: by_hand(kb, percepts, world.managed),
+        )
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
         return None
@@ -148,6 +182,9 @@ def _as_percept(status: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return a report on components as a percept, which makes nothing unfeasible."""
     if str(status["message"]).strip().casefold() not in COMPONENT_REPORTS:
         return status
-    verbs = {name: COMPONENT_VALUES.get(str(word).strip().casefold()) for name, word in status["values"].items()}
+    verbs = {
+        name: COMPONENT_VALUES.get(str(word).strip().casefold())
+        for name, word in status["values"].items()
+    }
     said = {f"{name} has failed": verb == "component_failed" for name, verb in verbs.items()}
     return {**status, "message": MISSION_STATUS, "values": said}

@@ -14,7 +14,14 @@ from typing import ClassVar
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
-from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, PriorityPlanner, ReconfigurationPlan
+from kb import (
+    ConfigurationManager,
+    Event,
+    EventKind,
+    KnowledgeBase,
+    PriorityPlanner,
+    ReconfigurationPlan,
+)
 from missions.baselines.manager import Manager, Robot
 from missions.engine.mission import Message, Percepts
 from missions.engine.settings import Setting
@@ -65,7 +72,9 @@ class OwnTree(Manager):
         """Record the tasks that the tree begins and ends, and call for a plan."""
         if event.kind is not EventKind.ACTION_UPDATE:
             return
-        record = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
+        record = next(
+            one for one in reversed(self.kb.history.actions) if one.action == event.subject
+        )
         if record.end is None:
             self.robot.begin(record.action)
         else:
@@ -92,10 +101,14 @@ class RosaManager(OwnTree):
 
     def __init__(self, robot: Robot) -> None:
         self._service_s = robot.options["service_s"]
-        self.period_s = robot.settings.tree_period_s + self._service_s  # each tick asks whether an action is feasible
+        self.period_s = (
+            robot.settings.tree_period_s + self._service_s
+        )  # each tick asks whether an action is feasible
         super().__init__(robot)
         self._planner = PriorityPlanner()
-        self._manager = ConfigurationManager(self.kb, robot, planner=self._planner)  # only for dry runs
+        self._manager = ConfigurationManager(
+            self.kb, robot, planner=self._planner
+        )  # only for dry runs
         self._asked = 0
         self._is_busy = False
 
@@ -134,7 +147,10 @@ class RosaManager(OwnTree):
             self._rest()
 
     def _switch(self, plan: ReconfigurationPlan) -> None:
-        for names, switch in ((plan.deactivate, self.robot.deactivate), (plan.activate, self.robot.activate)):
+        for names, switch in (
+            (plan.deactivate, self.robot.deactivate),
+            (plan.activate, self.robot.activate),
+        ):
             for name in names:
                 if name not in plan.plain:
                     switch(name)
@@ -186,10 +202,19 @@ class AheadManager(OwnTree):
         turns_s = settings.spiral_angle_step_rad / (2 * pi) / settings.spiral_period_s
         views = (kb.configurations[name] for name in kb.components["spiral_search"].configurations)
         heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
-        widths = {name: 2 * height * tan(settings.half_view_angle_rad) * turns_s for name, height in heights.items()}
+        widths = {
+            name: 2 * height * tan(settings.half_view_angle_rad) * turns_s
+            for name, height in heights.items()
+        }
         self._search = Gain("search_pipeline", widths, 0.5, switching_s=CLIMBING_S)
         drive_s = self._drive_s
-        recharge = Errand("recharge", {"battery_level": 1.0}, drive_s, lambda away: drive_s(away) + SETTLING_S, 0.2)
+        recharge = Errand(
+            "recharge",
+            {"battery_level": 1.0},
+            drive_s,
+            lambda away: drive_s(away) + SETTLING_S,
+            0.2,
+        )
         self._errands: tuple[Errand, ...] = (recharge,) if recharge.action in kb.actions else ()
         self._lookahead = Lookahead(kb, self._worth, period=2.0)
         return WhatNext("what next", self._lookahead, [mission])
@@ -216,7 +241,10 @@ class AheadManager(OwnTree):
                 self._seen.append((self._inspect.inspected_m, way_m))
             (before_m, before), (now_m, now) = self._seen[0], self._seen[-1]
             away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 1.0
-            gain, errands = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S), self._errands
+            gain, errands = (
+                Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S),
+                self._errands,
+            )
         return Worth(self.robot.deadline_s, (gain,), errands, away=way_m, unit="m")
 
     def _drive_s(self, away: float) -> float:

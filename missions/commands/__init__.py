@@ -48,7 +48,9 @@ def tree_builder(reference: str) -> Callable[..., object]:
 
     found: object = load("tree", reference, {}, "none by name, a tree is given as module:callable")
     if not callable(found):
-        raise MissionError(f"{reference!r} is a {type(found).__name__}, not a function that builds a tree")
+        raise MissionError(
+            f"{reference!r} is a {type(found).__name__}, not a function that builds a tree"
+        )
     return found
 
 
@@ -69,7 +71,9 @@ def list_missions() -> None:
 
 def list_settings(
     mission: Annotated[str, typer.Argument(help=MISSION)],
-    manager: Annotated[str, typer.Option(help="List what is to be set of this manager, too.")] = "ours",
+    manager: Annotated[
+        str, typer.Option(help="List what is to be set of this manager, too.")
+    ] = "ours",
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
     from missions.baselines import options_of

@@ -23,7 +23,14 @@ from missions.proof.exploration import Exploration
 from missions.proof.story import as_test
 from missions.proof.verification import prove, setup_of
 from missions.views.output import as_json, open_files
-from missions.views.plan import as_data, causes_of, certificate_as_data, certificate_lines, lines_of, svg_of
+from missions.views.plan import (
+    as_data,
+    causes_of,
+    certificate_as_data,
+    certificate_lines,
+    lines_of,
+    svg_of,
+)
 from rosa_bt import IsActionFeasible, RosaAction
 from rosa_bt.composites import unguarded
 from rosa_pddl.domain import ACTION_TYPE
@@ -39,13 +46,23 @@ _IMPORTS: Final = "from missions.engine.mission import find_mission\nfrom missio
 
 
 def check(
-    files: Annotated[list[Path] | None, typer.Argument(help="Files of a model, each may add to those before.")] = None,
-    mission: Annotated[str | None, typer.Option(help="Check with its tree and PDDL, or its own model.")] = None,
-    tree: Annotated[list[str] | None, typer.Option(metavar="MODULE:CALLABLE", help="A tree that uses it.")] = None,
-    pddl: Annotated[list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(help="Files of a model, each may add to those before.")
+    ] = None,
+    mission: Annotated[
+        str | None, typer.Option(help="Check with its tree and PDDL, or its own model.")
+    ] = None,
+    tree: Annotated[
+        list[str] | None, typer.Option(metavar="MODULE:CALLABLE", help="A tree that uses it.")
+    ] = None,
+    pddl: Annotated[
+        list[Path] | None, typer.Option(help="A PDDL domain or problem that uses it.")
+    ] = None,
     strict: Annotated[bool, typer.Option("--strict", help="Exit with 1 for warnings too.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the findings as JSON.")] = False,
-    reason: Annotated[bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")] = False,
+    reason: Annotated[
+        bool, typer.Option("--reason", help="Have HermiT look for contradictions; needs Java.")
+    ] = False,
 ) -> None:
     """Judge a model, say what to do about each finding, and exit with 0 if nothing in it can never work."""
     of = find_mission(mission) if mission else None
@@ -65,7 +82,9 @@ def check(
         raise typer.Exit(FAILED)
 
 
-def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]) -> Judged:
+def judge(
+    files: Sequence[Path], mission: Mission | None, trees: Sequence[str], pddl: Sequence[Path]
+) -> Judged:
     """Return the name and findings of a model, from files or else of the mission, and of what uses it.
 
     Trees are given as module:callable.
@@ -77,13 +96,21 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
     if not (trees or pddl or mission):
         return model.name, model.check()
     built = [(tree_builder(tree), f"tree {tree}") for tree in trees]
-    built += [] if mission is None or mission.tree is None else [(mission.tree, f"the tree of {mission.name}")]
+    built += (
+        []
+        if mission is None or mission.tree is None
+        else [(mission.tree, f"the tree of {mission.name}")]
+    )
     used = [names_in_tree(tree, model, title) for tree, title in built]
     uses = [one for of_tree, _ in used for one in of_tree]
     uses += names_in_pddl(pddl) if pddl else []
     uses += [] if mission is None else planned_names(mission)
     unguarded = [
-        found("unguarded-action", f"action {name}", f"{place} goes on with {name} when that is unfeasible")
+        found(
+            "unguarded-action",
+            f"action {name}",
+            f"{place} goes on with {name} when that is unfeasible",
+        )
         for _, careless in used
         for name, place in careless
     ]
@@ -93,12 +120,19 @@ def judge(files: Sequence[Path], mission: Mission | None, trees: Sequence[str], 
     is_complete = "" not in places  # a tree may get any action later
     places.pop("", None)
     findings = [*_placed(model.check(places), places, is_complete), *unguarded]
-    return model.name, (*findings, *(() if mission is None else _oversights(mission, model, findings)))
+    return model.name, (
+        *findings,
+        *(() if mission is None else _oversights(mission, model, findings)),
+    )
 
 
 def _oversights(mission: Mission, model: Model, findings: Sequence[Finding]) -> Iterator[Finding]:
     """Yield what planning for a mission would ignore without a word, unless another finding says it."""
-    said = [f" {one.element.removeprefix('action ')!r} " for one in findings if one.code == "unmentioned-action"]
+    said = [
+        f" {one.element.removeprefix('action ')!r} "
+        for one in findings
+        if one.code == "unmentioned-action"
+    ]
     if mission.problem is not None and not any(one.code == "unknown-action" for one in findings):
         for note in mission_domain(mission).check(KnowledgeBase(model)):
             if not any(name in note for name in said):
@@ -113,7 +147,9 @@ def model_of(files: Sequence[Path], mission: Mission | None) -> Model:
     return mission.model()
 
 
-def _placed(findings: Iterable[Finding], places: Mapping[str, Sequence[str]], is_complete: bool) -> Iterator[Finding]:
+def _placed(
+    findings: Iterable[Finding], places: Mapping[str, Sequence[str]], is_complete: bool
+) -> Iterator[Finding]:
     for one in findings:
         if one.code == "unknown-action":
             first, *others = places[one.element]
@@ -143,7 +179,9 @@ def _of(severity: str, findings: Iterable[Finding]) -> list[Finding]:
 def _print(model: str, findings: Iterable[Finding]) -> None:
     console = open_console()
     for severity, colour in COLOURS.items():
-        sorted_by_rule = sorted(_of(severity, findings), key=lambda one: list(rules()).index(one.code))
+        sorted_by_rule = sorted(
+            _of(severity, findings), key=lambda one: list(rules()).index(one.code)
+        )
         for code, group in groupby(sorted_by_rule, key=lambda one: one.code):
             console.print(f"[bold {colour}]{severity}[/] {code}")
             for one in group:
@@ -169,7 +207,8 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tup
     root = built(title, Behaviour, build, _Tolerant(model), Percepts())  # type: ignore[type-abstract]  # only asked about
     asking = [one for one in root.iterate() if isinstance(one, IsActionFeasible | RosaAction)]
     uses, careless = (
-        [(_action(one), f"behaviour {one.name!r} of {title}") for one in some] for some in (asking, unguarded(root))
+        [(_action(one), f"behaviour {one.name!r} of {title}") for one in some]
+        for some in (asking, unguarded(root))
     )
     return uses, careless
 
@@ -177,7 +216,9 @@ def names_in_tree(build: Callable[..., object], model: Model, title: str) -> tup
 def _action(behaviour: IsActionFeasible | RosaAction) -> str:
     try:
         return behaviour.action
-    except Exception:  # py_trees raises several kinds when a port is not connected before the tree runs
+    except (
+        Exception
+    ):  # py_trees raises several kinds when a port is not connected before the tree runs
         return ""
 
 
@@ -187,11 +228,17 @@ def names_in_pddl(paths: Iterable[Path]) -> Uses:
     If there are none, each predicate `(NAME_action ?a)` with one parameter of type action stands for the action NAME.
     """
     sources = [read_source(path) for path in paths]
-    parents = {name.lower: of for source in sources for name, of in _declared(source, section(source, ":types"))}
+    parents = {
+        name.lower: of
+        for source in sources
+        for name, of in _declared(source, section(source, ":types"))
+    }
     found = [
         (str(name), _place(source, name))
         for source in sources
-        for name, of in _declared(source, section(source, ":constants") + section(source, ":objects"))
+        for name, of in _declared(
+            source, section(source, ":constants") + section(source, ":objects")
+        )
         if _is_action(of, parents)
     ]
     return found or [use for source in sources for use in _by_predicate(source, parents)]
@@ -202,8 +249,13 @@ def planned_names(mission: Mission) -> Uses:
     declared = declarations_of(mission)
     if declared is not None:
         objects = [name for name, kind in declared.problem.objects.items() if kind == ACTION_TYPE]
-        return [(name, f"the schemas of {mission.name}") for name in dict.fromkeys([*declared.rosa_actions, *objects])]
-    return names_in_pddl(path for path in (mission.domain, mission.problem) if isinstance(path, Path))
+        return [
+            (name, f"the schemas of {mission.name}")
+            for name in dict.fromkeys([*declared.rosa_actions, *objects])
+        ]
+    return names_in_pddl(
+        path for path in (mission.domain, mission.problem) if isinstance(path, Path)
+    )
 
 
 def _by_predicate(source: Source, parents: Mapping[str, str]) -> Iterator[tuple[str, str]]:
@@ -235,29 +287,55 @@ def _place(source: Source, node: Node) -> str:
 
 
 def plan(
-    files: Annotated[list[Path] | None, typer.Argument(metavar="DOMAIN PROBLEM", help="Two PDDL files.")] = None,
-    mission: Annotated[str | None, typer.Option(help="Take domain, problem and model of a mission.")] = None,
-    model: Annotated[list[Path] | None, typer.Option(help="File of the model that says what is feasible.")] = None,
-    feasible: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Only these actions are feasible.")] = None,
+    files: Annotated[
+        list[Path] | None, typer.Argument(metavar="DOMAIN PROBLEM", help="Two PDDL files.")
+    ] = None,
+    mission: Annotated[
+        str | None, typer.Option(help="Take domain, problem and model of a mission.")
+    ] = None,
+    model: Annotated[
+        list[Path] | None, typer.Option(help="File of the model that says what is feasible.")
+    ] = None,
+    feasible: Annotated[
+        list[str] | None, typer.Option(metavar="A,B", help="Only these actions are feasible.")
+    ] = None,
     situation: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME=VALUE", help="Suppose battery_level=0.2, or a component: camera=failed."),
+        typer.Option(
+            metavar="NAME=VALUE", help="Suppose battery_level=0.2, or a component: camera=failed."
+        ),
     ] = None,
-    goal: Annotated[list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write outcome, engine, cost and steps.")] = None,
+    goal: Annotated[
+        list[str] | None, typer.Option(help="Reach this, e.g. '(found it)', not the file's goal.")
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option(help="Write outcome, engine, cost and steps.")
+    ] = None,
     svg: Annotated[Path | None, typer.Option(help="Draw the causal order of the steps.")] = None,
-    certificate: Annotated[bool, typer.Option("--certificate", help="Plan for each combination of actions.")] = False,
-    failures: Annotated[int | None, typer.Option(help="Certify at most so many failures at once.")] = None,
-    timeout: Annotated[float, typer.Option(help="Seconds after which planning is given up.")] = 30.0,
+    certificate: Annotated[
+        bool, typer.Option("--certificate", help="Plan for each combination of actions.")
+    ] = False,
+    failures: Annotated[
+        int | None, typer.Option(help="Certify at most so many failures at once.")
+    ] = None,
+    timeout: Annotated[
+        float, typer.Option(help="Seconds after which planning is given up.")
+    ] = 30.0,
 ) -> None:
     """Plan, say why actions are out and why there is no plan, and exit with 0 if there is one."""
     if len(files or []) > 2 or (mission and files):
-        raise MissionError("give either a domain and a problem file, or a mission with --mission NAME")
+        raise MissionError(
+            "give either a domain and a problem file, or a mission with --mission NAME"
+        )
     of = find_mission(mission) if mission else None
-    question = ask(files or [], of, model or [], situation=situation or [], feasible=feasible, goals=goal or [])
+    question = ask(
+        files or [], of, model or [], situation=situation or [], feasible=feasible, goals=goal or []
+    )
     paths = {"json": json, "svg": svg}
     if certificate and svg:
-        raise MissionError("a certificate is many plans, and --svg draws one; leave out one of the two")
+        raise MissionError(
+            "a certificate is many plans, and --svg draws one; leave out one of the two"
+        )
     if failures is not None and not certificate:
         raise MissionError("--failures says how much to certify; add --certificate")
     outputs = open_files(paths)
@@ -293,18 +371,32 @@ def _written(option: str, found: Answer) -> str:
 def verify(
     mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
     task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
-    failures: Annotated[int, typer.Option(min=0, help="How many components may have failed at once.")] = 1,
+    failures: Annotated[
+        int, typer.Option(min=0, help="How many components may have failed at once.")
+    ] = 1,
     at_once: Annotated[int, typer.Option(help="How many facts may change between two ticks.")] = 1,
     slow: Annotated[bool, typer.Option("--slow", help="The manager may miss its turn.")] = False,
-    reaction: Annotated[int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")] = 1,
-    exclusive: Annotated[list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")] = None,
+    reaction: Annotated[
+        int, typer.Option(help="Ticks after which nothing unfeasible may be requested.")
+    ] = 1,
+    exclusive: Annotated[
+        list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")
+    ] = None,
     most: Annotated[int, typer.Option(help="Stop at this number of situations.")] = 100_000,
     seconds: Annotated[float, typer.Option(help="Stop after this time [s].")] = 60.0,
-    cores: Annotated[int | None, typer.Option(min=1, help="How many processes explore; default: all cores.")] = None,
-    resume: Annotated[Path | None, typer.Option(help="Go on from this file if it exists; write it at the end.")] = None,
+    cores: Annotated[
+        int | None, typer.Option(min=1, help="How many processes explore; default: all cores.")
+    ] = None,
+    resume: Annotated[
+        Path | None, typer.Option(help="Go on from this file if it exists; write it at the end.")
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")] = None,
-    test: Annotated[Path | None, typer.Option(help="Write the first story as a test for pytest.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")
+    ] = None,
+    test: Annotated[
+        Path | None, typer.Option(help="Write the first story as a test for pytest.")
+    ] = None,
 ) -> None:
     """Say what holds in everything that can happen; exit with 0 if all does, 1 if not, 3 if open: not finished."""
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
@@ -326,7 +418,9 @@ def verify(
 
     proof = prove(setup, explore, reaction=reaction, exclusive=groups)
     typer.echo(f"{mission}: {proof}")
-    rows = [(" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences]
+    rows = [
+        (" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences
+    ]
     rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
     wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
     for facts, reaches, actions in rows:
@@ -346,7 +440,9 @@ def verify(
         raise typer.Exit(FAILED)
     if not proof.found.is_finished:
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
-        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}")
+        typer.echo(
+            f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}"
+        )
         raise typer.Exit(UNFINISHED)
 
 

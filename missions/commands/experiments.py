@@ -15,7 +15,14 @@ from rich.markup import escape
 
 from missions.commands import FAILED, ROBOT, open_console
 from missions.engine.mission import MissionError, find_robot, needs
-from missions.experiments.campaign import Campaign, Store, check_campaign, paper_table, read_campaign, read_store
+from missions.experiments.campaign import (
+    Campaign,
+    Store,
+    check_campaign,
+    paper_table,
+    read_campaign,
+    read_store,
+)
 from missions.experiments.learning import learn as suggestions_of
 from missions.experiments.learning import read_runs
 from missions.experiments.workers import Cluster, Processes, Workers, conduct
@@ -28,13 +35,27 @@ KINDS: Final = ("rate", "estimation", "threshold")
 
 def campaign(
     file: Annotated[Path | None, typer.Argument(metavar="FILE.toml", help="What to run.")] = None,
-    table: Annotated[bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")] = False,
-    runs: Annotated[int | None, typer.Option(help="How many of each, whatever the file says.")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")] = None,
-    cluster: Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the campaign in DIR.")] = False,
-    retry: Annotated[bool, typer.Option("--retry", help="With --resume: also repeat runs that crashed.")] = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")] = None,
+    table: Annotated[
+        bool, typer.Option("--paper-table", help="The table of the ROSA paper: 100 runs each.")
+    ] = False,
+    runs: Annotated[
+        int | None, typer.Option(help="How many of each, whatever the file says.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: all cores.")
+    ] = None,
+    cluster: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of the scheduler of a dask cluster.")
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the campaign in DIR.")
+    ] = False,
+    retry: Annotated[
+        bool, typer.Option("--retry", help="With --resume: also repeat runs that crashed.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where; default: campaigns/NAME.")
+    ] = None,
 ) -> None:
     """Run missions with many managers, settings and seeds, and exit with 0 if none of the runs crashed."""
     asked = _asked(file, table, runs)
@@ -54,7 +75,9 @@ def campaign(
         words += ["--runs", str(runs)] if modules and runs is not None else []
         words += ["--resume", "--out", str(folder), *(["--cluster", cluster] if cluster else [])]
         again = f"rosa campaign {shlex.join(words)}"
-        open_workers = partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
+        open_workers = (
+            partial(Processes, workers) if cluster is None else partial(Cluster, cluster, modules)
+        )
         if _conduct(console, store, folder, open_workers, retry, again):
             raise typer.Exit(FAILED)
 
@@ -71,16 +94,25 @@ def _asked(file: Path | None, table: bool, runs: int | None) -> Campaign | None:
 
 
 def _conduct(
-    console: Console, store: Store, folder: Path, open_workers: Callable[[], Workers], retry: bool, again: str
+    console: Console,
+    store: Store,
+    folder: Path,
+    open_workers: Callable[[], Workers],
+    retry: bool,
+    again: str,
 ) -> int:
     shown = CampaignProgress(console)
     started = perf_counter()
     try:
         with closing(open_workers()) as workers, shown.progress:
-            console.print(f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time")
+            console.print(
+                f"[bold]{escape(store.campaign.name)}[/] in {escape(str(folder))}, {workers.count} at a time"
+            )
             written = conduct(store, folder, workers, retry=retry, progress=shown)
     except (KeyboardInterrupt, SystemExit, MissionError):
-        console.print(f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}")
+        console.print(
+            f"{shown.count} of {shown.total} runs are done and kept; go on with\n  {escape(again)}"
+        )
         raise
     took = perf_counter() - started
     console.print(
@@ -95,14 +127,24 @@ def _conduct(
 def report(
     sources: Annotated[
         list[Path],
-        typer.Argument(metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."),
+        typer.Argument(
+            metavar="DIR | RECORDING [RECORDING]", help="A campaign's folder, or one or two runs."
+        ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Where to write; default: DIR/report, or the recording's name with .html."),
+        typer.Option(
+            "--out",
+            "-o",
+            help="Where to write; default: DIR/report, or the recording's name with .html.",
+        ),
     ] = None,
-    pages: Annotated[bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")] = False,
-    figures: Annotated[list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")] = None,
+    pages: Annotated[
+        bool, typer.Option("--pages", help="Of a campaign: a page of each run that stands out.")
+    ] = False,
+    figures: Annotated[
+        list[str] | None, typer.Option("--figure", help="Of a campaign: compare by these.")
+    ] = None,
 ) -> None:
     """Say what came of a campaign, as report.md and report.html; or show a run, or two side by side, as a page.
 
@@ -110,14 +152,22 @@ def report(
     """
     if len(sources) > 2:
         raise MissionError(f"one run is shown, or two beside each other, not {len(sources)}")
-    if len(sources) == 1 and not sources[0].is_file() and sources[0].suffix not in (".html", ".mcap"):
+    if (
+        len(sources) == 1
+        and not sources[0].is_file()
+        and sources[0].suffix not in (".html", ".mcap")
+    ):
         kept = read_store(sources[0])
         with needs("plot", "the report on a campaign"):
             import matplotlib  # noqa: F401  # it is found out before anything is written
             import scipy  # noqa: F401  # found out before anything is written
-        from missions.experiments.report import write_report as write_campaign  # draws: only if there is something
+        from missions.experiments.report import (
+            write_report as write_campaign,
+        )  # draws: only if there is something
 
-        for path in write_campaign(kept, out or sources[0] / "report", pages=pages, figures=figures or ()):
+        for path in write_campaign(
+            kept, out or sources[0] / "report", pages=pages, figures=figures or ()
+        ):
             if path.stem == "report":
                 typer.echo(path)
         return
@@ -137,10 +187,14 @@ def _page_of(path: Path) -> page.Recorded:
 def learn(
     runs: Annotated[list[Path], typer.Argument(help="Recordings, and folders of campaigns.")],
     model: Annotated[str, typer.Option(help=ROBOT)],
-    apply: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the changed model here.")] = None,
+    apply: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the changed model here.")
+    ] = None,
     take: Annotated[
         list[str] | None,
-        typer.Option(metavar="KIND", help="What to change: rate, estimation (both by default), threshold."),
+        typer.Option(
+            metavar="KIND", help="What to change: rate, estimation (both by default), threshold."
+        ),
     ] = None,
 ) -> None:
     """Suggest changes of a model, each with its interval and the number of observations; --apply writes them."""
@@ -166,7 +220,10 @@ def learn(
 def effort(
     models: Annotated[
         list[str] | None,
-        typer.Argument(metavar="MISSION|FILE", help="A mission, module:NAME or model file; default: all missions."),
+        typer.Argument(
+            metavar="MISSION|FILE",
+            help="A mission, module:NAME or model file; default: all missions.",
+        ),
     ] = None,
     json: Annotated[Path | None, typer.Option(help="Write all that is counted.")] = None,
 ) -> None:

@@ -15,21 +15,36 @@ FILES: Final = {
     **{name: name for name in ("README.md", "campaign.toml", "bridge.toml")},
     **{f"{name}.txt": f"my_robot/{name}.py" for name in ("model", "actions", "tree", "world")},
     **{f"{name}.pddl": f"my_robot/{name}.pddl" for name in ("domain", "problem")},
-    **{"init.txt": "my_robot/__init__.py", "test.txt": "tests/test_my_robot.py", "project.txt": "pyproject.toml"},
+    **{
+        "init.txt": "my_robot/__init__.py",
+        "test.txt": "tests/test_my_robot.py",
+        "project.txt": "pyproject.toml",
+    },
 }
-NEEDS: Final = {"tree.txt": "bt", "domain.pddl": "pddl", "problem.pddl": "pddl", "bridge.toml": "ros2"}
+NEEDS: Final = {
+    "tree.txt": "bt",
+    "domain.pddl": "pddl",
+    "problem.pddl": "pddl",
+    "bridge.toml": "ros2",
+}
 
 
 def new(
     name: Annotated[str, typer.Argument(help="Of the robot: a folder and a Python package.")],
-    task: Annotated[str, typer.Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")] = "bt",
-    ros2: Annotated[bool, typer.Option("--ros2", help="With a bridge.toml for a robot in ROS 2.")] = False,
+    task: Annotated[
+        str, typer.Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")
+    ] = "bt",
+    ros2: Annotated[
+        bool, typer.Option("--ros2", help="With a bridge.toml for a robot in ROS 2.")
+    ] = False,
 ) -> None:
     """Write a package with model, task logic, world and tests that runs at once; CHANGE marks what is yours."""
     if task not in ("bt", "pddl", "both"):
         raise MissionError(f"--task is {task!r}; there are bt, pddl and both")
     if not name.isidentifier() or name != name.lower() or keyword.iskeyword(name):
-        raise MissionError(f"a robot's name is that of a Python package, such as my_robot; {name!r} cannot be one")
+        raise MissionError(
+            f"a robot's name is that of a Python package, such as my_robot; {name!r} cannot be one"
+        )
     folder = Path(name)
     if folder.exists() or find_spec(name) is not None:
         raise MissionError(f"there is something named {name} already; give the robot another name")

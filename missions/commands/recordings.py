@@ -24,7 +24,11 @@ from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
 from missions.wires.mcap import Bag, is_bag, messages, read_bag, recorded_model, write_in_chunks
 
-record = typer.Typer(help="Look at a recording, or put it in another form.", no_args_is_help=True, add_completion=False)
+record = typer.Typer(
+    help="Look at a recording, or put it in another form.",
+    no_args_is_help=True,
+    add_completion=False,
+)
 
 _DECISIVE: Final = ("request_action", "cancel_action", "select", "finish_plan")
 """The verbs of decisions and of their results."""
@@ -35,10 +39,18 @@ _SHOWN: Final = 6
 
 def replay(
     recording: Path,
-    mission: Annotated[str | None, typer.Option(help="Who decides: a mission, or module:NAME; as recorded.")] = None,
-    task: Annotated[str | None, typer.Option(help="Its task layer, bt or pddl; by default as recorded.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write what is decided now as a page, as HTML.")] = None,
-    heard: Annotated[bool, typer.Option("--heard", help="Show also what was heard, not only what is decided.")] = False,
+    mission: Annotated[
+        str | None, typer.Option(help="Who decides: a mission, or module:NAME; as recorded.")
+    ] = None,
+    task: Annotated[
+        str | None, typer.Option(help="Its task layer, bt or pddl; by default as recorded.")
+    ] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write what is decided now as a page, as HTML.")
+    ] = None,
+    heard: Annotated[
+        bool, typer.Option("--heard", help="Show also what was heard, not only what is decided.")
+    ] = False,
 ) -> None:
     """Decide once more what was recorded; exit with 1 if that differs from what was decided then.
 
@@ -46,13 +58,21 @@ def replay(
     """
     gc.disable()  # messages and events are kept to the end; looking for garbage among them costs a third of the time
     try:
-        bag = read_bag(recording) if is_bag(recording) else Bag(messages=list(read_recording(recording)))
+        bag = (
+            read_bag(recording)
+            if is_bag(recording)
+            else Bag(messages=list(read_recording(recording)))
+        )
         run = bag.run or (bag.messages[0].get("run", {}) if bag.messages else {})
         asked = mission or str(run.get("mission") or "")
         if not asked:
-            raise MissionError(f"{recording} does not say which mission it is of; name one with --mission")
+            raise MissionError(
+                f"{recording} does not say which mission it is of; name one with --mission"
+            )
         if not mission and asked not in MISSIONS and ":" not in asked:
-            raise MissionError(f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME")
+            raise MissionError(
+                f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME"
+            )
         pages: list[RunRecorder] = []
 
         def watch(run_anew: MissionRun) -> None:
@@ -81,15 +101,23 @@ def replay(
             console.print(str(moment), markup=False, soft_wrap=True)
     _print_notes(console, bag)
     if decisions.problems:
-        console.print(f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}")
+        console.print(
+            f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}"
+        )
     if not bag.events:
         return
-    lines = unified_diff(_decisions(bag, bag.events), _decisions(bag, decisions.events), n=0, lineterm="")
-    otherwise = [f"{line[0]} {line[1:]}" for line in islice(lines, 2, None) if not line.startswith("@@")]
+    lines = unified_diff(
+        _decisions(bag, bag.events), _decisions(bag, decisions.events), n=0, lineterm=""
+    )
+    otherwise = [
+        f"{line[0]} {line[1:]}" for line in islice(lines, 2, None) if not line.startswith("@@")
+    ]
     if not otherwise:
         console.print("decided as recorded")
         return
-    console.print(f"[bold]decided otherwise from {otherwise[0].split()[1]} s on[/] (-: recorded, +: now)")
+    console.print(
+        f"[bold]decided otherwise from {otherwise[0].split()[1]} s on[/] (-: recorded, +: now)"
+    )
     _print_differences(console, otherwise)
     raise typer.Exit(FAILED)
 
@@ -100,7 +128,10 @@ def info(recording: Path) -> None:
     bag, console = read_bag(recording), open_console()
     known = [(key, bag.run.get(key)) for key in ("mission", "task", "seed", "model")]
     run = ", ".join(f"{key} {value}" for key, value in known if value is not None)
-    times = [*(float(one["time"]) for one in bag.messages[-1:]), *(one.time for one in bag.events[-1:])]
+    times = [
+        *(float(one["time"]) for one in bag.messages[-1:]),
+        *(one.time for one in bag.events[-1:]),
+    ]
     console.print(f"{recording}: {run or 'no recording of ours'}; {max(times, default=0.0):.1f} s")
     table = Table("topic", "type", "messages")
     for topic, (kind, count) in sorted(bag.topics.items()):
@@ -115,9 +146,14 @@ def info(recording: Path) -> None:
 def convert(recording: Path, output: Path) -> None:
     """Write a recording as MCAP (whole again if it was cut off), or what was heard as lines of JSON, by the suffix."""
     if output.suffix not in (".mcap", ".jsonl"):
-        raise MissionError(f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to")
+        raise MissionError(
+            f"{output} ends in neither .mcap nor .jsonl, which are what a recording is converted to"
+        )
     bag = Bag()
-    with files_tried(f"write {output}"), draft(output) as part:  # an existing file stays until the new one is complete
+    with (
+        files_tried(f"write {output}"),
+        draft(output) as part,
+    ):  # an existing file stays until the new one is complete
         if output.suffix == ".jsonl":
             bag = read_bag(recording)
             part.write_text("".join(map(line_of, [bag.header(), *bag.messages])), encoding="utf-8")
@@ -129,12 +165,18 @@ def convert(recording: Path, output: Path) -> None:
 
 def _print_notes(console: Console, bag: Bag) -> None:
     notes = [f"{bag.cut}; all before that is read"] if bag.cut else []
-    for note in [*notes, *(f"not read, {count} times: {problem}" for problem, count in bag.problems.items())]:
+    for note in [
+        *notes,
+        *(f"not read, {count} times: {problem}" for problem, count in bag.problems.items()),
+    ]:
         console.print(note, style="yellow", markup=False)
 
 
 def _print_differences(console: Console, lines: Sequence[str]) -> None:
-    for line in [*lines[:_SHOWN], *([f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else [])]:
+    for line in [
+        *lines[:_SHOWN],
+        *([f"... and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []),
+    ]:
         console.print(line, markup=False)
 
 
@@ -147,6 +189,8 @@ def _decisions(bag: Bag, events: Iterable[Event]) -> list[str]:
 
 
 def _line(event: Event) -> str:
-    decided = event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments  # no reason
+    decided = (
+        event.arguments[:2] if event.verb in ("cancel_action", "select") else event.arguments
+    )  # no reason
     values = ", ".join(str(one) for one in decided if one not in (None, "", (), {}))
     return f"{event.time:9.3f} s  {event.verb.replace('_', ' ')}: {values}"

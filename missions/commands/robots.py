@@ -29,26 +29,49 @@ _TICK_S: Final = 0.1
 
 def bridge(
     robot: Annotated[str, typer.Argument(help=ROBOT)],
-    tree: Annotated[str | None, typer.Option(help="What decides: module:NAME, given kb and percepts.")] = None,
-    config: Annotated[Path | None, typer.Option(help="bridge.toml: what of the robot is what of the model.")] = None,
-    url: Annotated[str | None, typer.Option(help="The robot's rosbridge, e.g. ws://127.0.0.1:9090.")] = None,
-    attribute: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute.")
+    tree: Annotated[
+        str | None, typer.Option(help="What decides: module:NAME, given kb and percepts.")
     ] = None,
-    serve: Annotated[int | None, typer.Option(metavar="PORT", help="Serve rosbridge instead of connecting.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="bridge.toml: what of the robot is what of the model.")
+    ] = None,
+    url: Annotated[
+        str | None, typer.Option(help="The robot's rosbridge, e.g. ws://127.0.0.1:9090.")
+    ] = None,
+    attribute: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute."),
+    ] = None,
+    serve: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Serve rosbridge instead of connecting.")
+    ] = None,
     dds: Annotated[bool, typer.Option("--dds", help="By DDS instead, without a bridge.")] = False,
-    rclpy: Annotated[bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")] = False,
-    host: Annotated[str, typer.Option(help="Where to serve, elsewhere with a token; DDS: interface.")] = "127.0.0.1",
-    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")] = "",
-    answer: Annotated[bool, typer.Option("--answer", help="Leave deciding to others, by ROSA's services.")] = False,
-    store: Annotated[Path | None, typer.Option(help="Keep what becomes known in this file.")] = None,
-    seconds: Annotated[float | None, typer.Option(help="Stop after this time; without it, when interrupted.")] = None,
+    rclpy: Annotated[
+        bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")
+    ] = False,
+    host: Annotated[
+        str, typer.Option(help="Where to serve, elsewhere with a token; DDS: interface.")
+    ] = "127.0.0.1",
+    token: Annotated[
+        str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")
+    ] = "",
+    answer: Annotated[
+        bool, typer.Option("--answer", help="Leave deciding to others, by ROSA's services.")
+    ] = False,
+    store: Annotated[
+        Path | None, typer.Option(help="Keep what becomes known in this file.")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Stop after this time; without it, when interrupted.")
+    ] = None,
 ) -> None:
     """Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree, answer its ROSA services."""
     settings, (model, mission) = _settings(config, url, attribute or []), find_robot(robot)
     make_tree = tree_builder(tree) if tree else None if mission is None else mission.tree
     if make_tree is None and not answer:
-        raise MissionError(f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others")
+        raise MissionError(
+            f"what decides for {model.name}? give --tree module:NAME, or --answer to leave it to others"
+        )
     console, percepts = open_console(), Percepts()
     logging.getLogger("missions.wires.node").setLevel(logging.WARNING)  # what is refused
 
@@ -64,7 +87,9 @@ def bridge(
             manager = ConfigurationManager(kb, connected.managed)
             root: Behaviour = Running("others decide")
             if make_tree is not None and not answer:
-                root = built(f"the tree of {tree or robot}", Behaviour, partial(make_tree, kb, percepts))  # type: ignore[type-abstract]  # only asked about
+                root = built(
+                    f"the tree of {tree or robot}", Behaviour, partial(make_tree, kb, percepts)
+                )  # type: ignore[type-abstract]  # only asked about
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)
             end = math.inf if seconds is None else time.monotonic() + seconds
             try:
@@ -85,9 +110,13 @@ def _settings(config: Path | None, url: str | None, attributes: list[str]) -> Br
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 
-def _node(settings: BridgeSettings, serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool) -> Node:
+def _node(
+    settings: BridgeSettings, serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool
+) -> Node:
     if dds + rclpy + (serve is not None) > 1:
-        raise MissionError("a robot is reached by one wire: --serve, --dds, --rclpy, or none of them for its rosbridge")
+        raise MissionError(
+            "a robot is reached by one wire: --serve, --dds, --rclpy, or none of them for its rosbridge"
+        )
     if dds:
         from missions.wires.dds import DdsNode
 
@@ -102,10 +131,18 @@ def _node(settings: BridgeSettings, serve: int | None, host: str, token: str, *,
 def mcp(
     robot: Annotated[str, typer.Argument(help=ROBOT)],
     store: Annotated[Path | None, typer.Option(help="What became known, in this file.")] = None,
-    config: Annotated[Path | None, typer.Option(help="bridge.toml of the robot to connect to.")] = None,
-    allow_actions: Annotated[bool, typer.Option("--allow-actions", help="Actions may be requested, too.")] = False,
-    http: Annotated[int | None, typer.Option(metavar="PORT", help="Serve over HTTP with a token, not stdio.")] = None,
-    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")] = "",
+    config: Annotated[
+        Path | None, typer.Option(help="bridge.toml of the robot to connect to.")
+    ] = None,
+    allow_actions: Annotated[
+        bool, typer.Option("--allow-actions", help="Actions may be requested, too.")
+    ] = False,
+    http: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Serve over HTTP with a token, not stdio.")
+    ] = None,
+    token: Annotated[
+        str, typer.Option(envvar="ROSA_TOKEN", help="Which a client over HTTP has to give.")
+    ] = "",
 ) -> None:
     """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""
     model, mission = find_robot(robot)

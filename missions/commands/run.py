@@ -24,35 +24,63 @@ from missions.views.report import report as page_of
 
 def run(
     mission: Annotated[str, typer.Argument(help=MISSION)],
-    task: Annotated[str | None, typer.Option(help="By a tree (bt) or plans (pddl); default: what is there.")] = None,
+    task: Annotated[
+        str | None, typer.Option(help="By a tree (bt) or plans (pddl); default: what is there.")
+    ] = None,
     manager: Annotated[
         str,
         typer.Option(
             help="ours, none, random, bt, fixed, your own package:Class; in the sea metacontrol, rosa, ahead, too."
         ),
     ] = "ours",
-    rules: Annotated[str | None, typer.Option(help="Of the sea: 2024 (the ROSA paper) or 2025.")] = None,
+    rules: Annotated[
+        str | None, typer.Option(help="Of the sea: 2024 (the ROSA paper) or 2025.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all chance in the run.")] = 0,
     json: Annotated[Path | None, typer.Option(help="Write the result as JSON.")] = None,
     plot: Annotated[Path | None, typer.Option(help="Draw the run as a PNG picture.")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write the run as a page to click through, as HTML.")
+    ] = None,
     timing: Annotated[Path | None, typer.Option(help="Write the compute times as JSON.")] = None,
-    record: Annotated[Path | None, typer.Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")] = None,
-    settings: Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(help="Record as FILE.mcap, or diagnostics as lines of JSON.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")
+    ] = None,
     groot2: Annotated[
         int | None,
-        typer.Option(metavar="PORT", help="Let Groot2 watch the tree, on this TCP port of this machine (1667)."),
+        typer.Option(
+            metavar="PORT",
+            help="Let Groot2 watch the tree, on this TCP port of this machine (1667).",
+        ),
     ] = None,
-    live: Annotated[int | None, typer.Option(metavar="PORT", help="Show the run meanwhile as a page (0: any).")] = None,
-    host: Annotated[str, typer.Option(help="Where --live listens; others need the token in the link.")] = "127.0.0.1",
-    token: Annotated[str | None, typer.Option(help="The token of --host; by default one is made up.")] = None,
-    allow_control: Annotated[bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")] = False,
-    tui: Annotated[bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")] = False,
-    realtime: Annotated[bool, typer.Option("--realtime", help="Run no faster than the wall clock.")] = False,
+    live: Annotated[
+        int | None, typer.Option(metavar="PORT", help="Show the run meanwhile as a page (0: any).")
+    ] = None,
+    host: Annotated[
+        str, typer.Option(help="Where --live listens; others need the token in the link.")
+    ] = "127.0.0.1",
+    token: Annotated[
+        str | None, typer.Option(help="The token of --host; by default one is made up.")
+    ] = None,
+    allow_control: Annotated[
+        bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")
+    ] = False,
+    tui: Annotated[
+        bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")
+    ] = False,
+    realtime: Annotated[
+        bool, typer.Option("--realtime", help="Run no faster than the wall clock.")
+    ] = False,
     speed: Annotated[
-        float | None, typer.Option(help="Times real time at most, 0: no limit; else 1 with --live and --tui.")
+        float | None,
+        typer.Option(help="Times real time at most, 0: no limit; else 1 with --live and --tui."),
     ] = None,
-    progress: Annotated[bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")] = True,
+    progress: Annotated[
+        bool, typer.Option("--progress/--no-progress", help="Show what happens meanwhile.")
+    ] = True,
 ) -> None:
     """Run a mission, say what happened and why, and exit with 0 if it did what it was for."""
     if plot is not None:
@@ -64,8 +92,12 @@ def run(
     with ExitStack() as stack:
         mcap = record if record is not None and record.suffix == ".mcap" else None
         lines = None if mcap else record
-        files = open_files({"json": json, "plot": plot, "report": report, "timing": timing, "record": lines})
-        steering = Steering((1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed)
+        files = open_files(
+            {"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}
+        )
+        steering = Steering(
+            (1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed
+        )
         opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
         progress = progress and not tui
         narrator, page = Narrator(console, opened.settings.duration_s), None
@@ -84,14 +116,18 @@ def run(
             if allow_control:
                 steering.begin(opened)
             seen, control = page.recorder, steering if allow_control else None
-            view = LiveView(seen.kb, port=live, host=host, token=token, recorder=seen, steering=control)
+            view = LiveView(
+                seen.kb, port=live, host=host, token=token, recorder=seen, steering=control
+            )
             stack.callback(view.close)
             console.print(f"live: {view.url}", soft_wrap=True)
         if page and mcap:
             from missions.wires.mcap import McapRecorder
 
             tree = opened.tree if isinstance(opened, RosaRun) else None
-            made = McapRecorder(mcap, opened.kb, tree, page=page.recorder, run=header(opened, seed)["run"])
+            made = McapRecorder(
+                mcap, opened.kb, tree, page=page.recorder, run=header(opened, seed)["run"]
+            )
             stack.callback(_print_refused, console, made.refused)  # when the file is complete
             opened.listen(stack.enter_context(made))
         with narrator.progress if progress else nullcontext():
@@ -161,8 +197,13 @@ def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
 
 
 def watch(
-    address: Annotated[str, typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed.")],
-    token: Annotated[str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")] = "",
+    address: Annotated[
+        str,
+        typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed."),
+    ],
+    token: Annotated[
+        str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")
+    ] = "",
 ) -> None:
     """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
     from missions.views.terminal import SocketFeed, TerminalView

@@ -42,7 +42,9 @@ from missions.commands import FAILED, complain
 from missions.commands.check import model_of
 from missions.engine.mission import find_mission
 
-app: Final = typer.Typer(help="Look after the store of a knowledge base.", no_args_is_help=True, add_completion=False)
+app: Final = typer.Typer(
+    help="Look after the store of a knowledge base.", no_args_is_help=True, add_completion=False
+)
 File = Annotated[Path, typer.Argument(metavar="FILE", help="The store.")]
 New = Annotated[Path, typer.Argument(metavar="NEW", help="A file that is not there yet.")]
 
@@ -63,7 +65,9 @@ def info(file: File) -> None:
             "damage": found.problem or "none",
         }
         if not found.problem:
-            counts = connection.execute("SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb")
+            counts = connection.execute(
+                "SELECT verb, COUNT(*) FROM events GROUP BY verb ORDER BY verb"
+            )
             shown["events kept"] = ", ".join(f"{count} {verb}" for verb, count in counts)
             asked = "SELECT MIN(time), MAX(time) FROM events"
             ((shown["first time [s]"], shown["last time [s]"]),) = connection.execute(asked)
@@ -81,7 +85,9 @@ def check(file: File) -> None:
             complain(str(found.error(file)))
             raise typer.Exit(FAILED)
         ((count,),) = connection.execute("SELECT COUNT(*) FROM events")
-    typer.echo(f"{file}: sound up to event {found.last}; {count} events are kept, and all acknowledged ones were seen")
+    typer.echo(
+        f"{file}: sound up to event {found.last}; {count} events are kept, and all acknowledged ones were seen"
+    )
 
 
 @app.command()
@@ -110,13 +116,17 @@ def repair(file: File, new: New) -> Survey:
         try:
             fresh.executemany("INSERT INTO events VALUES (?, ?, ?, ?, ?, ?, ?)", [*rows, last])
             if snapshot.number:
-                others = sum(row.verb != "measure" for row in rows) - sum(row.verb != "measure" for row in found.rows)
+                others = sum(row.verb != "measure" for row in rows) - sum(
+                    row.verb != "measure" for row in found.rows
+                )
                 kept = Snapshot.of(*snapshot[:3], others, snapshot.tail)
                 fresh.execute("INSERT INTO snapshots VALUES (?, ?, ?, ?, ?, ?)", kept)
             _save(fresh, found, last.number, last.digest, new)
         finally:
             fresh.close()
-    typer.echo(f"{new}: {file} up to event {found.last}; {found.missing} acknowledged events after it are missing")
+    typer.echo(
+        f"{new}: {file} up to event {found.last}; {found.missing} acknowledged events after it are missing"
+    )
     typer.echo(f"what was wrong: {found.problem}" if found.problem else "nothing was wrong")
     return found
 
@@ -124,7 +134,9 @@ def repair(file: File, new: New) -> Survey:
 @app.command()
 def migrate(
     file: File,
-    model: Annotated[list[Path] | None, typer.Argument(metavar="MODEL...", help="Files of the model.")] = None,
+    model: Annotated[
+        list[Path] | None, typer.Argument(metavar="MODEL...", help="Files of the model.")
+    ] = None,
     mission: Annotated[str | None, typer.Option(help="The model of a mission instead.")] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would change.")] = False,
 ) -> None:
@@ -149,13 +161,21 @@ def migrate(
         if changed and not dry_run:
             number = known.log.last + 1
             fresh.from_json(written, number, now)
-            words = "; ".join(["the model was changed", *changed, *(f"dropped: {one}" for one in dropped)])
+            words = "; ".join(
+                ["the model was changed", *changed, *(f"dropped: {one}" for one in dropped)]
+            )
             events = [*known.log.since(store.saved), Event(number, now, "store", (words,))]
-            store.adopt(given, events, (number, now, json.dumps(fresh.to_json(store.keep), separators=(",", ":"))))
+            store.adopt(
+                given,
+                events,
+                (number, now, json.dumps(fresh.to_json(store.keep), separators=(",", ":"))),
+            )
     finally:
         store.close()
     if changed:
-        typer.echo(f"{file}: {'nothing is changed yet' if dry_run else 'the store is of that model now'}")
+        typer.echo(
+            f"{file}: {'nothing is changed yet' if dry_run else 'the store is of that model now'}"
+        )
 
 
 # -------------------------------------------------------------------- copies of what may be damaged, or in use
@@ -187,7 +207,9 @@ def surveyed(path: Path, folder: Path | None = None) -> Iterator[tuple[sqlite3.C
             finally:
                 connection.close()
     except (OSError, sqlite3.Error) as error:
-        raise StoreError(f"{path}: the store cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise StoreError(
+            f"{path}: the store cannot be read: {getattr(error, 'strerror', None) or error}"
+        ) from None
 
 
 def _head(log: Path) -> bytes:
@@ -201,10 +223,16 @@ def _sound(connection: sqlite3.Connection, until: int) -> list[Row]:
     found: dict[int, Row] = {}
     for order in ("ASC", "DESC"):
         with suppress(*BROKEN):
-            for row in connection.execute(f"SELECT * FROM events WHERE number <= ? ORDER BY number {order}", (until,)):
+            for row in connection.execute(
+                f"SELECT * FROM events WHERE number <= ? ORDER BY number {order}", (until,)
+            ):
                 found[row[0]] = Row(*row)
     rows = [found[number] for number in sorted(found) if is_sound(found[number])]
-    torn = {two.number for one, two in pairwise(rows) if one.number + 1 == two.number and one.digest != two.before}
+    torn = {
+        two.number
+        for one, two in pairwise(rows)
+        if one.number + 1 == two.number and one.digest != two.before
+    }
     return [row for row in rows if row.number not in torn]
 
 
@@ -267,4 +295,11 @@ def _moved(ref: Iterable[Any], before: Network, after: Network) -> Ref | None:
     if old.kind != "constraint":
         return new.ref
     said = repr(old.element).partition(", constrained=")[0]
-    return next((one.ref for one in new.constraints if repr(one.element).partition(", constrained=")[0] == said), None)
+    return next(
+        (
+            one.ref
+            for one in new.constraints
+            if repr(one.element).partition(", constrained=")[0] == said
+        ),
+        None,
+    )

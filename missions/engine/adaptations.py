@@ -11,7 +11,9 @@ from kb import ComponentKind, Event, EventKind, KnowledgeBase, ReconfigurationPl
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord, Step
 
-_REMEMBERED: Final = 256  # how many ticks with news, and how much news, are kept until the plan for them is there
+_REMEMBERED: Final = (
+    256  # how many ticks with news, and how much news, are kept until the plan for them is there
+)
 
 
 def plans_after(last: "PlanRecord | None", plans: Sequence["PlanRecord"]) -> Sequence["PlanRecord"]:
@@ -101,7 +103,9 @@ class Adaptation:
             self.reaction_s = max(self.at_s, last.end) - self.news_s
         parts = [f"{self.before} -> {self.action}"] if self.action else []
         for words, plan in self.plans:
-            parts.append(words if plan.result in (None, "completed") else f"{words} ({plan.result})")
+            parts.append(
+                words if plan.result in (None, "completed") else f"{words} ({plan.result})"
+            )
         self.change = "; ".join(parts) or self.change
         return self
 
@@ -150,7 +154,9 @@ class AdaptationLog:
         self._settled = kb.log.last
         self._plan_settled: PlanRecord | None = None
         self._steps: frozenset[Step] = frozenset()
-        kb.log.witnesses += (self._hear,)  # before any subscriber, in order, on the thread that told
+        kb.log.witnesses += (
+            self._hear,
+        )  # before any subscriber, in order, on the thread that told
 
     def news(self, stamp: float | None) -> None:
         """Declare that the next events are news of this time [s]; None: they are our own doing.
@@ -221,10 +227,14 @@ class AdaptationLog:
         news = _News(time, event.text, (event.number,))
         for change in event.changes:
             if change.kind == "action" and change.new is Status.UNFEASIBLE:
-                self._lost[change.name] = replace(news, reason=self._kb.why(self._kb.actions[change.name]))
+                self._lost[change.name] = replace(
+                    news, reason=self._kb.why(self._kb.actions[change.name])
+                )
             elif change.kind == "action" and change.old is Status.UNFEASIBLE:
                 self._lost.pop(change.name, None)
-                self._regained[change.name] = replace(news, reason=f"{change.name} is feasible again")
+                self._regained[change.name] = replace(
+                    news, reason=f"{change.name} is feasible again"
+                )
         self._heard.append((news, bool(event.changes)))
         if event.changes:
             self._to_answer.append(news)
@@ -233,7 +243,9 @@ class AdaptationLog:
         """Note which action has ended and why; a tree may begin the next action before it ends this one."""
         record = next(one for one in reversed(self._kb.history.actions) if one.action == action)
         if record.number <= self._settled:  # else it ended in the tick in which it began
-            cause = None if result == "completed" else self._why_given_up(event, action, result, reason)
+            cause = (
+                None if result == "completed" else self._why_given_up(event, action, result, reason)
+            )
             self._before = _Ended(action, event.time, event.number, cause)
         if result != "completed":
             self._regained.pop(action, None)
@@ -242,7 +254,12 @@ class AdaptationLog:
         if action in self._lost:
             return self._lost[action]
         if result == "failed":
-            return _News(event.time, f"{action} has failed", (event.number,), reason or f"{action} gave no reason")
+            return _News(
+                event.time,
+                f"{action} has failed",
+                (event.number,),
+                reason or f"{action} gave no reason",
+            )
         if event.cause is not None:  # an assertion by the task layer itself
             own = next(self._kb.log.since(event.cause - 1), event)
             return _News(own.time, own.text, (own.number,), self._kb.why(self._kb.actions[action]))
@@ -267,7 +284,9 @@ class AdaptationLog:
         if not began:
             return False
         before, self._before = self._before, None
-        cause = None if before is None else self._why_begun(before, began[-1].action, began[-1].start)
+        cause = (
+            None if before is None else self._why_begun(before, began[-1].action, began[-1].start)
+        )
         if before is None or cause is None:
             return False
         plan = self._new_plan()
@@ -284,7 +303,9 @@ class AdaptationLog:
         if regained is None or (cause is None and not self._was_given_up(action)):
             return cause
         if cause is not None:
-            return regained if regained.time > cause.time else cause  # nothing was feasible in between
+            return (
+                regained if regained.time > cause.time else cause
+            )  # nothing was feasible in between
         plan = self._new_plan()
         if plan is None and self._plans():
             return None  # it is the next step of the plan
@@ -297,17 +318,32 @@ class AdaptationLog:
         return _News(time, f"{before.action} is over", regained.events, since)
 
     def _was_given_up(self, action: str) -> bool:
-        ended = (one for one in reversed(self._kb.history.actions) if one.action == action and one.end is not None)
+        ended = (
+            one
+            for one in reversed(self._kb.history.actions)
+            if one.action == action and one.end is not None
+        )
         return next((one.result != "completed" for one in ended), False)
 
     def _change(self, before: _Ended, action: str, time: float, cause: _News) -> None:
         reason = cause.reason or f"{action} is chosen, though {before.action} is still feasible"
-        self._enter(time, "task", cause, reason, f"{before.action} -> {action}", before.action, action)
+        self._enter(
+            time, "task", cause, reason, f"{before.action} -> {action}", before.action, action
+        )
 
     def _enter(
-        self, at_s: float, kind: str, cause: _News, reason: str, change: str, before: str = "", action: str = ""
+        self,
+        at_s: float,
+        kind: str,
+        cause: _News,
+        reason: str,
+        change: str,
+        before: str = "",
+        action: str = "",
     ) -> Adaptation:
-        made = Adaptation(at_s, kind, cause.text, reason, change, None, cause.time, before, action, cause.events)
+        made = Adaptation(
+            at_s, kind, cause.text, reason, change, None, cause.time, before, action, cause.events
+        )
         self.adaptations.append(made)
         self._open.append(made)
         return made
@@ -338,7 +374,9 @@ class AdaptationLog:
             cause = next((one for one in self._to_answer if plan.cause in one.events), None)
             if cause is not None:
                 self._to_answer.remove(cause)
-            if cause is not None and (change is None or not set(cause.events) <= set(change.events)):
+            if cause is not None and (
+                change is None or not set(cause.events) <= set(change.events)
+            ):
                 kind = "structural" if plan.activate or plan.deactivate else "parameter"
                 change = self._enter(plan.start, kind, cause, plan.reason, "")
             if change is not None:
@@ -355,11 +393,15 @@ class AdaptationLog:
         """Return what a plan switches and sets, in words, without plain components, which nobody commands."""
         steps = []
         for verb, names in (("stop", plan.deactivate), ("start", plan.activate)):
-            switched = [name for name in names if self._kb.components[name].kind is not ComponentKind.PLAIN]
+            switched = [
+                name for name in names if self._kb.components[name].kind is not ComponentKind.PLAIN
+            ]
             steps += [f"{verb} {', '.join(switched)}"] if switched else []
         for name in plan.parameters:
             configuration = self._kb.configurations[name]
-            values = ", ".join(f"{key} = {value}" for key, value in configuration.parameters.items())
+            values = ", ".join(
+                f"{key} = {value}" for key, value in configuration.parameters.items()
+            )
             steps.append(f"set {configuration.component} to {name} ({values})")
         return "; ".join(steps) or str(plan)
 

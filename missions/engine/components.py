@@ -83,7 +83,9 @@ class Script(NamedTuple):
 class Operation:
     """A command under way, like `concurrent.futures.Future`, but finished in simulated time, at its `end` [s]."""
 
-    def __init__(self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]) -> None:
+    def __init__(
+        self, end: float, effect: Callable[[float], object], catch_up: Callable[[], object]
+    ) -> None:
         self.end, self._effect, self._catch_up = end, effect, catch_up
         self._is_done = False
         self._error: Exception | None = None
@@ -119,7 +121,10 @@ class SimulatedComponents:
     """
 
     def __init__(
-        self, clock: Callable[[], float], components: Components, takes: Mapping[str, float] | None = None
+        self,
+        clock: Callable[[], float],
+        components: Components,
+        takes: Mapping[str, float] | None = None,
     ) -> None:
         self._clock, self._components = clock, components
         self.takes = checked_times(takes or {})
@@ -163,7 +168,11 @@ class SimulatedComponents:
         Raises:
             ValueError: no such command, or a number below 0.
         """
-        for name, number in (("takes", takes or 0.0), ("fail_first", fail_first), ("crash_after", crash_after)):
+        for name, number in (
+            ("takes", takes or 0.0),
+            ("fail_first", fail_first),
+            ("crash_after", crash_after),
+        ):
             _check_number(f"{name} of {component} is", number)
         for verb in verbs or VERBS:
             _check_verb(verb)
@@ -180,7 +189,9 @@ class SimulatedComponents:
 
     def set_parameters(self, component: str, parameters: Parameters, /) -> Operation:
         taken, obey = dict(parameters), self._components.set_parameters
-        return self._command("set_parameters", component, taken, lambda time: obey(component, taken))
+        return self._command(
+            "set_parameters", component, taken, lambda time: obey(component, taken)
+        )
 
     def is_active(self, component: str, /) -> bool:
         """Tell whether a component truly runs; one whose activation is under way does not yet."""
@@ -230,7 +241,10 @@ class SimulatedComponents:
         takes = script.takes if script.takes is not None else self.takes.get(verb, 0.0)
         end = self._busy_until[component] = max(now, self._busy_until.get(component, 0.0)) + takes
         if self._given[verb, component] <= script.fail_first:
-            effect = partial(_fail, f"{verb} {component} fails by its script, time {self._given[verb, component]}")
+            effect = partial(
+                _fail,
+                f"{verb} {component} fails by its script, time {self._given[verb, component]}",
+            )
         elif script.lies:
             effect = _nothing
         return self._enter(end, effect)

@@ -230,7 +230,9 @@ class WorldKind(ABC):
         """
 
     @abstractmethod
-    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(
+        self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
+    ) -> Verdict:
         """Return whether the goal of a mission is reached, or else what was not done in time.
 
         Judge it by what was sensed, the figures and what was done. The caller finds out whether the task ended early.
@@ -242,8 +244,17 @@ class WorldKind(ABC):
 
 
 _CALLED: Final = {  # the arguments of each function of a mission; tree and by_hand may be None
-    **{"model": "", "tree": "kb, percepts", "by_hand": "kb, percepts, managed", "facts": "kb, percepts"},
-    **{"why_not": "kb, percepts", "world.open": "values, rng", "world.verdict": "percepts, results, kb"},
+    **{
+        "model": "",
+        "tree": "kb, percepts",
+        "by_hand": "kb, percepts, managed",
+        "facts": "kb, percepts",
+    },
+    **{
+        "why_not": "kb, percepts",
+        "world.open": "values, rng",
+        "world.verdict": "percepts, results, kb",
+    },
 }
 
 
@@ -296,8 +307,12 @@ class Mission:
     waits_for_news: bool = False
 
     def __post_init__(self) -> None:
-        self._check("world", isinstance(self.world, WorldKind), "an object of a subclass of WorldKind")
-        self._check("actions", isinstance(self.actions, Mapping), "a mapping of PDDL actions to behaviours")
+        self._check(
+            "world", isinstance(self.world, WorldKind), "an object of a subclass of WorldKind"
+        )
+        self._check(
+            "actions", isinstance(self.actions, Mapping), "a mapping of PDDL actions to behaviours"
+        )
         self._check("domain", not isinstance(self.domain, str), "a pathlib.Path")
         self._check("problem", not isinstance(self.problem, str), "a pathlib.Path")
         self._check("engines", not isinstance(self.engines, str), "a tuple of names")
@@ -306,19 +321,27 @@ class Mission:
                 self._check(name, callable(given), "a function")
                 self._check_call(name, given, arguments)
         if self.tree is None and self.problem is None:
-            raise MissionError(f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem")
+            raise MissionError(
+                f"mission {self.name} has no task: give it a tree, or a PDDL domain and problem"
+            )
 
     def _check(self, name: str, is_fit: bool, expected: str) -> None:
         if not is_fit:
-            raise MissionError(f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}")
+            raise MissionError(
+                f"{name} of mission {self.name} is {getattr(self, name)!r}; expected is {expected}"
+            )
 
     def _check_call(self, name: str, given: Callable[..., object], arguments: str) -> None:
-        with suppress(ValueError):  # one that was not written in Python may not say how it is called
+        with suppress(
+            ValueError
+        ):  # one that was not written in Python may not say how it is called
             takes = signature(given)
             try:
                 takes.bind(*arguments.split())
             except TypeError as error:
-                called = f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
+                called = (
+                    f"{name} of mission {self.name} is called with ({arguments}), but takes {takes}"
+                )
                 raise MissionError(f"{called}: {error}; give it these parameters") from error
 
 
@@ -347,7 +370,11 @@ def built(title: str, kind: type[T], build: Callable[..., object], *given: objec
     """
     with blamed(lambda: f"cannot build {title}"):
         parameters = signature(build).parameters.values() if given else ()
-        places = [one.default for one in parameters if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)]
+        places = [
+            one.default
+            for one in parameters
+            if one.kind in (one.POSITIONAL_ONLY, one.POSITIONAL_OR_KEYWORD)
+        ]
         made = build(*given[: places.count(Parameter.empty)])
     made = made.root if isinstance(made, BehaviourTree) else made
     if not isinstance(made, kind):
@@ -363,7 +390,9 @@ def settings_of(mission: Mission) -> tuple[Setting, ...]:
         own = tuple(mission.world.settings())
     for one in own:
         if not isinstance(one, Setting):
-            raise MissionError(f"{its} gives {one!r:.100}; expected is a tuple of missions.engine.settings.Setting")
+            raise MissionError(
+                f"{its} gives {one!r:.100}; expected is a tuple of missions.engine.settings.Setting"
+            )
     return (*declared(RunSettings), *own)
 
 
@@ -378,12 +407,18 @@ def split_settings(
         MissionError: an unknown name or a value that is not allowed.
     """
     of_run, known = declared(RunSettings), (*options, *settings_of(mission))
-    chosen = full_names(known, mission.fixed, mission.name) | full_names(known, values, mission.name)
+    chosen = full_names(known, mission.fixed, mission.name) | full_names(
+        known, values, mission.name
+    )
     run, world, own = (
         {one.name: chosen[one.name] for one in some if one.name in chosen}
         for some in (of_run, known[len(options) + len(of_run) :], options)
     )
-    return RunSettings.read(run), world, {one.name: one.default for one in options} | read_values(options, own)
+    return (
+        RunSettings.read(run),
+        world,
+        {one.name: one.default for one in options} | read_values(options, own),
+    )
 
 
 # -------------------------------------------------------------------- by name, and imported when asked for
@@ -407,7 +442,11 @@ def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # 
         found = import_module(module)
         if not hasattr(found, attribute):
             close = near(attribute, vars(found)) or [one for one in vars(found) if one.isupper()]
-            did = f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?" if close else ""
+            did = (
+                f"; did you mean {' or '.join(f'{module}:{one}' for one in close)}?"
+                if close
+                else ""
+            )
             raise MissionError(f"{module} has no {attribute!r}{did}")
         return getattr(found, attribute)
     except Exception as error:  # an author's module may raise anything
@@ -426,9 +465,13 @@ def find_mission(name: str) -> Mission:
     Raises:
         MissionError: no such mission; the message lists those there are.
     """
-    found = load("mission", name, MISSIONS, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME")
+    found = load(
+        "mission", name, MISSIONS, f"{', '.join(MISSIONS)}; one of your own is given as module:NAME"
+    )
     if not isinstance(found, Mission):
-        raise MissionError(f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission")
+        raise MissionError(
+            f"{name!r} is a {type(found).__name__}, not a missions.engine.mission.Mission"
+        )
     return found
 
 
@@ -445,7 +488,9 @@ def find_robot(name: str) -> tuple[Model, Mission | None]:
     if isinstance(found, Mission):
         return found.model(), found
     if not (isinstance(found, Model) or callable(found)):
-        raise MissionError(f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}")
+        raise MissionError(
+            f"{name!r} is no mission, no model and no function that makes one, but {found!r:.80}"
+        )
     return found if isinstance(found, Model) else built(name, Model, found), None
 
 

@@ -57,12 +57,16 @@ class Question:
 
     @property
     def unfeasible(self) -> tuple[str, ...]:
-        return tuple(action for action in self.domain.rosa_actions if not self.kb.is_feasible(action))
+        return tuple(
+            action for action in self.domain.rosa_actions if not self.kb.is_feasible(action)
+        )
 
     def supposing(self, unfeasible: Iterable[str]) -> Problem:
         """Return the problem in which exactly these ROSA actions are unfeasible."""
         domain, left_out = self.domain, set(unfeasible)
-        state = self.state | {atom for atom, action in domain.feasibility.items() if action not in left_out}
+        state = self.state | {
+            atom for atom, action in domain.feasibility.items() if action not in left_out
+        }
         return Problem(domain, state, tuple(goal.expression for goal in self.goals), self.numbers)
 
 
@@ -103,9 +107,13 @@ def ask(
     domain = _domain(files, mission)
     supposed, has_model = dict(_read(situation)), bool(models or mission)
     if supposed and not has_model:
-        raise MissionError("a situation is about a model; name its file with --model FILE, or a mission")
+        raise MissionError(
+            "a situation is about a model; name its file with --model FILE, or a mission"
+        )
     if supposed and feasible is not None:
-        raise MissionError("what is feasible follows from the situation; give --feasible or --situation, not both")
+        raise MissionError(
+            "what is feasible follows from the situation; give --feasible or --situation, not both"
+        )
     kb = KnowledgeBase(_model(domain, mission, models), clock=lambda: 0.0)
     oversights = domain.check(kb)
     for name, value in supposed.items():
@@ -120,7 +128,9 @@ def ask(
     numbers = {text: value for text, value in facts.items() if not isinstance(value, bool)}
     state = without_feasibility(domain, initial_state(domain) | true)
     if not all(text.strip() for text in goals):
-        raise MissionError("--goal is empty; give a condition such as '(found it)', or leave it out")
+        raise MissionError(
+            "--goal is empty; give a condition such as '(found it)', or leave it out"
+        )
     # a goal may be several conditions side by side
     texts = [f"(and {text})" for text in goals] if goals else domain.goals
     wanted = tuple(condition for text in texts for condition in conditions(domain, text))
@@ -134,11 +144,15 @@ def _read(situation: Iterable[str]) -> Iterator[tuple[str, float | None]]:
     for part in (part.strip() for text in situation for part in text.split(",")):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals or not name:
-            raise MissionError(f"--situation takes ATTRIBUTE=NUMBER or COMPONENT={FAILED}, not {part!r}")
+            raise MissionError(
+                f"--situation takes ATTRIBUTE=NUMBER or COMPONENT={FAILED}, not {part!r}"
+            )
         try:
             yield name, None if value == FAILED else float(value)
         except ValueError as error:
-            message = f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part!r}"
+            message = (
+                f"--situation takes {name}=NUMBER, or {name}={FAILED} for a component, not {part!r}"
+            )
             raise MissionError(message) from error
 
 
@@ -146,7 +160,9 @@ def _domain(files: Sequence[Path], mission: Mission | None) -> Domain:
     if mission is not None:
         return mission_domain(mission)
     if len(files) != 2:
-        raise MissionError("nothing to plan; give a domain and a problem file, or a mission with --mission NAME")
+        raise MissionError(
+            "nothing to plan; give a domain and a problem file, or a mission with --mission NAME"
+        )
     return load_domain(*files)
 
 
@@ -161,7 +177,9 @@ def _model(domain: Domain, mission: Mission | None, models: Sequence[Path]) -> M
     return model
 
 
-def _suppose_feasible(kb: KnowledgeBase, domain: Domain, given: Iterable[str] | None, has_model: bool) -> None:
+def _suppose_feasible(
+    kb: KnowledgeBase, domain: Domain, given: Iterable[str] | None, has_model: bool
+) -> None:
     if given is not None:
         feasible, reason = _known(domain, given), "it is not among those given as feasible"
     else:

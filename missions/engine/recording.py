@@ -23,7 +23,13 @@ def line_of(message: Message) -> str:
 
 def _plain(value: object) -> float | str | dict[Any, Any]:
     """Return what JSON writes for a value of no type of its own: a number of numpy, another mapping, else its text."""
-    return float(value) if isinstance(value, Real) else dict(value) if isinstance(value, Mapping) else str(value)
+    return (
+        float(value)
+        if isinstance(value, Real)
+        else dict(value)
+        if isinstance(value, Mapping)
+        else str(value)
+    )
 
 
 def header(run: MissionRun, seed: int) -> Message:
@@ -55,7 +61,9 @@ class LineRecorder(Listener):
 
 def measured(time: float, **values: float) -> Message:
     """Return a message that attributes were measured at this time [s]; values by name, in the attributes' units."""
-    return _said(time, "attribute measurement", {name: repr(value) for name, value in values.items()})
+    return _said(
+        time, "attribute measurement", {name: repr(value) for name, value in values.items()}
+    )
 
 
 def failed(time: float, *components: str) -> Message:
@@ -90,12 +98,18 @@ def read_recording(source: str | Path | Iterable[Message]) -> Iterator[Message]:
     for where, message in found:
         check_message(message, where)
         run = message.get("run", {})
-        parts = [run.get(one, {}) for one in ("settings", "switching_s")] if isinstance(run, dict) else [None]
+        parts = (
+            [run.get(one, {}) for one in ("settings", "switching_s")]
+            if isinstance(run, dict)
+            else [None]
+        )
         if not all(isinstance(one, dict) for one in parts):
             wanted = 'an object with objects "settings" and "switching_s"'
             raise MissionError(f'{where}: "run" says how it was run: {wanted}')
         if message["time"] < last:
-            raise MissionError(f"{where}: time {message['time']} comes after {last}; order them by time")
+            raise MissionError(
+                f"{where}: time {message['time']} comes after {last}; order them by time"
+            )
         last = message["time"]
         yield message
 
@@ -108,7 +122,9 @@ def _lines_of(path: str | Path) -> Iterator[tuple[str, Any]]:
     try:
         lines = Path(path).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(f"cannot read the recording {path}: {getattr(error, 'strerror', None) or error}") from None
+        raise MissionError(
+            f"cannot read the recording {path}: {getattr(error, 'strerror', None) or error}"
+        ) from None
     for number, line in enumerate(lines, start=1):
         where = f"{path}:{number}"
         try:

@@ -12,7 +12,15 @@ from typing import Any, Final
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
 
-from kb import ConfigurationManager, DiagnosticProblem, Event, EventKind, KnowledgeBase, Model, RequiredAction
+from kb import (
+    ConfigurationManager,
+    DiagnosticProblem,
+    Event,
+    EventKind,
+    KnowledgeBase,
+    Model,
+    RequiredAction,
+)
 from kb import Planner as ConfigurationPlanner
 from missions.engine.adaptations import Adaptation, AdaptationLog, plans_after
 from missions.engine.components import VERBS
@@ -51,7 +59,9 @@ _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
     ),
     "reactions": (
         Sequence,
-        lambda one: isinstance(one.uncertainty, str) and _are_numbers(one.start_s, one.end_s, one.delay_s),
+        lambda one: (
+            isinstance(one.uncertainty, str) and _are_numbers(one.start_s, one.end_s, one.delay_s)
+        ),
         "a sequence of reactions, each with uncertainty, start_s, end_s and delay_s",
     ),
     "sample": (
@@ -66,7 +76,10 @@ _GIVES: Final[Mapping[str, tuple[type, Callable[[Any], bool], str]]] = {
     ),
     "scenery": (
         Mapping,
-        lambda one: isinstance(one[0], str) and all(len(point) == 2 and _are_numbers(*point) for point in one[1]),
+        lambda one: (
+            isinstance(one[0], str)
+            and all(len(point) == 2 and _are_numbers(*point) for point in one[1])
+        ),
         "a mapping of names to points, each of two numbers",
     ),
 }
@@ -79,13 +92,19 @@ def _are_numbers(*values: object) -> bool:
 
 def _is_sample(one: Any) -> bool:  # noqa: ANN401  # it may be anything before it is checked
     numbers, names = (one.time, *one.position, *one.signals.values()), one.signals
-    return len(one.position) == 3 and _are_numbers(*numbers) and all(isinstance(name, str) for name in names)
+    return (
+        len(one.position) == 3
+        and _are_numbers(*numbers)
+        and all(isinstance(name, str) for name in names)
+    )
 
 
 def _time_of(world: World) -> float:
     now: float = world.now
     if not isinstance(now, NUMBER):
-        raise MissionError(f"now of {type(world).__name__} is {now!r:.100}; expected is the time, a number [s]")
+        raise MissionError(
+            f"now of {type(world).__name__} is {now!r:.100}; expected is the time, a number [s]"
+        )
     return now
 
 
@@ -134,12 +153,16 @@ class MissionRun(ABC):
         is_stuck: whether nothing can be done any more, however long one waits; the mission then ends and is judged.
     """
 
-    def __init__(self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str) -> None:
+    def __init__(
+        self, mission: Mission, world: World, settings: RunSettings, manager: str, task: str
+    ) -> None:
         self.mission, self.world, self.settings = mission, world, settings
         self._moved_s, self._turns = _time_of(world), 0
         if any(not callable(getattr(world.managed, verb, None)) for verb in VERBS):
             its = f"managed of {type(world).__name__} is {world.managed!r:.100}"
-            raise MissionError(f"{its}; expected is a kb.ManagedSystem, which has the methods {', '.join(VERBS)}")
+            raise MissionError(
+                f"{its}; expected is a kb.ManagedSystem, which has the methods {', '.join(VERBS)}"
+            )
         self.model = built(f"the model of mission {mission.name}", Model, mission.model)
         self.manager, self.task = manager, task
         self.tree: BehaviourTree | None = None
@@ -264,9 +287,14 @@ class MissionRun(ABC):
         """
         world, duration_s = self.world, self.settings.duration_s
         doing = f"mission {self.mission.name} under manager {self.manager}"
-        with blamed(lambda: f"{doing} failed after {world.now:.2f} s", is_authors=False), closing(world):
+        with (
+            blamed(lambda: f"{doing} failed after {world.now:.2f} s", is_authors=False),
+            closing(world),
+        ):
             try:
-                while not (self.trouble or self.is_stuck or self.is_done or world.now >= duration_s):
+                while not (
+                    self.trouble or self.is_stuck or self.is_done or world.now >= duration_s
+                ):
                     self._turn()
             finally:
                 self.end()
@@ -319,7 +347,9 @@ class MissionRun(ABC):
             self._moved_s, self._turns = now, 0
         elif self._turns > STANDSTILL:
             advice = "advance() goes on until something is published, a command has ended, or to the time asked for"
-            raise MissionError(f"{its} stands still at {now:.3f} s, asked to go on to {until:.3f} s; {advice}")
+            raise MissionError(
+                f"{its} stands still at {now:.3f} s, asked to go on to {until:.3f} s; {advice}"
+            )
         return messages
 
     def _take_in(self, message: Message) -> None:
@@ -369,17 +399,24 @@ class RosaRun(MissionRun):
         super().__init__(mission, world, settings, manager, task)
         self.percepts = Percepts()
         self._kb = KnowledgeBase(self.model, clock=self._now)
-        self._manager, self._hears = ConfigurationManager(self._kb, world.managed, planner=planner), hears
+        self._manager, self._hears = (
+            ConfigurationManager(self._kb, world.managed, planner=planner),
+            hears,
+        )
         self._task = build_task(task, mission, self._kb, self.percepts, settings.planning_delay_s)
         deciding = self._task.plans if self._task.is_planned else tuple
-        self._log = AdaptationLog(self._kb, lambda one: self.tell(lambda listener: listener.adaptation(one)), deciding)
+        self._log = AdaptationLog(
+            self._kb, lambda one: self.tell(lambda listener: listener.adaptation(one)), deciding
+        )
         self.adaptations = self._log.adaptations
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self.tree = self._runner.tree
         self.tree.setup()
         self._may_rest = mission.waits_for_news and planner is None
         self._statuses: list[Status] = []
-        self._rests_at: tuple[int, int] | None = None  # revisions of knowledge and percepts when it began to rest
+        self._rests_at: tuple[int, int] | None = (
+            None  # revisions of knowledge and percepts when it began to rest
+        )
         self._is_told = False
         self._answered = -1
         self._left = ""
@@ -433,7 +470,9 @@ class RosaRun(MissionRun):
         if self._rests_at is not None and self._goes_on_resting():
             return False
         is_due, before = self._now() >= self._runner.due, self._kb.revision
-        self._may_rest = self._may_rest and self._now() <= self._runner.due  # a late tick depends on the world
+        self._may_rest = (
+            self._may_rest and self._now() <= self._runner.due
+        )  # a late tick depends on the world
         if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
             self._manage()  # between ticks, only a changed status needs the manager
         with self.spending("waiting for plans"):
@@ -454,16 +493,27 @@ class RosaRun(MissionRun):
         """Leave out further ticks if this one changed nothing, nothing is under way, and no status depends on time."""
         kb, tree = self._kb, self._runner.tree
         known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
-        if self._statuses != known or kb.revision != before or kb.pending_plan is not None or not self._log.is_at_rest:
+        if (
+            self._statuses != known
+            or kb.revision != before
+            or kb.pending_plan is not None
+            or not self._log.is_at_rest
+        ):
             return
-        is_watched = bool(self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers)
+        is_watched = bool(
+            self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers
+        )
         if not is_watched and self._task.waits_for_news and _is_timeless(kb):
             self._rests_at, self._is_told = (before, self.percepts.revision), False
 
     def _goes_on_resting(self) -> bool:
         """Return whether to rest on: the world stopped for a message, not for a command, and it changed nothing."""
         is_told, self._is_told = self._is_told, False
-        if is_told and (self._kb.revision, self.percepts.revision) == self._rests_at and not self.listeners:
+        if (
+            is_told
+            and (self._kb.revision, self.percepts.revision) == self._rests_at
+            and not self.listeners
+        ):
             return True
         self._rests_at = None
         self._log.passed_over(self._runner.put_off(self._now()))
@@ -474,7 +524,9 @@ class RosaRun(MissionRun):
             if not self.is_done:
                 self._log.finish()
             self.findings = self._task.findings()
-            self._left = " and ".join(f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions)
+            self._left = " and ".join(
+                f"{one.action} since {one.start:.1f} s" for one in self._kb.required_actions
+            )
         finally:
             self._runner.shutdown()
             self._task.close()
@@ -486,7 +538,9 @@ class RosaRun(MissionRun):
         if verdict.success:
             return verdict
         plan = self.plans[-1] if self.plans and self._task.is_planned else None
-        failed = next((one for one in reversed(self._kb.history.actions) if one.result == "failed"), None)
+        failed = next(
+            (one for one in reversed(self._kb.history.actions) if one.result == "failed"), None
+        )
         if self._left:
             more = f"under way: {self._left}"
         elif plan is not None and not plan.outcome.is_solved:
@@ -509,7 +563,9 @@ class RosaRun(MissionRun):
     def hear_plan(self, plan: PlanRecord) -> None:
         super().hear_plan(plan)
         if plan.outcome.is_trouble and self._task.is_planned:  # a tree may do something else then
-            self.trouble = Verdict("aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message)
+            self.trouble = Verdict(
+                "aborted", f"no plan, {plan.outcome}: {plan.engine}", plan.message
+            )
 
     def _hear(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:

@@ -41,7 +41,9 @@ class Setting:
     @property
     def allowed(self) -> str:
         """Its range, such as "from 0 to 1" or "from 0"; empty if it has none."""
-        bounds = () if isinstance(self.default, bool | str) else (("from", self.low), ("to", self.high))
+        bounds = (
+            () if isinstance(self.default, bool | str) else (("from", self.low), ("to", self.high))
+        )
         return " ".join(f"{word} {bound:g}" for word, bound in bounds if isfinite(bound))
 
     @property
@@ -64,9 +66,13 @@ class Setting:
             is_allowed = is_fit and self.low <= value <= self.high
         if is_allowed:
             return value  # type: ignore[no-any-return]  # it was checked
-        what = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}[kind]
+        what = {bool: "true or false", str: "a text", int: "a whole number", float: "a number"}[
+            kind
+        ]
         what += " of seconds" if kind is float and self.unit == "s" else ""
-        raise MissionError(f"setting {self.name} is {given!r}; allowed is {what} {self.allowed}".rstrip())
+        raise MissionError(
+            f"setting {self.name} is {given!r}; allowed is {what} {self.allowed}".rstrip()
+        )
 
 
 def _meant(text: str, kind: type[Value]) -> Value:
@@ -79,7 +85,9 @@ def _meant(text: str, kind: type[Value]) -> Value:
     return text
 
 
-def setting(default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf) -> Any:  # noqa: ANN401  # as dataclasses.field: it stands where a value of the field's type would
+def setting(
+    default: Value, unit: str, meaning: str, source: str, low: float = 0.0, high: float = inf
+) -> Any:  # noqa: ANN401  # as dataclasses.field: it stands where a value of the field's type would
     """Declare a setting as a field of a dataclass; see `Setting` for the arguments."""
     metadata = {"unit": unit, "meaning": meaning, "source": source, "low": low, "high": high}
     return field(default=default, metadata=metadata)
@@ -112,12 +120,20 @@ class Constants:
 class RunSettings(Constants):
     """How a mission is run."""
 
-    duration_s: float = setting(300.0, "s", "time limit of the mission", "as SUAVE, time-constrained mission", 0.001)
-    tick_period_s: float = setting(0.1, "s", "from a tick of the task layer to the next", "ROSA's tree: 100 ms", 0.001)
-    planning_delay_s: float = setting(0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only")
+    duration_s: float = setting(
+        300.0, "s", "time limit of the mission", "as SUAVE, time-constrained mission", 0.001
+    )
+    tick_period_s: float = setting(
+        0.1, "s", "from a tick of the task layer to the next", "ROSA's tree: 100 ms", 0.001
+    )
+    planning_delay_s: float = setting(
+        0.2, "s", "simulated time in which a plan is found", "own choice; PDDL only"
+    )
 
 
-def full_names(settings: Iterable[Setting], values: Mapping[str, Any], mission: str = "") -> dict[str, Any]:
+def full_names(
+    settings: Iterable[Setting], values: Mapping[str, Any], mission: str = ""
+) -> dict[str, Any]:
     """Return values by full names of settings; in the given names the unit at the end may be left out.
 
     Raises:
@@ -135,16 +151,22 @@ def full_names(settings: Iterable[Setting], values: Mapping[str, Any], mission: 
         known = [one.name for one in settings]
         close = near(name, known)
         is_long = mission and len(known) >= 20
-        some = f"`rosa settings {mission}` lists them" if is_long else f"there are {', '.join(known)}"
+        some = (
+            f"`rosa settings {mission}` lists them" if is_long else f"there are {', '.join(known)}"
+        )
         hint = f"did you mean {' or '.join(close)}?" if close else some
-        raise MissionError(f"unknown setting {name!r}{f' of mission {mission}' if mission else ''}; {hint}")
+        raise MissionError(
+            f"unknown setting {name!r}{f' of mission {mission}' if mission else ''}; {hint}"
+        )
     return named
 
 
 def read_values(settings: Iterable[Setting], values: Mapping[str, object]) -> dict[str, Any]:
     """Return the values that texts mean, by full names; raises MissionError as `full_names` and `Setting.read` do."""
     known = {one.name: one for one in settings}
-    return {name: known[name].read(text) for name, text in full_names(known.values(), values).items()}
+    return {
+        name: known[name].read(text) for name, text in full_names(known.values(), values).items()
+    }
 
 
 def near(name: str, known: Iterable[str]) -> list[str]:

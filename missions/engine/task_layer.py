@@ -37,7 +37,9 @@ class TaskLayer:
         is_planned: whether all actions come from plans, and none from a tree.
     """
 
-    def __init__(self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "Made | None" = None) -> None:
+    def __init__(
+        self, root: Behaviour, close: Callable[[], None] = lambda: None, made: "Made | None" = None
+    ) -> None:
         self.root, self.close, self._made = root, close, made
         self._planning: list[Any] = [one for one in root.iterate() if has_plans(one)]
         self._waiting = [one for one in self._planning if hasattr(one, "catch_up")]
@@ -69,7 +71,9 @@ class TaskLayer:
 
     def findings(self) -> Sequence[str]:
         """Return what may be mistakes in the PDDL, as sentences, each once."""
-        return list(dict.fromkeys(text for one in self._planning for text in getattr(one, "findings", ())))
+        return list(
+            dict.fromkeys(text for one in self._planning for text in getattr(one, "findings", ()))
+        )
 
 
 def has_plans(behaviour: Behaviour) -> bool:
@@ -82,7 +86,9 @@ def check_task(kind: str) -> None:
         raise MissionError(f"unknown task layer {kind!r}; there are {' and '.join(TASK_KINDS)}")
 
 
-def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float = 0.0) -> TaskLayer:
+def build_task(
+    kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percepts, delay_s: float = 0.0
+) -> TaskLayer:
     """Build the task layer of a mission: kind "bt" or "pddl"; finding a plan takes `delay_s` of simulated time [s].
 
     Raises:
@@ -91,8 +97,16 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
     check_task(kind)
     if kind == "bt":
         if mission.tree is None:
-            raise MissionError(f"mission {mission.name} has no tree; run it with --task pddl, or give it tree=...")
-        return TaskLayer(built(f"the tree of mission {mission.name}", Behaviour, partial(mission.tree, kb, percepts)))  # type: ignore[type-abstract]  # only for isinstance
+            raise MissionError(
+                f"mission {mission.name} has no tree; run it with --task pddl, or give it tree=..."
+            )
+        return TaskLayer(
+            built(
+                f"the tree of mission {mission.name}",
+                Behaviour,
+                partial(mission.tree, kb, percepts),
+            )
+        )  # type: ignore[type-abstract]  # only for isinstance
     domain = mission_domain(mission)
     planner, made = planner_of(mission, domain), Made(kb, percepts)
     executor = PlanExecutor(
@@ -110,7 +124,9 @@ def build_task(kind: str, mission: Mission, kb: KnowledgeBase, percepts: Percept
 
 def planner_of(mission: Mission, domain: Domain) -> Planner:
     """Return the planner for a mission; MissionError if its engine is missing or cannot plan in that domain."""
-    planner = Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
+    planner = (
+        Planner(mission.engines[0], fallback=mission.engines[1:]) if mission.engines else Planner()
+    )
     if (missing := planner.missing(domain)) is not None:
         raise MissionError(missing)
     return planner
@@ -172,7 +188,9 @@ def _schema_of(action: Action, name: str | None = None) -> ActionSchema:
         advice = f"write schema = ActionSchema({name or title!r}, ...) in it, or give the mission a domain file"
         raise MissionError(f"the action {title} declares no schema; {advice}")
     if name not in (None, schema.name):
-        raise MissionError(f"the action {title} is listed as {name!r}, but declares {schema.name!r}")
+        raise MissionError(
+            f"the action {title} is listed as {name!r}, but declares {schema.name!r}"
+        )
     return schema
 
 
@@ -192,7 +210,11 @@ def mission_domain(mission: Mission) -> Domain:
     if declared is not None:
         return declared.load()
     if mission.domain is None or mission.problem is None:
-        raise MissionError(f"mission {mission.name} has no PDDL domain and problem; run it with --task bt")
+        raise MissionError(
+            f"mission {mission.name} has no PDDL domain and problem; run it with --task bt"
+        )
     if isinstance(mission.problem, DeclaredProblem) or callable(mission.problem):
-        raise MissionError(f"mission {mission.name} has a domain file but a declared problem; give both as files")
+        raise MissionError(
+            f"mission {mission.name} has a domain file but a declared problem; give both as files"
+        )
     return load_domain(mission.domain, mission.problem)

@@ -51,7 +51,9 @@ class PlannedRun:
     def name(self) -> str:
         """Its name. Apart from the code, the results depend on nothing else."""
         changed = ",".join(f"{name}={value}" for name, value in self.settings)
-        return "/".join(filter(None, [self.mission, self.manager, self.task, changed, str(self.seed)]))
+        return "/".join(
+            filter(None, [self.mission, self.manager, self.task, changed, str(self.seed)])
+        )
 
     @property
     def command(self) -> str:
@@ -63,7 +65,9 @@ class PlannedRun:
     def open(self) -> MissionRun:
         """Open the run; MissionError if that is not possible."""
         mission, settings = find_mission(self.mission), dict(self.settings)
-        return open_run(mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings)
+        return open_run(
+            mission, manager=self.manager, task=self.task, seed=self.seed, settings=settings
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,19 +99,29 @@ class Campaign:
     @property
     def variants(self) -> tuple[tuple[tuple[str, str], ...], ...]:
         """Every set of settings, as sorted pairs of name and value."""
-        points = [dict(zip(self.sweep, values, strict=True)) for values in product(*self.sweep.values())]
+        points = [
+            dict(zip(self.sweep, values, strict=True)) for values in product(*self.sweep.values())
+        ]
         sets = product(self.cases or ({},), points)
-        return tuple(tuple(sorted({**self.settings, **case, **point}.items())) for case, point in sets)
+        return tuple(
+            tuple(sorted({**self.settings, **case, **point}.items())) for case, point in sets
+        )
 
     @property
     def layers(self) -> tuple[tuple[str, str | None], ...]:
         """Every manager with each task layer that it can have."""
-        return tuple((one, task) for one in self.managers for task in (self.tasks if one == OURS else (None,)))
+        return tuple(
+            (one, task)
+            for one in self.managers
+            for task in (self.tasks if one == OURS else (None,))
+        )
 
     def planned(self) -> Iterator[PlannedRun]:
         """Yield every run, in the order in which results are listed; there may be a million."""
         places, seeds = count(), range(self.first_seed, self.first_seed + self.runs)
-        for mission, settings, layer, seed in product(self.missions, self.variants, self.layers, seeds):
+        for mission, settings, layer, seed in product(
+            self.missions, self.variants, self.layers, seeds
+        ):
             yield PlannedRun(mission, *layer, seed, settings, next(places))
 
     @property
@@ -124,7 +138,9 @@ class Campaign:
 
 def paper_table(runs: int = 100) -> Campaign:
     """Return the campaign behind the table of the ROSA paper: both missions under every manager, rules of 2024."""
-    return Campaign("paper_table", ("suave", "suave_extended"), (*MANAGERS, OURS), ("bt", "pddl"), runs)
+    return Campaign(
+        "paper_table", ("suave", "suave_extended"), (*MANAGERS, OURS), ("bt", "pddl"), runs
+    )
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -147,7 +163,11 @@ def _is_table(value: object) -> bool:
 
 
 def _is_words(value: object) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(word, str) and word for word in value)
+    return (
+        isinstance(value, list)
+        and bool(value)
+        and all(isinstance(word, str) and word for word in value)
+    )
 
 
 def _is_folder(value: object) -> bool:
@@ -156,7 +176,9 @@ def _is_folder(value: object) -> bool:
 
 def _is_sweep(value: object) -> bool:
     tried = value.values() if isinstance(value, dict) else [None]
-    return all(isinstance(values, list) and values and all(map(_is_value, values)) for values in tried)
+    return all(
+        isinstance(values, list) and values and all(map(_is_value, values)) for values in tried
+    )
 
 
 _WORDS: Final = (_is_words, "a list of one name or more")
@@ -194,11 +216,15 @@ def from_data(data: Mapping[str, Any], source: str) -> Campaign:
             raise MissionError(f"{source}: {key} is {value!r}; expected is {expected}")
     if "missions" not in data:
         raise MissionError(f'{source} says no missions; add, for example, missions = ["suave"]')
-    given: dict[str, Any] = {key: tuple(one) if isinstance(one, list) else one for key, one in data.items()}
+    given: dict[str, Any] = {
+        key: tuple(one) if isinstance(one, list) else one for key, one in data.items()
+    }
     rules = {"rules": given.pop("rules")} if "rules" in given else {}
     given["settings"] = _texts({**data.get("settings", {}), **rules})
     given["cases"] = tuple(map(_texts, data.get("cases", ())))
-    given["sweep"] = {name: tuple(map(_text, values)) for name, values in data.get("sweep", {}).items()}
+    given["sweep"] = {
+        name: tuple(map(_text, values)) for name, values in data.get("sweep", {}).items()
+    }
     campaign = Campaign(**given)
     _check_once(campaign, source)
     return campaign
@@ -231,10 +257,16 @@ def _check_once(campaign: Campaign, source: str) -> None:
         twice = next((value for value in values if values.count(value) > 1), None)
         if twice is not None:
             raise MissionError(f"{source}: {name} has {twice} twice; once is enough")
-    places = [("settings", campaign.settings), ("sweep", campaign.sweep), *(("cases", one) for one in campaign.cases)]
+    places = [
+        ("settings", campaign.settings),
+        ("sweep", campaign.sweep),
+        *(("cases", one) for one in campaign.cases),
+    ]
     for (one, names), (other, others) in product(places, places):
         if one != other and (both := set(names) & set(others)):
-            raise MissionError(f"{source}: {min(both)} is given in {one} and in {other}; give it once")
+            raise MissionError(
+                f"{source}: {min(both)} is given in {one} and in {other}; give it once"
+            )
 
 
 # -------------------------------------------------------------------- the folder of results
@@ -252,7 +284,15 @@ CRASHED = "crashed"
 """Outcome of a run that raised an exception or killed its process."""
 
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
-DISTRIBUTIONS = ("rosa-taca", "mujoco", "numpy", "ortools", "py-trees", "unified-planning", "up-fast-downward")
+DISTRIBUTIONS = (
+    "rosa-taca",
+    "mujoco",
+    "numpy",
+    "ortools",
+    "py-trees",
+    "unified-planning",
+    "up-fast-downward",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,7 +321,11 @@ def provenance() -> Mapping[str, str]:
     root = Path(__file__).parents[2]
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*")):
-            if path.is_file() and path.suffix not in (".pyc", "") and "node_modules" not in path.parts:
+            if (
+                path.is_file()
+                and path.suffix not in (".pyc", "")
+                and "node_modules" not in path.parts
+            ):
                 digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     code, python = digest.hexdigest()[:12], ".".join(platform.python_version_tuple()[:2])
     return {"code": code, "python": python, **{name: _version(name) for name in DISTRIBUTIONS}}
@@ -338,7 +382,9 @@ class Store:
 
     def __init__(self, folder: Path, campaign: Campaign | None, *, resume: bool = False) -> None:
         self._folder, self._synced_s = folder, monotonic()
-        self.campaign = _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        self.campaign = (
+            _begun(folder, campaign) if campaign and not resume else _same(folder, campaign)
+        )
         if campaign is None and (own := ", ".join(self.campaign.own_modules)):
             advice = f"if it is yours, say so by its file: rosa campaign FILE.toml --resume --out {folder}"
             raise MissionError(
@@ -350,9 +396,13 @@ class Store:
             try:
                 fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                raise MissionError(f"another program is running the campaign in {folder}") from error
+                raise MissionError(
+                    f"another program is running the campaign in {folder}"
+                ) from error
             self._file = stack.enter_context(closing(_opened(folder / FILE)))
-            self._file.executescript("PRAGMA journal_mode=WAL; PRAGMA synchronous=1; PRAGMA user_version=0")
+            self._file.executescript(
+                "PRAGMA journal_mode=WAL; PRAGMA synchronous=1; PRAGMA user_version=0"
+            )
             self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
@@ -374,7 +424,10 @@ class Store:
                 f"{outcome.run.name} was run by other code ({outcome.code}) than the campaign ({code}); "
                 "install the same on every worker, then go on with --resume"
             )
-        texts = (json.dumps(one, allow_nan=False, ensure_ascii=False) for one in (outcome.record, outcome.timing))
+        texts = (
+            json.dumps(one, allow_nan=False, ensure_ascii=False)
+            for one in (outcome.record, outcome.timing)
+        )
         row = outcome.run.place, outcome.record["outcome"], *texts, outcome.traceback
         with files_tried(f"write to {self._folder}", "; make room, then go on with --resume"):
             self._file.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?)", row)
@@ -391,14 +444,18 @@ class Store:
 def _opened(path: Path, mode: str = "rw") -> sqlite3.Connection:
     if not os.access(path.parent, os.W_OK) and not path.with_name(f"{path.name}-wal").exists():
         mode = "ro&immutable=1"  # else SQLite would write beside the file to read it
-    return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None)
+    return sqlite3.connect(
+        f"{path.absolute().as_uri()}?mode={mode}", uri=True, isolation_level=None
+    )
 
 
 def read_store(folder: Path) -> Kept:
     """Read the folder of a campaign; MissionError if it holds none, or a damaged one."""
     path = folder / FILE
     if not folder.is_dir():
-        raise MissionError(f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one")
+        raise MissionError(
+            f"there is no folder {folder}; `rosa campaign FILE.toml --out {folder}` makes one"
+        )
     if not path.exists():
         raise MissionError(f"{folder} holds no campaign: there is no {FILE} in it")
     try:
@@ -413,12 +470,20 @@ def read_store(folder: Path) -> Kept:
 
 def _begun(folder: Path, campaign: Campaign) -> Campaign:
     if (folder / FILE).exists():
-        raise MissionError(f"{folder} holds a campaign already; go on with it by --resume, or give another --out")
+        raise MissionError(
+            f"{folder} holds a campaign already; go on with it by --resume, or give another --out"
+        )
     with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
         with closing(_opened(folder / FILE, "rwc")) as file:
             file.executescript(_TABLES)
-            about = FORMAT, *(json.dumps(one, ensure_ascii=False) for one in (asdict(campaign), dict(provenance())))
+            about = (
+                FORMAT,
+                *(
+                    json.dumps(one, ensure_ascii=False)
+                    for one in (asdict(campaign), dict(provenance()))
+                ),
+            )
             file.execute("INSERT INTO about VALUES (?, ?, ?)", about)
             file.execute("COMMIT")
     return campaign

@@ -31,8 +31,12 @@ class Published(NamedTuple):
     reactions_s: Mapping[str, float]
 
 
-def _row(search_s: tuple[float, float], distance_m: tuple[float, float], **reactions_s: float) -> Published:
-    return Published({SEARCH: search_s, "distance_inspected_m": distance_m}, reactions_s)  # its head says seconds
+def _row(
+    search_s: tuple[float, float], distance_m: tuple[float, float], **reactions_s: float
+) -> Published:
+    return Published(
+        {SEARCH: search_s, "distance_inspected_m": distance_m}, reactions_s
+    )  # its head says seconds
 
 
 PAPER: Final = {
@@ -61,7 +65,9 @@ class Group:
     successes: int = 0
     not_found: int = 0
     inputs: dict[str, float] = field(default_factory=dict)
-    columns: "dict[tuple[str, str], array[float]]" = field(default_factory=lambda: defaultdict(lambda: array("d")))
+    columns: "dict[tuple[str, str], array[float]]" = field(
+        default_factory=lambda: defaultdict(lambda: array("d"))
+    )
 
     def add(self, record: Mapping[str, Any], timing: Mapping[str, Any]) -> None:
         """Add the next run, in the order of seeds, with its timing, which may be empty."""
@@ -124,7 +130,11 @@ class Comparison:
 
     @property
     def uncertainties(self) -> tuple[str, ...]:
-        return tuple(sorted({name for group in self.groups for kind, name in group.columns if kind == "delay"}))
+        return tuple(
+            sorted(
+                {name for group in self.groups for kind, name in group.columns if kind == "delay"}
+            )
+        )
 
 
 def comparisons(kept: Kept) -> list[Comparison]:
@@ -135,9 +145,14 @@ def comparisons(kept: Kept) -> list[Comparison]:
             groups = parts[record["mission"], tuple(record["settings"].items())]
             layer = record["manager"], record["task"]
             if layer not in groups:
-                groups[layer] = Group(*layer, PAPER.get((record["mission"], record["manager"]), Published({}, {})))
+                groups[layer] = Group(
+                    *layer, PAPER.get((record["mission"], record["manager"]), Published({}, {}))
+                )
             groups[layer].add(record, timing)
-    return [Comparison(mission, dict(settings), (*parts[mission, settings].values(),)) for mission, settings in parts]
+    return [
+        Comparison(mission, dict(settings), (*parts[mission, settings].values(),))
+        for mission, settings in parts
+    ]
 
 
 # -------------------------------------------------------------------- statistics: pure functions of plain samples
@@ -189,7 +204,9 @@ def interval_of_sd(values: Values, rng: Generator) -> Interval:
     if sample.size < 2:
         return Interval(math.nan, math.nan, math.nan)
     sd = sample.std(ddof=1)
-    spread = np.square(sample - sample.mean()).std() / (2 * sd) if sd else 0.0  # of the variance, by the delta method
+    spread = (
+        np.square(sample - sample.mean()).std() / (2 * sd) if sd else 0.0
+    )  # of the variance, by the delta method
     return _interval(sample, sd, spread, lambda drawn: drawn.std(axis=1, ddof=1), rng)
 
 
@@ -213,7 +230,9 @@ def contrast(first: Values, second: Values) -> tuple[float, float]:
 def holm(ps: Sequence[float]) -> list[float]:
     """Correct p-values for multiple tests (Holm 1979); they keep their order."""
     order = np.argsort(ps)
-    corrected = np.minimum(np.maximum.accumulate(np.take(ps, order) * np.arange(len(ps), 0, -1)), 1.0)
+    corrected = np.minimum(
+        np.maximum.accumulate(np.take(ps, order) * np.arange(len(ps), 0, -1)), 1.0
+    )
     return [float(one) for one in corrected[np.argsort(order)]]
 
 
@@ -223,7 +242,9 @@ def two_clusters(values: Values) -> Clusters | None:
     parts = [np.split(sample, [cut]) for cut in np.flatnonzero(np.diff(sample)) + 1]
     if not parts:
         return None
-    low, high = min(parts, key=lambda part: part[0].var() * part[0].size + part[1].var() * part[1].size)
+    low, high = min(
+        parts, key=lambda part: part[0].var() * part[0].size + part[1].var() * part[1].size
+    )
     spread, apart = math.sqrt((low.var() + high.var()) / 2), float(high.mean() - low.mean())
     cut = (float(low[-1]) + float(high[0])) / 2
     separation = apart / spread if spread else math.inf
@@ -238,7 +259,11 @@ def _sample(values: Values) -> Array:
 
 
 def _interval(
-    sample: Array, estimate: float, spread: float, statistic: Callable[[Array], Array], rng: Generator
+    sample: Array,
+    estimate: float,
+    spread: float,
+    statistic: Callable[[Array], Array],
+    rng: Generator,
 ) -> Interval:
     """Return an estimate with its interval; for many values, as the mean of values with this `spread`.
 
@@ -249,6 +274,8 @@ def _interval(
         return Interval(float(estimate), float(estimate - off), float(estimate + off))
     at_once = max(1, MOST_DRAWN // sample.size)
     counts = [min(at_once, DRAWS - start) for start in range(0, DRAWS, at_once)]
-    estimates = [statistic(sample[rng.integers(sample.size, size=(count, sample.size))]) for count in counts]
+    estimates = [
+        statistic(sample[rng.integers(sample.size, size=(count, sample.size))]) for count in counts
+    ]
     low, high = np.percentile(np.concatenate(estimates), [50 * (1 - LEVEL), 50 * (1 + LEVEL)])
     return Interval(float(estimate), float(low), float(high))

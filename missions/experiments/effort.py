@@ -80,20 +80,32 @@ def generated_model(structural: int, parameter: int, actions: int = 1) -> Model:
     Raises:
         MissionError: a number is too small.
     """
-    for name, number, least in (("structural", structural, 0), ("parameter", parameter, 0), ("actions", actions, 1)):
+    for name, number, least in (
+        ("structural", structural, 0),
+        ("parameter", parameter, 0),
+        ("actions", actions, 1),
+    ):
         if number < least:
-            raise MissionError(f"{name} is {number}; a generated model takes a whole number from {least}")
+            raise MissionError(
+                f"{name} is {number}; a generated model takes a whole number from {least}"
+            )
     model = Model("generated")
     quality = model.quality_attribute("quality")
     for one in range(1, actions + 1):
         function = model.function(f"function_{one}")
         for design in range(1, structural + 2):
             name = f"{one}_{design}"
-            component = model.component(f"node_{name}", kind="process", package="nodes", executable=f"node_{name}")
-            function.design(f"design_{name}", [component], priority=design, constraints=[quality >= 1 / design])
+            component = model.component(
+                f"node_{name}", kind="process", package="nodes", executable=f"node_{name}"
+            )
+            function.design(
+                f"design_{name}", [component], priority=design, constraints=[quality >= 1 / design]
+            )
             for number in range(1, parameter + 2 if design == 1 else 2):
                 as_ = f"node_{name}_as_{number}"
-                component.configuration(as_, {"value": number}, priority=number, constraints=[quality >= 1 / number])
+                component.configuration(
+                    as_, {"value": number}, priority=number, constraints=[quality >= 1 / number]
+                )
         model.action(f"action_{one}", requires=[function])
     return model
 
@@ -112,23 +124,38 @@ def survey(names: Iterable[str] = ()) -> dict[str, Any]:
         MissionError, KnowledgeBaseError, RosaPddlError: one is unknown, or cannot be read or built.
     """
     asked = dict.fromkeys(names) or dict.fromkeys(MISSIONS)
-    found = {name: None if Path(name).suffix.lower() in SUFFIXES else find_mission(name) for name in asked}
-    made = {name: _model(name, one) if one else Model.load(name.split(",")) for name, one in found.items()}
+    found = {
+        name: None if Path(name).suffix.lower() in SUFFIXES else find_mission(name)
+        for name in asked
+    }
+    made = {
+        name: _model(name, one) if one else Model.load(name.split(","))
+        for name, one in found.items()
+    }
     models, trees = [], []
     for name, one in found.items():
         paper = _published(MODELS, name, "entities", "relations")
         models.append({"name": name, **count(made[name]), "published": paper})
         if one is not None and one.world is SEA:
             paper, own = _published(TREES, name, "nodes", "modes"), TASK_NODES.get(name)
-            trees.append({"name": name, **count_tree(one), "published_task_nodes": own, "published": paper})
+            trees.append(
+                {"name": name, **count_tree(one), "published_task_nodes": own, "published": paper}
+            )
     points = [
-        {"structural": one, "parameter": two, "total": count(generated_model(one, two))["total"], "law": law(one, two)}
+        {
+            "structural": one,
+            "parameter": two,
+            "total": count(generated_model(one, two))["total"],
+            "law": law(one, two),
+        }
         for one, two in product(range(MOST_ADAPTATIONS + 1), repeat=2)
     ]
     return {"rule": RULE, "models": models, "trees": trees, "generated": points}
 
 
-def _published(table: Mapping[str, tuple[int, int]], name: str, *keys: str) -> dict[str, int] | None:
+def _published(
+    table: Mapping[str, tuple[int, int]], name: str, *keys: str
+) -> dict[str, int] | None:
     parts = table.get(name)
     return parts and {**dict(zip(keys, parts, strict=True)), "total": sum(parts)}
 
@@ -148,19 +175,26 @@ def count_tree(mission: Mission) -> dict[str, int]:
     model = _model(mission.name, mission)
     given = KnowledgeBase(model), Percepts()
     task = built(f"the tree of {mission.name}", Behaviour, mission.tree, *given)  # type: ignore[type-abstract,arg-type]  # only for isinstance; each mission in the sea has one
-    needed = [modes.values() for component, modes in FUNCTIONS.values() if component in model.components]
-    modes = sum(2 + len(mode.parameters) for means in needed for mode in means)  # itself, `active`, and each value
+    needed = [
+        modes.values() for component, modes in FUNCTIONS.values() if component in model.components
+    ]
+    modes = sum(
+        2 + len(mode.parameters) for means in needed for mode in means
+    )  # itself, `active`, and each value
     nodes, task_nodes = (sum(1 for _ in root.iterate()) for root in (tree, task))
-    return {"nodes": nodes, "task_nodes": task_nodes, "modes": modes, "total": nodes - task_nodes + modes}
+    return {
+        "nodes": nodes,
+        "task_nodes": task_nodes,
+        "modes": modes,
+        "total": nodes - task_nodes + modes,
+    }
 
 
 def _model(name: str, mission: Mission) -> Model:
     return built(f"the model of {name}", Model, AS_PUBLISHED.get(name, mission.model))
 
 
-AGV: Final = (
-    "agv: the vehicle's model, as in the paper; in the mission, each corridor of the building is an action of its own."
-)
+AGV: Final = "agv: the vehicle's model, as in the paper; in the mission, each corridor of the building is an action of its own."
 DIFFERS: Final = "* differs from the published count: nothing is fitted to it"
 TREE_RULE: Final = (
     "nodes: of the tree of `--manager bt`, less those of the mission's own, which has the task only (published)\n"
@@ -182,14 +216,20 @@ def lines_of(found: Mapping[str, Any]) -> Iterator[str]:
     yield from _table(rows, about, DIFFERS)
     rows = [["managed by a tree", "nodes", "of the task", "left", "modes", "total", "published"]]
     for one in found["trees"]:
-        published = "" if one["published_task_nodes"] is None else f" ({one['published_task_nodes']})"
+        published = (
+            "" if one["published_task_nodes"] is None else f" ({one['published_task_nodes']})"
+        )
         numbers = _numbers(one, one["nodes"] - one["task_nodes"], one["modes"])
-        rows.append([_short(one["name"]), str(one["nodes"]), f"{one['task_nodes']}{published}", *numbers])
+        rows.append(
+            [_short(one["name"]), str(one["nodes"]), f"{one['task_nodes']}{published}", *numbers]
+        )
     if found["trees"]:
         yield from _table(rows, [TREE_RULE], TREES_DIFFER)
     points = found["generated"]
     on_it = sum(one["total"] == one["law"] for one in points)
-    law_in_words = "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
+    law_in_words = (
+        "linear law: 10 + 6 for each structural + 3 for each parameter adaptation of an action"
+    )
     yield f"{law_in_words}; of {len(points)} generated models, {on_it} have just that\n"
 
 

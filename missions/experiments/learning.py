@@ -14,7 +14,15 @@ from statistics import fmean, median, stdev
 from typing import Final, NamedTuple, Self
 
 from kb import Event, Model
-from kb.elements import Action, Attribute, AttributeKind, Constraint, Estimation, EstimationKind, Rate
+from kb.elements import (
+    Action,
+    Attribute,
+    AttributeKind,
+    Constraint,
+    Estimation,
+    EstimationKind,
+    Rate,
+)
 from kb.forecasts import Series, slope_of
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, needs
 from missions.engine.runner import MissionRun, RosaRun
@@ -22,9 +30,13 @@ from missions.experiments.campaign import FILE, read_store
 from missions.wires.mcap import read_bag
 
 LEVEL: Final = 0.95  # how often an interval holds the true value
-_ROUNDING: Final = 1e-6  # relative half width below which no interval falls, as times and values are rounded
+_ROUNDING: Final = (
+    1e-6  # relative half width below which no interval falls, as times and values are rounded
+)
 _SURE: Final = 0.5  # largest relative half width of an interval, if the model states nothing
-_BENT: Final = 0.05  # largest median distance of a series from a straight line, relative to its change
+_BENT: Final = (
+    0.05  # largest median distance of a series from a straight line, relative to its change
+)
 _ANY: Final = (-math.inf, math.inf)
 _EPISODES: Final = 5  # how often a threshold has to be passed before it is judged
 
@@ -68,7 +80,11 @@ class Spread(NamedTuple):
             from scipy.stats import t
         mean, count, half = fmean(values), len(values), math.inf
         if count > 1:
-            half = float(t.ppf((1 + LEVEL) / 2, count - 1)) * stdev(values) * math.sqrt(next_one + 1 / count)
+            half = (
+                float(t.ppf((1 + LEVEL) / 2, count - 1))
+                * stdev(values)
+                * math.sqrt(next_one + 1 / count)
+            )
             half = max(half, _ROUNDING * abs(mean))
         return cls(mean, mean - half, mean + half, count)
 
@@ -117,24 +133,34 @@ class _Span:
 
     doing: frozenset[str]
     chosen: frozenset[str]
-    series: dict[str, tuple[list[float], list[float]]] = field(default_factory=lambda: defaultdict(lambda: ([], [])))
+    series: dict[str, tuple[list[float], list[float]]] = field(
+        default_factory=lambda: defaultdict(lambda: ([], []))
+    )
 
     def slopes(self, model: Model) -> Iterator[tuple[str, float]]:
         """Yield the slope [1/s] of each series between its bounds, if it is long enough and nearly straight."""
         ranges = {one.name: (one.low, one.high) for one in model.attributes.values()}
-        parts = ((of, part) for of, seen in self.series.items() for part in Series(*seen).inside(*ranges.get(of, _ANY)))
+        parts = (
+            (of, part)
+            for of, seen in self.series.items()
+            for part in Series(*seen).inside(*ranges.get(of, _ANY))
+        )
         for name, (times, values) in parts:
             slope = slope_of(Series(times, values))
             if slope is not None:
                 heights = [value - slope * time for time, value in zip(times, values, strict=True)]
                 middle, change = median(heights), abs(slope) * (times[-1] - times[0])
-                if median(abs(one - middle) for one in heights) <= _BENT * change + _ROUNDING * abs(middle):
+                if median(abs(one - middle) for one in heights) <= _BENT * change + _ROUNDING * abs(
+                    middle
+                ):
                     yield name, slope
 
 
 def spans_of(one: Experience, model: Model) -> list[_Span]:
     """Divide a run into spans with the same actions and the same choices, of those that were in use."""
-    said = deque((float(message["time"]), *pair) for message in one.messages for pair in _numbers(message))
+    said = deque(
+        (float(message["time"]), *pair) for message in one.messages for pair in _numbers(message)
+    )
     spans, doing, chosen = [_Span(frozenset(), frozenset())], dict[str, None](), dict[str, None]()
     for event in one.events:
         while said and said[0][0] <= event.time:
@@ -143,13 +169,17 @@ def spans_of(one: Experience, model: Model) -> list[_Span]:
             _add(spans[-1], event.time, event.arguments[0], float(event.arguments[1]))
             continue
         if event.verb in ("request_action", "cancel_action"):
-            (doing.setdefault if event.verb == "request_action" else doing.pop)(event.arguments[0], None)
+            (doing.setdefault if event.verb == "request_action" else doing.pop)(
+                event.arguments[0], None
+            )
         for _, name, is_so in event.effects:
             (chosen.setdefault if is_so else chosen.pop)(name, None)
         if event.effects or event.verb in ("request_action", "cancel_action", "finish_plan"):
             designs = [model.designs[name] for name in chosen if name in model.designs]
             in_use = {name for design in designs for name in (design.name, *design.components)}
-            idle = {one.name for one in model.configurations.values() if one.component not in in_use}
+            idle = {
+                one.name for one in model.configurations.values() if one.component not in in_use
+            }
             spans.append(_Span(frozenset(doing), frozenset(chosen.keys() - idle)))
     for late in said:
         _add(spans[-1], *late)
@@ -194,13 +224,18 @@ def _by_action(slopes: _Slopes) -> dict[str, Spread]:
         for number, slope in by_run.items():
             values[action][number].append(slope)
             values[""][number].append(slope)
-    spreads = {action: Spread.of([fmean(one) for one in by_run.values()]) for action, by_run in values.items()}
+    spreads = {
+        action: Spread.of([fmean(one) for one in by_run.values()])
+        for action, by_run in values.items()
+    }
     always = spreads.pop("")
     is_one = len(spreads) > 1 and all(one.holds(always.value) for one in spreads.values())
     return {"": always} if is_one else spreads
 
 
-def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = None) -> list[Suggestion]:
+def learn(
+    runs: Iterable[Experience], model: Model, mission: Mission | None = None
+) -> list[Suggestion]:
     """Return suggestions for a model, and for the durations in the schemas of a mission.
 
     Raises:
@@ -208,15 +243,27 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
     """
     known = list(runs)
     for run in known:
-        for action in {event.subject: None for event in run.events if event.verb == "request_action"}:
+        for action in {
+            event.subject: None for event in run.events if event.verb == "request_action"
+        }:
             if action not in model.actions:
                 there = ", ".join(model.actions)
-                raise MissionError(f"in {run.name} {action} is done, which is no action of {model.name}: {there}")
+                raise MissionError(
+                    f"in {run.name} {action} is done, which is no action of {model.name}: {there}"
+                )
     spans = [spans_of(one, model) for one in known]
     slopes = _slopes(spans, model)
     return [
-        *(one for name, attribute in model.attributes.items() for one in _rates(name, slopes[name], attribute)),
-        *(one for name in sorted(slopes.keys() - model.attributes.keys()) for one in _rates(name, slopes[name])),
+        *(
+            one
+            for name, attribute in model.attributes.items()
+            for one in _rates(name, slopes[name], attribute)
+        ),
+        *(
+            one
+            for name in sorted(slopes.keys() - model.attributes.keys())
+            for one in _rates(name, slopes[name])
+        ),
         *_estimations(spans, model),
         *_durations(known, mission),
         *(one for last in _last_thresholds(model) for one in _threshold(*last, known)),
@@ -225,9 +272,15 @@ def learn(runs: Iterable[Experience], model: Model, mission: Mission | None = No
 
 def _rates(name: str, slopes: _Slopes, attribute: Attribute | None = None) -> Iterator[Suggestion]:
     """Yield the rates of an attribute or, without one, of a counted quantity: what a second of an action is worth."""
-    if attribute is not None and attribute.kind is AttributeKind.ENVIRONMENTAL and not attribute.rates:
+    if (
+        attribute is not None
+        and attribute.kind is AttributeKind.ENVIRONMENTAL
+        and not attribute.rates
+    ):
         return  # the robot changes its own qualities, not its surroundings
-    kind, unit = ("worth", "[1/s]") if attribute is None else ("rate", f"[{attribute.unit or '1'}/s]")
+    kind, unit = (
+        ("worth", "[1/s]") if attribute is None else ("rate", f"[{attribute.unit or '1'}/s]")
+    )
     for action, found in _by_action(slopes).items() if slopes else ():
         about = f"{name}{f' while {action}' if action else ', always'} {unit}"
         if attribute is not None:
@@ -236,9 +289,15 @@ def _rates(name: str, slopes: _Slopes, attribute: Attribute | None = None) -> It
             yield Suggestion(kind, about, found)
     # configurations of an action whose rates certainly differ
     for action in sorted({action for action, _ in slopes}):
-        spreads = {chosen: Spread.of(list(by_run.values())) for (of, chosen), by_run in slopes.items() if of == action}
+        spreads = {
+            chosen: Spread.of(list(by_run.values()))
+            for (of, chosen), by_run in slopes.items()
+            if of == action
+        }
         common, each = frozenset.intersection(*spreads), spreads.values()
-        if all(one.is_sure for one in each) and min(one.high for one in each) < max(one.low for one in each):
+        if all(one.is_sure for one in each) and min(one.high for one in each) < max(
+            one.low for one in each
+        ):
             for chosen, spread in spreads.items():
                 what = ", ".join(sorted(chosen - common)) or "none of the others"
                 yield Suggestion(kind, f"{name} while {action} with {what} {unit}", spread)
@@ -254,8 +313,17 @@ def _rate(attribute: Attribute, action: str, found: Spread, about: str) -> Itera
         return
     others = [one for one in attribute.rates if action and one.while_ not in ("", action)]
     rates = [*others, Rate(found.value, action, before is not None and before.learns)]
-    change = f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
-    yield Suggestion("rate", about, found, stated, change, partial(attribute.model.change, attribute, rates=rates))
+    change = (
+        f"{attribute.name}.changes({found.value:.6g}{f', while_={action!r}' if action else ''})"
+    )
+    yield Suggestion(
+        "rate",
+        about,
+        found,
+        stated,
+        change,
+        partial(attribute.model.change, attribute, rates=rates),
+    )
 
 
 def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Suggestion]:
@@ -273,7 +341,12 @@ def _estimations(runs: Sequence[Sequence[_Span]], model: Model) -> Iterator[Sugg
             rests[number] += [(span.chosen, slope - estimated) for slope in slopes]
         for one in estimations:
             off, right = (_mean_rest(rests, one.causer.name, having) for having in (True, False))
-            if off is None or off.observations == 1 or _is_right(off, one) or (right and not _is_right(right, one)):
+            if (
+                off is None
+                or off.observations == 1
+                or _is_right(off, one)
+                or (right and not _is_right(right, one))
+            ):
                 continue
             sign = one.adds and math.copysign(1.0, one.adds)
             low, high = sorted(one.value + sign * end for end in (off.low, off.high))
@@ -288,8 +361,12 @@ def _is_right(rest: Spread, one: Estimation) -> bool:
     return rest.holds(0.0) or abs(rest.value) <= _ROUNDING * abs(one.value)
 
 
-def _mean_rest(rests: dict[int, list[tuple[frozenset[str], float]]], name: str, having: bool) -> Spread | None:
-    by_run = [[rest for chosen, rest in found if (name in chosen) is having] for found in rests.values()]
+def _mean_rest(
+    rests: dict[int, list[tuple[frozenset[str], float]]], name: str, having: bool
+) -> Spread | None:
+    by_run = [
+        [rest for chosen, rest in found if (name in chosen) is having] for found in rests.values()
+    ]
     means = [fmean(found) for found in by_run if found]
     return Spread.of(means) if means else None
 
@@ -305,8 +382,14 @@ def _durations(runs: Sequence[Experience], mission: Mission | None) -> Iterator[
                 start = begun.pop(event.subject)
                 if event.arguments[1] == "completed":
                     took[event.subject].append(event.time - start)
-    schemas = [getattr(one, "schema", None) for one in (mission.actions if mission else {}).values()]
-    stated = {one.rosa_action: float(one.duration_s) for one in schemas if one is not None and one.duration_s}
+    schemas = [
+        getattr(one, "schema", None) for one in (mission.actions if mission else {}).values()
+    ]
+    stated = {
+        one.rosa_action: float(one.duration_s)
+        for one in schemas
+        if one is not None and one.duration_s
+    }
     for action, seconds in took.items():
         found, before = Spread.of(seconds), stated.get(action)
         is_news = found.observations > 1 and before is not None and not found.holds(before)
@@ -316,17 +399,32 @@ def _durations(runs: Sequence[Experience], mission: Mission | None) -> Iterator[
 
 def _last_thresholds(model: Model) -> Iterator[tuple[Attribute, float, float, list[Constraint]]]:
     """Yield the outermost constraints of actions: for side 1 the lowest of `>=`, for side -1 the highest of `<=`."""
-    of_actions = [one for one in model.constraints if any(isinstance(each, Action) for each in one.constrained)]
+    of_actions = [
+        one
+        for one in model.constraints
+        if any(isinstance(each, Action) for each in one.constrained)
+    ]
     for attribute in model.attributes.values():
-        for side, bound, signs in ((1.0, attribute.low, (">=", ">")), (-1.0, attribute.high, ("<=", "<"))):
-            mine = [one for one in of_actions if one.attribute == attribute.name and one.operator in signs]
+        for side, bound, signs in (
+            (1.0, attribute.low, (">=", ">")),
+            (-1.0, attribute.high, ("<=", "<")),
+        ):
+            mine = [
+                one
+                for one in of_actions
+                if one.attribute == attribute.name and one.operator in signs
+            ]
             if mine and math.isfinite(bound):
                 last = min(side * one.value for one in mine)
                 yield attribute, side, bound, [one for one in mine if side * one.value == last]
 
 
 def _threshold(
-    attribute: Attribute, side: float, bound: float, constraints: Sequence[Constraint], runs: Sequence[Experience]
+    attribute: Attribute,
+    side: float,
+    bound: float,
+    constraints: Sequence[Constraint],
+    runs: Sequence[Experience],
 ) -> Iterator[Suggestion]:
     """Judge a threshold by how much was left of the range each time it was passed, until it held again."""
     constraint, left = constraints[0], list[float]()

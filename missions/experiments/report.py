@@ -64,7 +64,10 @@ class Document:
         full = [at for at in range(len(head)) if at == 0 or any(row[at] != NONE for row in rows)]
         head, rows = [head[at] for at in full], [[row[at] for at in full] for row in rows]
         marks = ["---", *["---:"] * (len(head) - 1)]
-        lines = [f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |" for row in (head, marks, *rows)]
+        lines = [
+            f"| {' | '.join(cell.replace('|', '&#124;') for cell in row)} |"
+            for row in (head, marks, *rows)
+        ]
         self._parts.append("\n".join(lines))
 
     def figure(self, name: str, caption: str, drawn: bytes) -> None:
@@ -83,8 +86,12 @@ class Document:
         for name in [one for one in self.pictures if one.endswith(".svg")]:
             data = f"data:image/svg+xml;base64,{base64.b64encode(self.pictures[name]).decode()}"
             body = body.replace(f'src="{name}"', f'src="{data}"')
-        head = f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{CSS}</style>'
-        return f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
+        head = (
+            f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{CSS}</style>'
+        )
+        return (
+            f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'
+        )
 
 
 HEADLINES = {SEARCH: "search time [s]", "distance_inspected_m": "distance inspected [m]"}
@@ -93,7 +100,9 @@ CLEAR = 3.5
 """Two clusters are clear above this separation, which the halves of a uniform distribution have."""
 
 
-def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequence[str] = ()) -> list[Path]:
+def write_report(
+    kept: Kept, folder: Path, *, pages: bool = False, figures: Sequence[str] = ()
+) -> list[Path]:
     """Write the report on a campaign as report.md and report.html with their pictures, and return the files.
 
     With `pages`, the runs that stand out are done again, and each gets a page to click through. Managers are compared
@@ -119,7 +128,10 @@ def write_report(kept: Kept, folder: Path, *, pages: bool = False, figures: Sequ
         _add_standouts(document, parts, figures)
     _add_crashes(document, crashed)
     _add_method(document, searches=any(map(_is_search, parts)))
-    texts = {"report.md": document.as_markdown().encode(), "report.html": document.as_html().encode()}
+    texts = {
+        "report.md": document.as_markdown().encode(),
+        "report.html": document.as_html().encode(),
+    }
     with files_tried(f"make {folder}"):
         folder.mkdir(parents=True, exist_ok=True)
     contents = {**document.pictures, **texts}
@@ -135,16 +147,22 @@ def _introduce(document: Document, kept: Kept, crashed: int) -> None:
         f"Made by {', '.join(f'{name} {version}' for name, version in kept.provenance.items())}."
     )
     if done < total:
-        document.text(f"{total - done} runs are still to be done: what follows is of those that are done.")
+        document.text(
+            f"{total - done} runs are still to be done: what follows is of those that are done."
+        )
 
 
 def _headlines(comparison: Comparison, asked: Sequence[str]) -> Mapping[str, str]:
     """Return the figures by which managers are compared, each with its label."""
-    names = [name for name in asked or HEADLINES if name in comparison.figures] or comparison.figures[:2]
+    names = [
+        name for name in asked or HEADLINES if name in comparison.figures
+    ] or comparison.figures[:2]
     return {name: HEADLINES.get(name, name) for name in names}
 
 
-def _add_comparison(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+def _add_comparison(
+    document: Document, comparison: Comparison, headlines: Mapping[str, str]
+) -> None:
     stem = re.sub(r"\W+", "_", comparison.title).strip("_")
     _add_headlines(document, comparison, headlines)
     for name, label in headlines.items():
@@ -161,7 +179,9 @@ def _add_comparison(document: Document, comparison: Comparison, headlines: Mappi
     _add_all(document, comparison)
 
 
-def _add_headlines(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+def _add_headlines(
+    document: Document, comparison: Comparison, headlines: Mapping[str, str]
+) -> None:
     head = ["manager", "runs", "goal reached"]
     for label in headlines.values():
         head += [f"{label}: published", f"{label}: mean [95 %]", "sd [95 %]"]
@@ -171,14 +191,19 @@ def _add_headlines(document: Document, comparison: Comparison, headlines: Mappin
         row = [group.label, str(group.runs), NONE if found else str(group.successes)]
         for name in headlines:
             published, (_, values) = group.published.figures.get(name), group.values(name)
-            row += [f"{published[0]:.2f} ± {published[1]:.2f}" if published else NONE, *_estimates(values)]
+            row += [
+                f"{published[0]:.2f} ± {published[1]:.2f}" if published else NONE,
+                *_estimates(values),
+            ]
         rows.append([*row, str(group.not_found)] if found else row)
     document.table([*head, "never found"] if found else head, rows)
     for group in comparison.groups:
         if group.inputs:
             given = ", ".join(f"{name} = {value:g}" for name, value in group.inputs.items())
             source = "is an input taken from the paper's own figures"
-            document.text(f"{group.label}: {given} {source}; its reaction times are reproduced, not predicted.")
+            document.text(
+                f"{group.label}: {given} {source}; its reaction times are reproduced, not predicted."
+            )
 
 
 def _is_search(comparison: Comparison) -> bool:
@@ -192,10 +217,15 @@ def _add_clusters(document: Document, comparison: Comparison) -> None:
         if found is None:
             rows.append([group.label, *[NONE] * 4])
             continue
-        parts = f"{found.low:.0f} ({found.share_low:.0%})", f"{found.high:.0f} ({1 - found.share_low:.0%})"
+        parts = (
+            f"{found.low:.0f} ({found.share_low:.0%})",
+            f"{found.high:.0f} ({1 - found.share_low:.0%})",
+        )
         clear = "clear" if found.separation > CLEAR else "not clear"
         rows.append([group.label, *parts, f"{found.cut:.1f}", f"{found.separation:.1f}, {clear}"])
-    document.table(["manager", "earlier cluster, mean (share)", "later cluster", "cut", "separation"], rows)
+    document.table(
+        ["manager", "earlier cluster, mean (share)", "later cluster", "cut", "separation"], rows
+    )
 
 
 def _add_reactions(document: Document, comparison: Comparison) -> None:
@@ -212,12 +242,23 @@ def _add_reactions(document: Document, comparison: Comparison) -> None:
             shown = NONE if published is None else f"{published:.2f}"
             found = _mean(delays, ".3f"), f"{np.median(delays):.3f}", f"{delays.max():.3f}"
             computing = f"{1000 * fmean(thought):.2f}" if thought.size else NONE
-            rows.append([f"{uncertainty}, {group.label}", str(len(delays)), shown, *found, computing])
-    head = ["to, manager", "events", "published mean [s]", "delay, mean [95 %] [s]", "median", "longest"]
+            rows.append(
+                [f"{uncertainty}, {group.label}", str(len(delays)), shown, *found, computing]
+            )
+    head = [
+        "to, manager",
+        "events",
+        "published mean [s]",
+        "delay, mean [95 %] [s]",
+        "median",
+        "longest",
+    ]
     document.table([*head, "computing, mean [ms]"], rows)
 
 
-def _add_contrasts(document: Document, comparison: Comparison, headlines: Mapping[str, str]) -> None:
+def _add_contrasts(
+    document: Document, comparison: Comparison, headlines: Mapping[str, str]
+) -> None:
     """Compare ours with each other manager, or, without ours, all pairs: by runs with the same seed, and by ranks."""
     pairs = [(later, earlier) for earlier, later in combinations(comparison.groups, 2)][::-1]
     pairs = [pair for pair in pairs if OURS in (pair[0].manager, pair[1].manager)] or pairs
@@ -225,7 +266,9 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
     for name, label in headlines.items():
         for one, other in pairs:
             (seeds, first), (others, second) = one.values(name), other.values(name)
-            both, ours, theirs = np.intersect1d(seeds, others, assume_unique=True, return_indices=True)
+            both, ours, theirs = np.intersect1d(
+                seeds, others, assume_unique=True, return_indices=True
+            )
             if not both.size:
                 continue
             p, superiority = contrast(first, second)
@@ -235,17 +278,32 @@ def _add_contrasts(document: Document, comparison: Comparison, headlines: Mappin
     if not rows:
         return
     document.heading("Differences", 3)
-    head = ["figure: one - other", "pairs", "mean difference [95 %]", "P(one > other)", "p, corrected"]
+    head = [
+        "figure: one - other",
+        "pairs",
+        "mean difference [95 %]",
+        "P(one > other)",
+        "p, corrected",
+    ]
     document.table(
-        head, [[*row, "< 0.001" if p < 0.001 else f"{p:.3f}"] for row, p in zip(rows, holm(ps), strict=True)]
+        head,
+        [
+            [*row, "< 0.001" if p < 0.001 else f"{p:.3f}"]
+            for row, p in zip(rows, holm(ps), strict=True)
+        ],
     )
 
 
 def _add_all(document: Document, comparison: Comparison) -> None:
     document.heading("All figures", 3)
-    document.text("Mean ± standard deviation; with the number of runs, where not all of them have the figure.")
+    document.text(
+        "Mean ± standard deviation; with the number of runs, where not all of them have the figure."
+    )
     figures = [name for name in comparison.figures if not name.startswith("reaction_")]
-    rows = [[key, *(_mean_sd(group.values(key)[1], group.runs) for group in comparison.groups)] for key in figures]
+    rows = [
+        [key, *(_mean_sd(group.values(key)[1], group.runs) for group in comparison.groups)]
+        for key in figures
+    ]
     document.table(["figure", *(group.label for group in comparison.groups)], rows)
 
 
@@ -257,17 +315,23 @@ def _add_standouts(document: Document, parts: Sequence[Comparison], figures: Seq
     document.heading("Runs that stand out")
     links = []
     for comparison, group in [(one, group) for one in parts for group in one.groups]:
-        figure = next((name for name in _headlines(comparison, figures) if group.values(name)[1].size), "")
+        figure = next(
+            (name for name in _headlines(comparison, figures) if group.values(name)[1].size), ""
+        )
         seeds, values = group.values(figure)
         for word, choose in (("lowest", np.argmin), ("highest", np.argmax)) if values.size else ():
             at, settings = choose(values), comparison.settings
-            run = PlannedRun(comparison.mission, group.manager, group.task, int(seeds[at]), (*settings.items(),))
+            run = PlannedRun(
+                comparison.mission, group.manager, group.task, int(seeds[at]), (*settings.items(),)
+            )
             opened = run.open()
             page = RunRecorder(opened, run.seed, settings)
             page.end(opened.run())
             name = re.sub(r"\W+", "_", run.name) + ".html"
             document.pictures[name] = report(page.recorder.recorded).encode()
-            links.append(f"[{run.name}]({name}): {figure} {values[at]:.2f}, the {word} of {group.label}")
+            links.append(
+                f"[{run.name}]({name}): {figure} {values[at]:.2f}, the {word} of {group.label}"
+            )
     document.items(list(dict.fromkeys(links)))
 
 
@@ -308,7 +372,11 @@ def _mean(values: Array, format_: str) -> str:
 def _mean_sd(values: Array, runs: int) -> str:
     if not (n := values.size):
         return NONE
-    return f"{values.mean():.2f}" + (f" ± {values.std(ddof=1):.2f}" if n > 1 else "") + f" ({n})" * (n < runs)
+    return (
+        f"{values.mean():.2f}"
+        + (f" ± {values.std(ddof=1):.2f}" if n > 1 else "")
+        + f" ({n})" * (n < runs)
+    )
 
 
 def _chance() -> np.random.Generator:
@@ -323,10 +391,20 @@ CLUSTERS: Final = {"earlier cluster": EARLY, "later cluster": LATE, "never found
 BINS, LOG_BINS = 40, 36
 STYLE: Final[dict[Any, Any]] = {
     **{"font.family": "DejaVu Sans", "font.size": 8.5, "text.color": INK, "text.parse_math": False},
-    **{"axes.edgecolor": FAINT, "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False},
+    **{
+        "axes.edgecolor": FAINT,
+        "axes.linewidth": 0.7,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+    },
     **{"axes.titlesize": 9, "axes.titlelocation": "left", "hatch.linewidth": 0.6},
     **{"figure.constrained_layout.w_pad": 0.1},
-    **{"svg.hashsalt": "rosa", "legend.frameon": False, "legend.handlelength": 1.2, "legend.borderaxespad": 0},
+    **{
+        "svg.hashsalt": "rosa",
+        "legend.frameon": False,
+        "legend.handlelength": 1.2,
+        "legend.borderaxespad": 0,
+    },
 }
 
 Rows = Mapping[Group, Sequence[tuple[Array, tuple[float, float] | None]]]
@@ -338,7 +416,10 @@ def distribution(comparison: Comparison, figure: str, label: str, *, clusters: b
 
     With `clusters`, for search times, show two clusters, and apart from them the runs that never found anything.
     """
-    rows = {one: [(one.values(figure)[1], one.published.figures.get(figure))] for one in comparison.groups}
+    rows = {
+        one: [(one.values(figure)[1], one.published.figures.get(figure))]
+        for one in comparison.groups
+    }
     found = np.concatenate([values for cells in rows.values() for values, _ in cells])
     low, high = (found.min(), found.max()) if found.size else (0.0, 0.0)
     bins = np.linspace(low, high + (high == low), BINS + 1).tolist()
@@ -356,11 +437,18 @@ def reaction_histograms(comparison: Comparison) -> bytes:
             rows[group] = list(zip(delays, paper, strict=True))
     found = np.concatenate([delays for cells in rows.values() for delays, _ in cells])
     bins = np.geomspace(found.min() * 0.9, found.max() * 1.1, LOG_BINS + 1).tolist()
-    return _drawn(rows, [f"reaction to {name} [s]" for name in names], bins, {}, "published mean", scale="log")
+    return _drawn(
+        rows, [f"reaction to {name} [s]" for name in names], bins, {}, "published mean", scale="log"
+    )
 
 
 def _drawn(
-    rows: Rows, labels: Sequence[str], bins: list[float], clusters: Mapping[str, str], mark: str, scale: str = "linear"
+    rows: Rows,
+    labels: Sequence[str],
+    bins: list[float],
+    clusters: Mapping[str, str],
+    mark: str,
+    scale: str = "linear",
 ) -> bytes:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -400,21 +488,36 @@ def _stack(axes: "Axes", values: Array, searches: Array, bins: list[float]) -> b
         return False
     parts = [searches[searches < found.cut], searches[searches > found.cut]]
     others = np.full(len(values) - len(searches), values.max())
-    axes.hist([*parts, others], bins=bins, color=[EARLY, LATE, PLAIN], stacked=True, histtype="stepfilled")
+    axes.hist(
+        [*parts, others], bins=bins, color=[EARLY, LATE, PLAIN], stacked=True, histtype="stepfilled"
+    )
     axes.margins(y=0.35)
-    for mean, share, color in ((found.low, found.share_low, EARLY), (found.high, 1 - found.share_low, LATE)):
-        text = axes.text(mean, 0.99, f"{share:.0%} around {mean:.0f}", transform=axes.get_xaxis_transform())
+    for mean, share, color in (
+        (found.low, found.share_low, EARLY),
+        (found.high, 1 - found.share_low, LATE),
+    ):
+        text = axes.text(
+            mean, 0.99, f"{share:.0%} around {mean:.0f}", transform=axes.get_xaxis_transform()
+        )
         text.set(ha="center", va="top", color=color, fontsize=7.5, fontweight="bold")
     return True
 
 
-def _explain(drawing: "Figure", groups: Sequence[Group], clusters: Mapping[str, str], mark: str) -> None:
+def _explain(
+    drawing: "Figure", groups: Sequence[Group], clusters: Mapping[str, str], mark: str
+) -> None:
     from matplotlib.lines import Line2D
 
-    entries = [Line2D([], [], color=color, linewidth=5, label=name) for name, color in clusters.items()]
+    entries = [
+        Line2D([], [], color=color, linewidth=5, label=name) for name, color in clusters.items()
+    ]
     if any(group.published.figures for group in groups):
-        entries.append(Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=mark))
+        entries.append(
+            Line2D([], [], color=PAPER, marker="D", markersize=4.5, linestyle="", label=mark)
+        )
     if any(group.inputs for group in groups):
         entries.append(Line2D([], [], linestyle="", label="* figures of the paper are put in"))
     if entries:
-        drawing.legend(handles=entries, loc="outside upper left", ncols=len(entries), columnspacing=1.4)
+        drawing.legend(
+            handles=entries, loc="outside upper left", ncols=len(entries), columnspacing=1.4
+        )

@@ -8,12 +8,27 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from missions.engine.mission import MissionError, needs
-from missions.experiments.campaign import CRASHED, Outcome, PlannedRun, Store, provenance, read_store, write_tables
+from missions.experiments.campaign import (
+    CRASHED,
+    Outcome,
+    PlannedRun,
+    Store,
+    provenance,
+    read_store,
+    write_tables,
+)
 from missions.views.output import as_json, summary
 
 if TYPE_CHECKING:
@@ -55,9 +70,18 @@ def _done(run: PlannedRun) -> tuple[dict[str, Any], dict[str, Any]]:
     verdict = opened.run()
     data = json.loads(as_json(summary(opened, verdict, run.seed, dict(run.settings))))
     figures = {name: value for name, value in data.items() if not isinstance(value, dict | list)}
-    reactions = [[one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)] for one, _ in opened.reactions]
+    reactions = [
+        [one.uncertainty, round(one.start_s, 6), round(one.delay_s, 6)]
+        for one, _ in opened.reactions
+    ]
     thought = [[one.uncertainty, took_s] for one, took_s in opened.reactions]
-    record = {**_head(run), **figures, **_head(run), "adaptations": len(opened.adaptations), "reactions": reactions}
+    record = {
+        **_head(run),
+        **figures,
+        **_head(run),
+        "adaptations": len(opened.adaptations),
+        "reactions": reactions,
+    }
     return record, {"compute_s": opened.compute_s, "reactions": thought}
 
 
@@ -82,7 +106,9 @@ class Processes:
         from joblib.externals.loky import ProcessPoolExecutor
 
         if self._executor is None:
-            self._executor = ProcessPoolExecutor(self.count, initializer=end_with, initargs=(os.getpid(),))
+            self._executor = ProcessPoolExecutor(
+                self.count, initializer=end_with, initargs=(os.getpid(),)
+            )
         started: Executor = self._executor
         return started
 
@@ -129,14 +155,18 @@ class Cluster:
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
 
     def executor(self) -> Executor:
-        executor: Executor = self._client.get_executor(pure=False)  # a repeated run must not return the old result
+        executor: Executor = self._client.get_executor(
+            pure=False
+        )  # a repeated run must not return the old result
         return executor
 
     def renew(self) -> None:
         """Do nothing: who started the workers has to restart them."""
 
     def look(self) -> str:
-        return "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
+        return (
+            "" if self.count else f"no worker is left at {self._address}; waiting for one to come"
+        )
 
     def close(self) -> None:
         self._client.close()
@@ -144,20 +174,28 @@ class Cluster:
     def _check(self, modules: Sequence[str]) -> None:
         """Ask every worker for its versions; one that lacks the package could not answer anything else."""
         if not self.count:
-            raise MissionError(f"the scheduler at {self._address} has no workers; start some with `dask worker`")
+            raise MissionError(
+                f"the scheduler at {self._address} has no workers; start some with `dask worker`"
+            )
         answers = self._client.run(_probe(tuple(modules)), on_error="return")
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Exception):
-                raise MissionError(f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}")
+                raise MissionError(
+                    f"worker {worker} cannot do missions: {type(answer).__name__}: {answer}"
+                )
             for name, here in provenance().items():
                 if (there := answer.get(name)) != here:
-                    raise MissionError(f"worker {worker} has {name} {there}, here is {here}; install the same")
+                    raise MissionError(
+                        f"worker {worker} has {name} {there}, here is {here}; install the same"
+                    )
 
 
 Workers = Processes | Cluster
 
 
-def outcomes(runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None]) -> Iterator[Outcome]:
+def outcomes(
+    runs: Sequence[PlannedRun], workers: Workers, idle: Callable[[str], None]
+) -> Iterator[Outcome]:
     """Do runs and yield the outcome of each as soon as it is known, in no order.
 
     When a process dies, each run that was under way is repeated alone, which shows the one that kills its process.
@@ -189,7 +227,9 @@ def _together(
             except workers.killed:
                 suspects.append(run)
             except CancelledError as error:
-                raise MissionError("the scheduler is gone; go on with --resume when it is back") from error
+                raise MissionError(
+                    "the scheduler is gone; go on with --resume when it is back"
+                ) from error
             except Exception as error:  # the outcome could not be sent here
                 yield crash(run, f"{type(error).__name__}: {error}")
     if suspects:
@@ -197,13 +237,17 @@ def _together(
     return suspects
 
 
-def _hand_out(waiting: deque[PlannedRun], under_way: dict[Future[Outcome], PlannedRun], workers: Workers) -> None:
+def _hand_out(
+    waiting: deque[PlannedRun], under_way: dict[Future[Outcome], PlannedRun], workers: Workers
+) -> None:
     for _ in range(2 * workers.count - len(under_way)):
         if not waiting:
             return
         try:
             future = workers.executor().submit(do, waiting[0])
-        except workers.killed:  # a process has died: the runs under way will raise it, if there are any
+        except (
+            workers.killed
+        ):  # a process has died: the runs under way will raise it, if there are any
             if not under_way:
                 workers.renew()
             return
@@ -236,14 +280,18 @@ def _probe(modules: tuple[str, ...]) -> Callable[[], dict[str, str]]:
     return probe
 
 
-def conduct(store: Store, folder: Path, workers: Workers, *, retry: bool, progress: "CampaignProgress") -> list[Path]:
+def conduct(
+    store: Store, folder: Path, workers: Workers, *, retry: bool, progress: "CampaignProgress"
+) -> list[Path]:
     """Do every run that is not done yet, with `retry` also those that crashed; write the tables and return them.
 
     Raises:
         MissionError: the folder cannot be written, or the scheduler is gone.
     """
     done = read_store(folder).done(retry=retry)
-    left = sorted((run for run in store.campaign.planned() if run.place not in done), key=lambda run: run.seed)
+    left = sorted(
+        (run for run in store.campaign.planned() if run.place not in done), key=lambda run: run.seed
+    )
     progress.begin(len(done), len(done) + len(left))
     for outcome in outcomes(left, workers, progress.note):
         store.keep(outcome)

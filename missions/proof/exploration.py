@@ -63,7 +63,9 @@ class Exploration:
         megabytes: the most memory that one process used [MB].
     """
 
-    def __init__(self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None) -> None:
+    def __init__(
+        self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None
+    ) -> None:
         predicates, self._goal = [*predicates, *filter(None, [goal])], goal
         self._rounds = rounds = Rounds(setup, predicates)
         self.rig = rounds.rig
@@ -78,10 +80,14 @@ class Exploration:
         self.transitions, self.seconds, self.megabytes = 0, 0.0, 0.0
         self._is_stopped = False
         sources = [Path(getattr(one, "__file__", None) or "") for one in [*sys.modules.values()]]
-        self._newest = max(one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file())
+        self._newest = max(
+            one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file()
+        )
         self._reach(rounds.first, rounds.seen(rounds.first), -1, Step())
 
-    def explore(self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None) -> "Exploration":
+    def explore(
+        self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None
+    ) -> "Exploration":
         """Explore, breadth first; called again, it goes on where it stopped.
 
         Args:
@@ -93,9 +99,15 @@ class Exploration:
         cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
         crew: Workers | None = None
         collected = gc.get_threshold()
-        gc.set_threshold(100_000, *collected[1:])  # what is found is kept; looking for garbage took a sixth
+        gc.set_threshold(
+            100_000, *collected[1:]
+        )  # what is found is kept; looking for garbage took a sixth
         try:
-            while self.unexplored and len(self.situations) < most and time.perf_counter() < begun + seconds:
+            while (
+                self.unexplored
+                and len(self.situations) < most
+                and time.perf_counter() < begun + seconds
+            ):
                 if self._is_stopped:
                     break
                 if crew is None and cores > 1 and time.perf_counter() > begun + _ALONE_S:
@@ -139,7 +151,9 @@ class Exploration:
     def occurring(self) -> set[tuple[str, str]]:
         """Kind and name of each element that was selected or required in some state."""
         changed = [change.facts for onward in self.onward for change, _ in onward]
-        return set().union(*(one.occurring for one in (*changed, *(one.facts for one in self.states))))
+        return set().union(
+            *(one.occurring for one in (*changed, *(one.facts for one in self.states)))
+        )
 
     def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Known, int]]:
         """Yield each round that may follow, the facts before its tick, and the number of the situation after it.
@@ -178,8 +192,14 @@ class Exploration:
         """Return so many rounds that avoid the wanted situations; None if there are no such rounds."""
         layer: dict[int, list[Step]] = {} if number in wanted else {number: []}
         for _ in range(rounds):
-            onward = [(trail, *one) for number, trail in layer.items() for one in self.following(number)]
-            layer = {after: [*trail, step] for trail, step, _, after in reversed(onward) if after not in wanted}
+            onward = [
+                (trail, *one) for number, trail in layer.items() for one in self.following(number)
+            ]
+            layer = {
+                after: [*trail, step]
+                for trail, step, _, after in reversed(onward)
+                if after not in wanted
+            }
         return next(iter(layer.values()), None)
 
     def load(self, number: int) -> Rig:
@@ -193,7 +213,13 @@ class Exploration:
     def as_bytes(self) -> bytes:
         """Return what was found, for `go_on_from`: which rounds lead where, without the contents of states."""
         size = len(self.situations) + self.is_finished
-        saved = self._mark(), size, len(self.onward), self.seconds, (self._rounds.found, self._rounds.ticked)
+        saved = (
+            self._mark(),
+            size,
+            len(self.onward),
+            self.seconds,
+            (self._rounds.found, self._rounds.ticked),
+        )
         return gzip.compress(pickle.dumps(saved), mtime=0)  # its checksum detects damage
 
     def go_on_from(self, kept: bytes) -> None:
@@ -212,7 +238,9 @@ class Exploration:
             self.explore(size, _ALONE_S, cores=1)
         both = zip(self._rounds.found, news[0], strict=True)
         if mark != self._mark() or any(not mine.items() <= theirs.items() for mine, theirs in both):
-            raise MissionError("it is of another mission or of other options, or the mission has changed since")
+            raise MissionError(
+                "it is of another mission or of other options, or the mission has changed since"
+            )
         self.seconds = seconds
         self._rounds.hear(news)
         while len(self.onward) < count:
@@ -222,7 +250,9 @@ class Exploration:
         """Return a text that differs for other missions, options and versions of the loaded modules."""
         around, rounds = self.rig.surroundings, self._rounds
         bounds = around.values, around.alike, around.failures, around.at_once
-        return json.dumps([self._newest, rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)])
+        return json.dumps(
+            [self._newest, rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)]
+        )
 
     def _way(self, number: int) -> Way:
         found = []

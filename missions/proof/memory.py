@@ -50,8 +50,23 @@ _FIXED: Final = (Model, Network, Node, Element, Domain)
 """Does not change while a mission runs; a state may refer to it."""
 _LEFT: Final = (
     *(*_FIXED, Log, Publisher, HistoryView, Views, logging.Logger, types.ModuleType),
-    *(types.FunctionType, types.BuiltinFunctionType, types.MethodType, types.GeneratorType, functools.partial),
-    *(weakref.ref, types.MappingProxyType, Planner, Goals, PlanMonitor, SoftGoals, Relevance, ResourceUsage),
+    *(
+        types.FunctionType,
+        types.BuiltinFunctionType,
+        types.MethodType,
+        types.GeneratorType,
+        functools.partial,
+    ),
+    *(
+        weakref.ref,
+        types.MappingProxyType,
+        Planner,
+        Goals,
+        PlanMonitor,
+        SoftGoals,
+        Relevance,
+        ResourceUsage,
+    ),
     *(FeasibilityEvents, Asked),
 )
 """Not read or restored: it does not change, or what it holds decides nothing."""
@@ -62,7 +77,8 @@ _HOOKS: Final = frozenset({"tick", "stop"})
 _FORGETFUL: Final = (Selector, Sequence, UntilSuccess, ForAction, DoUntilUnfeasible, SafeSwitch)
 """Composites and decorators that treat a child that has ended as one that never ran; so do those of py_trees."""
 _KINDS: Final[Mapping[str, Any]] = {
-    kind.__name__: kind for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
+    kind.__name__: kind
+    for kind in (list, tuple, set, frozenset, deque, dict, types.MappingProxyType)
 }
 _ABSENT: Final = object()
 
@@ -87,7 +103,9 @@ class Memory:
             `BOOKKEEPING` that it does not have; the message names it.
     """
 
-    def __init__(self, roots: Iterable[object], apart: Iterable[object] = (), *, parameters: bool = True) -> None:
+    def __init__(
+        self, roots: Iterable[object], apart: Iterable[object] = (), *, parameters: bool = True
+    ) -> None:
         self.objects: list[Any] = []
         self._numbers: dict[int, int] = {}
         self._cells: list[_Cell] = []
@@ -115,7 +133,9 @@ class Memory:
             key = int.from_bytes(blake2b(text.encode(), digest_size=8).digest())
             self._by_ids[ids] = key
             if self._states.setdefault(key, state) is not state:
-                raise MissionError("two states of the mission differ, but the repr() of their values is equal")
+                raise MissionError(
+                    "two states of the mission differ, but the repr() of their values is equal"
+                )
         return key
 
     def write(self, key: int) -> None:
@@ -148,10 +168,14 @@ class Memory:
         elif isinstance(what, list | set | deque | tuple | frozenset):
             below += what
         if isinstance(what, dict | list | set | deque):
-            self._cells.append(_Cell(lambda: self.pooled(self.held(what)), lambda held: self.refill(what, held)))
+            self._cells.append(
+                _Cell(lambda: self.pooled(self.held(what)), lambda held: self.refill(what, held))
+            )
         named, idle = dict(_attributes(what)), _idle(type(what))  # type: ignore[arg-type]  # a type can be hashed
         if missing := idle - named.keys() - _HOOKS:
-            raise MissionError(f"{type(what).__name__} has no {min(missing)}, which it names as its BOOKKEEPING")
+            raise MissionError(
+                f"{type(what).__name__} has no {min(missing)}, which it names as its BOOKKEEPING"
+            )
         for value in (*below, *(value for name, value in named.items() if name not in idle)):
             self._find(value)
         if named:
@@ -165,7 +189,11 @@ class Memory:
 
         def read() -> Content:
             now = own if own is not None else _attributes(what)
-            found = [(name, ("gone",)) for name in base if name not in now] if len(now) < len(base) else []
+            found = (
+                [(name, ("gone",)) for name in base if name not in now]
+                if len(now) < len(base)
+                else []
+            )
             for name, value in now.items():
                 if value is not base.get(name, _ABSENT) and name not in idle:
                     content = self.of(value)
@@ -174,12 +202,16 @@ class Memory:
             left = of_no_use(dict(found)) if of_no_use is not None else ()
             for name in left:  # reset what decides nothing: it must not differ between equal states
                 setattr(what, name, base[name])
-            kept: Content = self.pooled(tuple(sorted((one for one in found if one[0] not in left), key=itemgetter(0))))
+            kept: Content = self.pooled(
+                tuple(sorted((one for one in found if one[0] not in left), key=itemgetter(0)))
+            )
             return kept
 
         def write(content: Content) -> None:
             wanted = {**base, **{name: self.decoded(value) for name, value in content}}
-            for name in [name for name in _attributes(what) if name not in wanted and name not in idle]:
+            for name in [
+                name for name in _attributes(what) if name not in wanted and name not in idle
+            ]:
                 object.__delattr__(what, name)
             for name, value in wanted.items():
                 if name not in idle and getattr(what, name, _ABSENT) is not value:
@@ -190,15 +222,21 @@ class Memory:
     def held(self, what: Any) -> Any:  # noqa: ANN401  # a container
         if isinstance(what, Mapping):
             return tuple([(self.of(key), self.of(value)) for key, value in what.items()])
-        in_order: Callable[[Iterable[Any]], Any] = frozenset if isinstance(what, set | frozenset) else tuple
-        return in_order(what if all(map(_is_atomic, set(map(type, what)))) else [self.of(one) for one in what])
+        in_order: Callable[[Iterable[Any]], Any] = (
+            frozenset if isinstance(what, set | frozenset) else tuple
+        )
+        return in_order(
+            what if all(map(_is_atomic, set(map(type, what)))) else [self.of(one) for one in what]
+        )
 
     def refill(self, what: Any, content: Iterable[Any]) -> None:  # noqa: ANN401  # a container
         what.clear()
         if isinstance(what, dict):
             what.update((self.decoded(key), self.decoded(value)) for key, value in content)
         else:
-            (what.update if isinstance(what, set) else what.extend)([self.decoded(value) for value in content])
+            (what.update if isinstance(what, set) else what.extend)(
+                [self.decoded(value) for value in content]
+            )
 
     def of(self, value: Any) -> Any:  # noqa: ANN401  # whatever a program holds
         """Encode a value so that it can be compared and hashed; `decoded` is the inverse."""
@@ -216,12 +254,19 @@ class Memory:
         if isinstance(value, tuple):
             return ("made", kind, tuple([self.of(one) for one in value]))
         idle = _idle(kind)  # type: ignore[arg-type]  # a type can be hashed
-        if isinstance(value, _FIXED) or (not isinstance(value, _LEFT) and not idle and _is_value(value)):
+        if isinstance(value, _FIXED) or (
+            not isinstance(value, _LEFT) and not idle and _is_value(value)
+        ):
             return ("value", value)
         named = _attributes(value)
         if not named or isinstance(value, _LEFT) or hasattr(value, "__next__"):
-            raise MissionError(f"{value!r:.120} came to be while the mission ran and cannot be restored")
-        held = [(name, self.of(one) if name not in idle else one and type(one)()) for name, one in named.items()]
+            raise MissionError(
+                f"{value!r:.120} came to be while the mission ran and cannot be restored"
+            )
+        held = [
+            (name, self.of(one) if name not in idle else one and type(one)())
+            for name, one in named.items()
+        ]
         content = ("object", kind, tuple(held))
         if kind is RunningStep:
             self._shared[content] = value
@@ -272,7 +317,11 @@ def _attributes(what: object) -> dict[str, Any]:
     """Return the attributes of an object, including those in slots."""
     own: dict[str, Any] = getattr(what, "__dict__", {})
     slots = _slots(type(what))  # type: ignore[arg-type]  # a type can be hashed
-    return own if not slots else {name: getattr(what, name) for name in slots if hasattr(what, name)} | own
+    return (
+        own
+        if not slots
+        else {name: getattr(what, name) for name in slots if hasattr(what, name)} | own
+    )
 
 
 def _of_no_use(behaviour: Behaviour) -> Callable[[Mapping[str, Any]], set[str]]:
@@ -293,7 +342,9 @@ def _of_no_use(behaviour: Behaviour) -> Callable[[Mapping[str, Any]], set[str]]:
 
 
 def _is_forgetful(behaviour: Behaviour) -> bool:
-    is_of_py_trees = isinstance(behaviour, Decorator) and type(behaviour).__module__ == Decorator.__module__
+    is_of_py_trees = (
+        isinstance(behaviour, Decorator) and type(behaviour).__module__ == Decorator.__module__
+    )
     return type(behaviour) in _FORGETFUL or is_of_py_trees
 
 
@@ -321,7 +372,9 @@ def _slots(kind: Any) -> tuple[str, ...]:  # noqa: ANN401  # whatever type
 def _idle(kind: Any) -> frozenset[str]:  # noqa: ANN401  # whatever type
     """Return the attributes of objects of a class that decide nothing."""
     named = [vars(one).get("BOOKKEEPING", _FOREIGN.get(one, "")) for one in kind.__mro__]
-    return frozenset(" ".join(named).split()) | (_HOOKS if issubclass(kind, Behaviour) else frozenset())
+    return frozenset(" ".join(named).split()) | (
+        _HOOKS if issubclass(kind, Behaviour) else frozenset()
+    )
 
 
 class _Facts(tuple[Any, ...]):
@@ -346,8 +399,15 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         now = _Facts((*map(tuple, facts), *others))
         found: _Facts = memory.pooled(now)
         if found is now:
-            every = [(-3, state.lacking), (-2, state.obsolete), (-1, state.adaptable), *state.users.items()]
-            now.marks = [(place, [node.index for node in marked]) for place, marked in every if marked]
+            every = [
+                (-3, state.lacking),
+                (-2, state.obsolete),
+                (-1, state.adaptable),
+                *state.users.items(),
+            ]
+            now.marks = [
+                (place, [node.index for node in marked]) for place, marked in every if marked
+            ]
             now.columns = [tuple(one) for one in inferred]
         return found
 
@@ -355,7 +415,10 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         known.settled()  # or an interrupted event would be undone later, in the restored state
         known.log.last += 1  # a new revision, so that caches are refreshed
         known.revision = known.log.last
-        for column, values in (*zip(facts, content, strict=False), *zip(inferred, content.columns, strict=True)):
+        for column, values in (
+            *zip(facts, content, strict=False),
+            *zip(inferred, content.columns, strict=True),
+        ):
             column[:] = values
         requests, *kept, given = content[len(facts) :]
         records.required.clear()
@@ -369,7 +432,11 @@ def _facts(known: Knowledge, memory: Memory) -> _Cell:
         for inference in state.marks:
             inference.clear()
         for place, nodes in content.marks:
-            marked = state.users.of(place) if place >= 0 else (state.lacking, state.obsolete, state.adaptable)[place]
+            marked = (
+                state.users.of(place)
+                if place >= 0
+                else (state.lacking, state.obsolete, state.adaptable)[place]
+            )
             for index in nodes:
                 marked[state.network.nodes[index]] = True
 

@@ -60,7 +60,9 @@ class Planned(Decorator):
     """
 
     def __init__(self, executor: PlanExecutor, steps: Mapping[Step, Behaviour]) -> None:
-        super().__init__(f"until {executor.name} is done", FailureIsRunning("until the goal holds", executor))
+        super().__init__(
+            f"until {executor.name} is done", FailureIsRunning("until the goal holds", executor)
+        )
         self.steps, self._executor = tuple(steps.values()), executor
 
     def tick(self) -> Iterator[Behaviour]:
@@ -86,7 +88,11 @@ def stage_of(root: Behaviour) -> tuple[object, ...]:
     """Return the progress of a tree: the current child of each running sequence with memory, and executors' beliefs."""
     every = nodes(root)
     sequences = [one for one in every if isinstance(one, Sequence) and one.memory]
-    places = [one.current_child and one.current_child.name for one in sequences if one.status is Status.RUNNING]
+    places = [
+        one.current_child and one.current_child.name
+        for one in sequences
+        if one.status is Status.RUNNING
+    ]
     return (*places, *(one.state for one in every if isinstance(one, PlanExecutor)))
 
 
@@ -97,7 +103,9 @@ def planned(mission: Mission) -> Callable[[KnowledgeBase], Behaviour]:
 
     def build(kb: KnowledgeBase) -> Behaviour:
         made = Made(kb, Percepts())
-        behaviours = {step: made.by(step.schema, mission.actions[step.schema])(step) for step in steps}
+        behaviours = {
+            step: made.by(step.schema, mission.actions[step.schema])(step) for step in steps
+        }
         executor = PlanExecutor(
             f"plan for {mission.name}",
             kb=kb,
@@ -129,7 +137,9 @@ class Change(NamedTuple):
     def __str__(self) -> str:
         if isinstance(self.to, bool):
             return f"{self.name} {'fails' if self.to else 'recovers'}"
-        return f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
+        return (
+            f"{self.name} is stale" if self.to == STALE else f"{self.name} is measured {self.to:g}"
+        )
 
     def tell(self, kb: KnowledgeBase) -> None:
         if isinstance(self.to, bool):
@@ -176,9 +186,16 @@ class Surroundings:
         for name, more in (values or {}).items():
             asked[kb.attributes[name].name] |= {(">=", float(one)) for one in more}
         known = kb.model.attributes
-        self.values = {name: _distinct(asked[name], known[name]) for name in kb.attributes if asked[name]}
-        self.worst = {name: min(found, key=partial(_satisfied, asked[name])) for name, found in self.values.items()}
-        names = list(kb.components) if failing is None else [kb.components[one].name for one in failing]
+        self.values = {
+            name: _distinct(asked[name], known[name]) for name in kb.attributes if asked[name]
+        }
+        self.worst = {
+            name: min(found, key=partial(_satisfied, asked[name]))
+            for name, found in self.values.items()
+        }
+        names = (
+            list(kb.components) if failing is None else [kb.components[one].name for one in failing]
+        )
         named = {one.element.name for one in nodes(root) if isinstance(one, HasStatus)}
         self.alike = _alike(kb, names, named) if symmetric else [(one,) for one in names]
         self._ageing = [name for name in self.values if kb.model.attributes[name].max_age != inf]
@@ -191,12 +208,22 @@ class Surroundings:
         """Yield the sets of changes that can happen next, beginning with the empty one."""
         single = [one for name in self.values for one in self._measured(name)]
         down = self.failed()
-        single += [Change(broken[-1], False) for alike in self.alike if (broken := [o for o in alike if o in down])]
-        single += [Change(working[0], True) for alike in self.alike if (working := [o for o in alike if o not in down])]
+        single += [
+            Change(broken[-1], False)
+            for alike in self.alike
+            if (broken := [o for o in alike if o in down])
+        ]
+        single += [
+            Change(working[0], True)
+            for alike in self.alike
+            if (working := [o for o in alike if o not in down])
+        ]
         for count in range(self.at_once + 1):
             for chosen in combinations(single, count):
                 more = sum(1 if one.to else -1 for one in chosen if isinstance(one.to, bool))
-                if len({one.name for one in chosen}) == count and (more <= 0 or len(down) + more <= self.failures):
+                if len({one.name for one in chosen}) == count and (
+                    more <= 0 or len(down) + more <= self.failures
+                ):
                     yield chosen
 
     def _measured(self, name: str) -> Iterator[Change]:
@@ -221,7 +248,9 @@ def _thresholds(kb: KnowledgeBase, root: Behaviour) -> defaultdict[str, set[tupl
         for element in elements.values():
             for one in (view.element for view in element.constraints):
                 assert isinstance(one, Constraint)
-                found[one.attribute] |= {(one.operator, one.value + side * one.hysteresis) for side in (1, 0, -1)}
+                found[one.attribute] |= {
+                    (one.operator, one.value + side * one.hysteresis) for side in (1, 0, -1)
+                }
     for leaf in nodes(root):
         if isinstance(leaf, Measurement):
             found[leaf.attribute.name].add((leaf.operator, leaf.value))
@@ -282,7 +311,9 @@ class Leaf:
 def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
     """Return what an undeclared leaf may return; on success, what its schema makes feasible becomes so."""
     is_ours = isinstance(leaf, KbBehaviour) and not isinstance(leaf, RosaAction)
-    is_known = type(leaf).__module__.startswith(("py_trees.", "rosa_bt.")) and not isinstance(leaf, RosaAction)
+    is_known = type(leaf).__module__.startswith(("py_trees.", "rosa_bt.")) and not isinstance(
+        leaf, RosaAction
+    )
     if is_ours or (is_known and not isinstance(leaf, _CHANCE)):
         return Leaf("")
     promised = getattr(getattr(leaf, "schema", None), "makes_feasible", ())
@@ -294,7 +325,11 @@ def usual(leaf: Behaviour, kb: KnowledgeBase, values: Values) -> Leaf:
 
 
 def take_over(
-    root: Behaviour, kb: KnowledgeBase, declared: Mapping[str, Leaf], values: Values, choices: Choices
+    root: Behaviour,
+    kb: KnowledgeBase,
+    declared: Mapping[str, Leaf],
+    values: Values,
+    choices: Choices,
 ) -> dict[str, str]:
     """Replace the work of leaves by chosen answers; return their letters by name. Actions are still requested.
 
@@ -342,9 +377,17 @@ class _Robot:
         self._note("deactivates", component, "")
 
     def set_parameters(self, component: str, parameters: Parameters) -> None:
-        known = [self.kb.configurations[one] for one in self.kb.components[component].configurations]
-        is_allowed = any(one.parameters == parameters and one.status != "unfeasible" for one in known)
-        self._note("configures", component, "" if is_allowed else f"no feasible configuration has {dict(parameters)}")
+        known = [
+            self.kb.configurations[one] for one in self.kb.components[component].configurations
+        ]
+        is_allowed = any(
+            one.parameters == parameters and one.status != "unfeasible" for one in known
+        )
+        self._note(
+            "configures",
+            component,
+            "" if is_allowed else f"no feasible configuration has {dict(parameters)}",
+        )
 
     def _note(self, does: str, component: str, why_not: str) -> None:
         if self.kb.components[component].kind is ComponentKind.PLAIN and does != "configures":
@@ -397,13 +440,20 @@ class Rig(VisitorBase):
         self.clock, self._start = 0.0, setup.start
         self.kb = KnowledgeBase(setup.model(), clock=lambda: self.clock)
         self.planner = PriorityPlanner() if setup.planner is None else setup.planner()
-        self._robot, self._budgets = _Robot(self.kb), Budgets(getattr(self.planner, "budgets", None))
+        self._robot, self._budgets = (
+            _Robot(self.kb),
+            Budgets(getattr(self.planner, "budgets", None)),
+        )
         self._manager = ConfigurationManager(self.kb, self._robot, planner=self.planner)
         self.choices = Choices()
-        self.tape = Tape(self.kb, self.choices, is_on=setup.planner is None)  # a tree may know another planner
+        self.tape = Tape(
+            self.kb, self.choices, is_on=setup.planner is None
+        )  # a tree may know another planner
         self.root = setup.tree(self.tape.kb)
         self.surroundings = Surroundings(self.kb, self.root, **setup.surroundings)
-        self.letters = take_over(self.root, self.tape.kb, setup.leaves, self.surroundings.values, self.choices)
+        self.letters = take_over(
+            self.root, self.tape.kb, setup.leaves, self.surroundings.values, self.choices
+        )
         self.runner = TreeRunner(self.root, clock=lambda: self.clock)
         self.runner.tree.add_visitor(self)
         self.doing = [one for one in nodes(self.root) if isinstance(one, RosaAction | ForAction)]
@@ -442,7 +492,9 @@ class Rig(VisitorBase):
         try:
             for _ in range(_MOST_TURNS):
                 revision = self.kb.revision
-                if (self._manager.update() is None and self.kb.revision == revision) or is_settled():
+                if (
+                    self._manager.update() is None and self.kb.revision == revision
+                ) or is_settled():
                     break
             else:
                 self._robot.faults.append("the manager does not come to rest")

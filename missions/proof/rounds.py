@@ -123,7 +123,8 @@ class Rounds:
         self.is_slow, self._predicates, self.faults = setup.slow, predicates, rig.begin()
         self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
         self._tree = Memory(
-            [rig.root, Blackboard.storage, *kept(rig.tape.kb)], apart=[rig.kb, rig.planner, rig.choices]
+            [rig.root, Blackboard.storage, *kept(rig.tape.kb)],
+            apart=[rig.kb, rig.planner, rig.choices],
         )
         self._facts: dict[int, Known] = {}
         self._doing: dict[int, Doing] = {}
@@ -153,7 +154,10 @@ class Rounds:
 
     def news(self) -> News:
         """Return what was found since the last call, and which nodes were ever ticked."""
-        new = [dict(islice(one.items(), sent, None)) for one, sent in zip(self.found, self._sent, strict=True)]
+        new = [
+            dict(islice(one.items(), sent, None))
+            for one, sent in zip(self.found, self._sent, strict=True)
+        ]
         self._sent = [len(one) for one in self.found]
         return new, self.ticked
 
@@ -183,7 +187,9 @@ class Rounds:
         found = []
         for change in self.changes(known):
             moment = Situation(tree, change.known)
-            if moment not in self._ticks and not self.has_been_in(moment):  # another process found the change
+            if moment not in self._ticks and not self.has_been_in(
+                moment
+            ):  # another process found the change
                 self.run(self.bring(way), Step(change.changes, late=(change.is_late, False)))
                 _check(self.has_been_in(moment))
             found.append((change, self.ticks(moment)))
@@ -205,9 +211,13 @@ class Rounds:
         for changes in list(self.rig.surroundings.changes()):
             told = self._told(known, changes)
             settled, faults = self._settle(told)
-            for now, is_late in ((settled, False), (told, True)) if self.is_slow else ((settled, False),):
+            for now, is_late in (
+                ((settled, False), (told, True)) if self.is_slow else ((settled, False),)
+            ):
                 if now not in reached:
-                    reached[now] = Changed(now, changes, is_late, () if is_late else faults, self._facts_of(now))
+                    reached[now] = Changed(
+                        now, changes, is_late, () if is_late else faults, self._facts_of(now)
+                    )
         return self._changes.setdefault(known, list(reached.values()))
 
     def ticks(self, moment: Situation) -> list[Ticked]:
@@ -249,7 +259,9 @@ class Rounds:
         found = self._settled.get(known)
         if found is None:
             self._known.write(known)
-            faults = self.rig.settle(lambda: self._settled.get(now := self._known.read(), ("",))[0] == now)
+            faults = self.rig.settle(
+                lambda: self._settled.get(now := self._known.read(), ("",))[0] == now
+            )
             found = self._settled[known] = self._known.read(), faults
             self._settled.setdefault(found[0], (found[0], ()))
         return found
@@ -266,8 +278,12 @@ class Rounds:
         if tree not in self._doing:
             self._tree.write(tree)
             root = self.rig.root
-            running = frozenset(one.action for one in self.rig.doing if one.status is Status.RUNNING)
-            is_over = root.status is Status.SUCCESS or getattr(root, "final_status", None) is not None
+            running = frozenset(
+                one.action for one in self.rig.doing if one.status is Status.RUNNING
+            )
+            is_over = (
+                root.status is Status.SUCCESS or getattr(root, "final_status", None) is not None
+            )
             self._doing[tree] = Doing(root.status.name, running, said(stage_of(root)), is_over)
         return self._doing[tree]
 
@@ -275,12 +291,21 @@ class Rounds:
         if known not in self._facts:
             self._known.write(known)
             rig, kb = self.rig, self.rig.kb
-            chosen = [one for table in (kb.designs, kb.configurations) for one in table.values() if one.is_selected]
-            occurring = [("action", one) for one in rig.required] + [(one.node.kind, one.name) for one in chosen]
+            chosen = [
+                one
+                for table in (kb.designs, kb.configurations)
+                for one in table.values()
+                if one.is_selected
+            ]
+            occurring = [("action", one) for one in rig.required] + [
+                (one.node.kind, one.name) for one in chosen
+            ]
             attributes = [kb.attributes[name] for name in rig.surroundings.values]
             values = tuple((one.name, "stale" if one.is_stale else one.value) for one in attributes)
             failed, feasible = rig.surroundings.failed(), tuple(kb.selectable_actions())
-            self._facts[known] = Known(rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible)
+            self._facts[known] = Known(
+                rig.required, rig.unfeasible, frozenset(occurring), failed, values, feasible
+            )
         return self._facts[known]
 
 
@@ -301,7 +326,9 @@ class Workers:
 
     def __init__(self, rounds: Rounds, count: int) -> None:
         self._rounds, context = rounds, multiprocessing.get_context("fork")
-        self._copies = [ProcessPoolExecutor(1, context, _begin, (rounds, os.getpid())) for _ in range(count)]
+        self._copies = [
+            ProcessPoolExecutor(1, context, _begin, (rounds, os.getpid())) for _ in range(count)
+        ]
 
     def explore(self, ways: Sequence[Way]) -> None:
         """Let the copies find all that may follow the situations at the ends of these ways."""
@@ -312,11 +339,16 @@ class Workers:
             with warnings.catch_warnings(
                 action="ignore", category=DeprecationWarning
             ):  # fork with threads: the copies use none of them
-                asked = [copy.submit(_found, part) for copy, part in zip(self._copies, parts, strict=True)]
+                asked = [
+                    copy.submit(_found, part)
+                    for copy, part in zip(self._copies, parts, strict=True)
+                ]
             for one in asked:
                 self._rounds.hear(one.result())
         except BrokenProcessPool as error:
-            raise MissionError("a process that explores has died; if memory ran out, use fewer --cores") from error
+            raise MissionError(
+                "a process that explores has died; if memory ran out, use fewer --cores"
+            ) from error
 
     def close(self) -> None:
         for one in self._copies:

@@ -35,9 +35,14 @@ class Story:
         return "\n".join(self.lines)
 
 
-def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, rows: Iterable[Any] = ()) -> Story:
+def play(
+    setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, rows: Iterable[Any] = ()
+) -> Story:
     """Run the rounds of a story; if `page` is given, write a page of it there, with these additional rows."""
-    steps = [Step(tuple(Change(*one) for one in changes), answers, late) for changes, answers, late in trail]
+    steps = [
+        Step(tuple(Change(*one) for one in changes), answers, late)
+        for changes, answers, late in trail
+    ]
     rig = Rig(setup)
     recorder = None
     if page is not None:
@@ -47,7 +52,11 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
         for row in rows:
             recorder.put(*row)
     lines: list[str] = []
-    rig.kb.subscribe(lambda event: lines.append(f"      {event.text}") if event.verb in _SHOWN or event.plan else None)
+    rig.kb.subscribe(
+        lambda event: (
+            lines.append(f"      {event.text}") if event.verb in _SHOWN or event.plan else None
+        )
+    )
     with TraceVisitor(rig.kb) as visitor:
         faults = list(rig.begin())
         rig.runner.tree.add_visitor(visitor)
@@ -70,8 +79,16 @@ def play(setup: Setup, trail: Sequence[Rounds], page: str | Path | None = None, 
         recorder.close()
         recorder.report(str(page))
     running = {one.action for one in rig.doing if one.status.name == "RUNNING"}
-    wrong = [*faults, *(f"{one} is requested while it is unfeasible" for one in sorted(late_ones if steps else ()))]
-    wrong += [f"{one} is requested or runs, not both" for one in sorted(running ^ set(rig.required))]
+    wrong = [
+        *faults,
+        *(
+            f"{one} is requested while it is unfeasible"
+            for one in sorted(late_ones if steps else ())
+        ),
+    ]
+    wrong += [
+        f"{one} is requested or runs, not both" for one in sorted(running ^ set(rig.required))
+    ]
     return Story(tuple(lines), trace, tuple(wrong), rig)
 
 

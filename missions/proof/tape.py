@@ -114,7 +114,11 @@ class Asked:
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401  # whatever there is
         if name == "reading":
             return self._how.tape.reading
-        return getattr(self._how.real, name) if name in _OF_NO_USE else self._how.tape.ask(self, getattr, name)
+        return (
+            getattr(self._how.real, name)
+            if name in _OF_NO_USE
+            else self._how.tape.ask(self, getattr, name)
+        )
 
     def __setattr__(self, name: str, value: object) -> None:
         setattr(self._how.real, name, value)
@@ -125,7 +129,9 @@ class Asked:
 
     def __iter__(self) -> Iterator[Any]:
         found = self._how.tape.ask(self, tuple)
-        return iter(found if type(found) is tuple else [found[place] for place in range(len(found))])
+        return iter(
+            found if type(found) is tuple else [found[place] for place in range(len(found))]
+        )
 
     def __repr__(self) -> str:
         steps = [f"{does.__name__}{given}" for does, given in self._how.path or ()]
@@ -184,7 +190,12 @@ class Tape:
     def ask(self, asked: Asked, does: Callable[..., Any], *given: object) -> Any:  # noqa: ANN401  # whatever there is
         """Apply a function to what is stood for, and record the result."""
         _, real, path, at = _how(asked)
-        self.is_on = self.is_on and path is not None and at in (None, self._kb.log.last) and _is_hashable(given)
+        self.is_on = (
+            self.is_on
+            and path is not None
+            and at in (None, self._kb.log.last)
+            and _is_hashable(given)
+        )
         try:
             found = does(real, *map(_plain, given))
         except Exception:
@@ -238,7 +249,9 @@ class Tape:
 
     def _stand_in(self, real: object, path: Path) -> Asked:
         if not isinstance(real, _LIVE):
-            return Asked(_Reached(self, real, None if hasattr(real, "__next__") else path, self._kb.log.last))
+            return Asked(
+                _Reached(self, real, None if hasattr(real, "__next__") else path, self._kb.log.last)
+            )
         return self._reached.setdefault(path, Asked(_Reached(self, real, path)))
 
 
@@ -257,7 +270,9 @@ def _is_hashable(given: object) -> bool:
         return False
 
 
-def _call(real: Callable[..., object], given: Iterable[object], named: Iterable[tuple[str, object]]) -> object:
+def _call(
+    real: Callable[..., object], given: Iterable[object], named: Iterable[tuple[str, object]]
+) -> object:
     return real(*map(_plain, given), **{name: _plain(one) for name, one in named})
 
 

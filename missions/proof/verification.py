@@ -58,7 +58,9 @@ def always(name: str, predicate: Predicate) -> Property:
 
 def never(name: str, predicate: Predicate) -> Property:
     """Require that a predicate holds after no tick."""
-    return Property(name, (predicate,), lambda found: found.first(found.holds[predicate], "it is so then"))
+    return Property(
+        name, (predicate,), lambda found: found.first(found.holds[predicate], "it is so then")
+    )
 
 
 def eventually(name: str, predicate: Predicate) -> Property:
@@ -83,7 +85,11 @@ def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = 
             return found.first(set(begun) - good, "it cannot come about any more")
         trails = ((number, found.avoiding(number, met, within)) for number in begun)
         late = next(((number, trail) for number, trail in trails if trail is not None), None)
-        return None if late is None else ("it has not come about in time", [*found.path(late[0]), *late[1]])
+        return (
+            None
+            if late is None
+            else ("it has not come about in time", [*found.path(late[0]), *late[1]])
+        )
 
     return Property(name, (first, then), check)
 
@@ -98,15 +104,27 @@ def check(
     """Check the properties that every mission must have, then those wanted; see `verify` for the arguments."""
     ticks = "a tick" if reaction == 1 else f"{reaction} ticks"
     wrong: list[tuple[str, Wrong | None]] = [
-        (f"nothing is requested while unfeasible for longer than {ticks}", _unfeasible(found, reaction)),
+        (
+            f"nothing is requested while unfeasible for longer than {ticks}",
+            _unfeasible(found, reaction),
+        ),
         ("every request is released once, when what does it ends", _unreleased(found)),
-        ("actions that exclude each other are not required together", _together(found, [*map(set, exclusive)])),
-        ("the goal is reached if all goes well", None if found.goals else ("it is never reached", None)),
+        (
+            "actions that exclude each other are not required together",
+            _together(found, [*map(set, exclusive)]),
+        ),
+        (
+            "the goal is reached if all goes well",
+            None if found.goals else ("it is never reached", None),
+        ),
         ("wherever the goal can be reached as facts are, the mission is not stuck", _stuck(found)),
         ("while nothing happens, the mission does not waver", _wavering(found)),
         ("every node of the tree can be reached", _unreached(found)),
         ("every adaptation of the model can occur", _missing(found)),
-        ("the manager keeps to the model and its budgets, and ends its plans", _shortest(found.faults.items())),
+        (
+            "the manager keeps to the model and its budgets, and ends its plans",
+            _shortest(found.faults.items()),
+        ),
         *((one.name, one.check(found)) for one in wanted),
     ]
     return [_finding(name, bad, is_finished=found.is_finished) for name, bad in wrong]
@@ -135,7 +153,9 @@ def _unfeasible(found: Exploration, reaction: int) -> Wrong | None:
                         way = layer[action, number] if count else found.path(number)
                         following.setdefault((action, after), [*way, step])
         layer = following
-    return _shortest((f"{action} is still requested", trail) for (action, _), trail in layer.items())
+    return _shortest(
+        (f"{action} is still requested", trail) for (action, _), trail in layer.items()
+    )
 
 
 def _unreleased(found: Exploration) -> Wrong | None:
@@ -143,7 +163,9 @@ def _unreleased(found: Exploration) -> Wrong | None:
         for action in sorted(doing.running ^ set(known.required)):
             is_running = "is not requested any more, and what does it still runs"
             is_left = "is still requested, and nothing that does it runs"
-            return found.first([number], f"{action} {is_running if action in doing.running else is_left}")
+            return found.first(
+                [number], f"{action} {is_running if action in doing.running else is_left}"
+            )
     return None
 
 
@@ -159,8 +181,13 @@ def _stuck(found: Exploration) -> Wrong | None:
     """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
     ended = {one for one in found.every if found.states[one].doing.is_over}
     good = found.reaching((found.goals | ended).union(found.unexplored), still=True)
-    here = [(doing.stage, known.failed, known.values, known.feasible) for doing, known, _ in found.states]
-    possible = {here[number] for number in found.reaching(found.goals, still=True).difference(found.goals)}
+    here = [
+        (doing.stage, known.failed, known.values, known.feasible)
+        for doing, known, _ in found.states
+    ]
+    possible = {
+        here[number] for number in found.reaching(found.goals, still=True).difference(found.goals)
+    }
     bad = (one for one in found.every if one not in good and here[one] in possible)
     return found.first(bad, "it is not then, but elsewhere in this stage with the same facts")
 
@@ -171,7 +198,10 @@ def _wavering(found: Exploration) -> Wrong | None:
         onward: dict[int, tuple[Step, int]] = {}
         for number in found.every:
             for step, _, after in found.following(number, still=True):
-                if all(letter == ("R" if "R" in found.rig.letters[name] else held) for name, letter in step.answers):
+                if all(
+                    letter == ("R" if "R" in found.rig.letters[name] else held)
+                    for name, letter in step.answers
+                ):
                     onward.setdefault(number, (step, after))
         for number in onward:
             at, trail, places = number, list[Step](), {number: 0}
@@ -183,14 +213,21 @@ def _wavering(found: Exploration) -> Wrong | None:
             cycle = [one for one, place in places.items() if at in onward and place >= places[at]]
             done = {", ".join(found.states[one].facts.required) or "nothing" for one in cycle}
             if len(done) > 1:
-                return f"it goes to and fro between {' and '.join(sorted(done))}", [*found.path(number), *trail]
+                return f"it goes to and fro between {' and '.join(sorted(done))}", [
+                    *found.path(number),
+                    *trail,
+                ]
     return None
 
 
 def _unreached(found: Exploration) -> Wrong | None:
     missing = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
-    ticked = {one.name for one in found.rig.ticked}  # of the steps of plans, one of each name is enough
-    names = dict.fromkeys([*missing, *(one.name for one in nodes(found.rig.root) if one.name not in ticked)])
+    ticked = {
+        one.name for one in found.rig.ticked
+    }  # of the steps of plans, one of each name is enough
+    names = dict.fromkeys(
+        [*missing, *(one.name for one in nodes(found.rig.root) if one.name not in ticked)]
+    )
     return (f"never ticked: {', '.join(names)}", None) if names else None
 
 
@@ -199,7 +236,12 @@ def _missing(found: Exploration) -> Wrong | None:
     tables: dict[str, Iterable[str]] = {"action": kb.actions}
     if found.rig.surroundings.failures:  # without failures, what is there for them cannot occur
         tables |= {"function design": kb.designs, "configuration": kb.configurations}
-    names = [f"{kind} {name}" for kind, table in tables.items() for name in table if (kind, name) not in occurring]
+    names = [
+        f"{kind} {name}"
+        for kind, table in tables.items()
+        for name in table
+        if (kind, name) not in occurring
+    ]
     return (f"never: {', '.join(names)}", None) if names else None
 
 
@@ -250,14 +292,31 @@ class Proof:
 
     def report(self, path: str | Path) -> None:
         """Write a page with all findings, and the first story of a broken one, or else how the goal is reached."""
-        way = self.shown.trail if self.shown is not None else self.found.path(min(self.found.goals, default=0))
-        outcome = "something is broken" if self.broken else "all holds" if self.found.is_finished else "not finished"
+        way = (
+            self.shown.trail
+            if self.shown is not None
+            else self.found.path(min(self.found.goals, default=0))
+        )
+        outcome = (
+            "something is broken"
+            if self.broken
+            else "all holds"
+            if self.found.is_finished
+            else "not finished"
+        )
         figures = [["if for good", "", "it reaches"]]
         for one in self.consequences:
             does = f"; does {', '.join(one.actions)}" if one.actions else ""
             figures.append([" and ".join(one.facts), "", f"{one.reaches}{does}"])
-        result = {"outcome": outcome, "success": outcome == "all holds", "reason": self.count, "figures": figures}
-        rows = [("problem", number, f"{one.name}: {one.what}") for number, one in enumerate(self.broken)]
+        result = {
+            "outcome": outcome,
+            "success": outcome == "all holds",
+            "reason": self.count,
+            "figures": figures,
+        }
+        rows = [
+            ("problem", number, f"{one.name}: {one.what}") for number, one in enumerate(self.broken)
+        ]
         play(self.setup, way or (), path, [("result", 0, result), *rows])
 
     @property
@@ -283,7 +342,12 @@ class Proof:
     def as_data(self) -> dict[str, Any]:
         """Return all of it as plain data for JSON."""
         findings = [
-            {"name": one.name, "holds": one.holds, "what": one.what, "story": [*map(str.strip, self._lines_of(one))]}
+            {
+                "name": one.name,
+                "holds": one.holds,
+                "what": one.what,
+                "story": [*map(str.strip, self._lines_of(one))],
+            }
             for one in self.findings
         ]
         return {
@@ -325,9 +389,16 @@ def verify(
         given: `leaves`, `planner`, `start` and `slow` of `Setup`; `failures`, `at_once`, `values`, `failing` and
             `symmetric` of `Surroundings`.
     """
-    of_setup = {name: given.pop(name) for name in ("leaves", "planner", "start", "slow") if name in given}
+    of_setup = {
+        name: given.pop(name) for name in ("leaves", "planner", "start", "slow") if name in given
+    }
     parameters = signature(build_tree).parameters.values()
-    takes_percepts = sum(one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD for one in parameters) > 1
+    takes_percepts = (
+        sum(
+            one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD for one in parameters
+        )
+        > 1
+    )
 
     def build(kb: KnowledgeBase) -> Behaviour:
         return build_tree(kb, Percepts()) if takes_percepts else build_tree(kb)
@@ -380,7 +451,11 @@ def consequences(found: Exploration) -> list[Consequence]:
     bad += [Change(name, value) for name, value in surroundings.worst.items()]
     single = {one: _consequence(found, (one,)) for one in bad}
     lasting = [one for one in bad if single[one].reaches.startswith("the goal")]
-    pairs = [_consequence(found, pair) for pair in combinations(lasting, 2) if pair[0].name != pair[1].name]
+    pairs = [
+        _consequence(found, pair)
+        for pair in combinations(lasting, 2)
+        if pair[0].name != pair[1].name
+    ]
     return [*single.values(), *(one for one in pairs if one.reaches == "nothing")]
 
 
@@ -394,6 +469,14 @@ def _consequence(found: Exploration, facts: Sequence[Change]) -> Consequence:
     }
     reached = found.reaching(found.goals & within, within=within)
     actions = sorted({one for number in within for one in found.states[number].facts.required})
-    reaches = "nothing" if not reached else "the goal" if reached >= within else "the goal from some situations"
+    reaches = (
+        "nothing"
+        if not reached
+        else "the goal"
+        if reached >= within
+        else "the goal from some situations"
+    )
     is_known = within and (reached or found.is_finished)
-    return Consequence(tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions))
+    return Consequence(
+        tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions)
+    )

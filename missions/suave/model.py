@@ -21,7 +21,8 @@ def suave_model(name: str = "suave") -> Model:
 
     # The higher it searches, the more the camera sees, and the clearer the water has to be.
     for priority, (configuration, altitude_m, needed_visibility_m) in enumerate(
-        [("high_altitude", 3.0, 3.25), ("medium_altitude", 2.0, 2.25), ("low_altitude", 1.0, 1.25)], start=1
+        [("high_altitude", 3.0, 3.25), ("medium_altitude", 2.0, 2.25), ("low_altitude", 1.0, 1.25)],
+        start=1,
     ):
         spiral_search.configuration(
             configuration,

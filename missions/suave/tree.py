@@ -107,7 +107,9 @@ class InspectPipeline(RosaAction):
         return Status.SUCCESS if self._percepts.holds("pipeline_inspected") else Status.RUNNING
 
     def _count(self, reported_m: float) -> None:
-        self.inspected_m += reported_m - self._reported_m if reported_m >= self._reported_m else reported_m
+        self.inspected_m += (
+            reported_m - self._reported_m if reported_m >= self._reported_m else reported_m
+        )
         self._reported_m = reported_m
         self.feedback_message = f"{self.inspected_m:.1f} m inspected"
 

@@ -33,7 +33,9 @@ class Sea(World):
         self._env = env
         settings = env.settings
         takes = settings.activation_s, settings.deactivation_s, settings.parameter_s
-        self._nodes = SimulatedComponents(lambda: env.now, env.components, dict(zip(VERBS, takes, strict=True)))
+        self._nodes = SimulatedComponents(
+            lambda: env.now, env.components, dict(zip(VERBS, takes, strict=True))
+        )
 
     @property
     def now(self) -> float:
@@ -73,7 +75,9 @@ class Sea(World):
             "water visibility [m]": seen.water_visibility,
             "battery level [-]": seen.battery_level,
             "altitude [m]": seen.altitude,
-            "search altitude [m]": seen.spiral_altitude if "spiral_search" in seen.active else float("nan"),
+            "search altitude [m]": seen.spiral_altitude
+            if "spiral_search" in seen.active
+            else float("nan"),
         }
         return Sample(seen.time, (seen.x, seen.y, seen.z), signals)
 
@@ -103,10 +107,16 @@ class _SeaKind(WorldKind):
         except SuaveEnvError as error:
             raise MissionError(str(error)) from error
 
-    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
-        return self.judge(percepts, results, any(one.action == "recharge" for one in kb.history.actions))
+    def verdict(
+        self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
+    ) -> Verdict:
+        return self.judge(
+            percepts, results, any(one.action == "recharge" for one in kb.history.actions)
+        )
 
-    def judge(self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool) -> Verdict:
+    def judge(
+        self, percepts: Percepts, results: Mapping[str, float | None], needed_recharge: bool
+    ) -> Verdict:
         """Judge by the goal; `needed_recharge` tells whether the battery ran low or a recharge began."""
         if percepts.holds("pipeline_inspected"):
             return Verdict("inspected_all", "the whole pipeline is inspected")
@@ -115,7 +125,9 @@ class _SeaKind(WorldKind):
         if not results.get("total_inspected_m"):
             return Verdict("aborted", "time ran out before any of the pipeline was inspected")
         if needed_recharge and not percepts.count("battery_recharged"):
-            return Verdict("aborted", "the battery ran low, and time ran out before it was recharged")
+            return Verdict(
+                "aborted", "the battery ran low, and time ran out before it was recharged"
+            )
         return Verdict("time_limit", "the pipeline was found and inspected up to the time limit")
 
 

@@ -8,7 +8,9 @@ def suave_extended_model() -> Model:
     """Build the model; searching and inspecting need a quarter of the battery, recharging needs none."""
     model = suave_model("suave_extended")
     battery = model.quality_attribute("battery_level", low=0.0, high=1.0)
-    battery.changes(-1 / 200, learns=True)  # the experiment's setting, until the real rate is learned
+    battery.changes(
+        -1 / 200, learns=True
+    )  # the experiment's setting, until the real rate is learned
     recharge = model.component("recharge", kind="lifecycle")
     generate_recharge_path = model.function("generate_recharge_path")
     generate_recharge_path.design("to_station", [recharge], priority=1)

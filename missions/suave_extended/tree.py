@@ -39,11 +39,17 @@ class Recharge(RosaAction):
         self._before = self._percepts.count("battery_recharged")
 
     def update(self) -> Status:
-        return Status.SUCCESS if self._percepts.count("battery_recharged") > self._before else Status.RUNNING
+        return (
+            Status.SUCCESS
+            if self._percepts.count("battery_recharged") > self._before
+            else Status.RUNNING
+        )
 
 
 def suave_extended_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     """Build the tree; it runs until the whole pipeline is inspected."""
     # With memory, a recharge that has begun is finished although the battery is full a moment before it ends.
-    mission = do_until_unfeasible(search_and_inspect(kb, percepts), Recharge(kb, percepts), memory=True, name="mission")
+    mission = do_until_unfeasible(
+        search_and_inspect(kb, percepts), Recharge(kb, percepts), memory=True, name="mission"
+    )
     return UntilSuccess("until inspected", mission)

@@ -116,8 +116,12 @@ class Decisions:
         self._check("actions", *names)
         begun = [name for name, *_ in self.actions]
         if begun != list(names):
-            actions = "\n".join(str(moment) for moment in self.timeline if moment.what in ("action", "end"))
-            diff = "\n".join(line.rstrip() for line in ndiff(names, begun) if not line.startswith("?"))
+            actions = "\n".join(
+                str(moment) for moment in self.timeline if moment.what in ("action", "end")
+            )
+            diff = "\n".join(
+                line.rstrip() for line in ndiff(names, begun) if not line.startswith("?")
+            )
             headline = "other actions were begun (-: expected, +: what was done)"
             raise self._error(headline, f"{diff}\n\nwhat happened:\n{actions}")
 
@@ -129,13 +133,18 @@ class Decisions:
         found = [(start, start, f"it begins at {seconds(start)}", action) for start in starts]
         self._in_time(f"{action} begins", at, within, found)
 
-    def assert_ends(self, action: str, result: str = "completed", *, at: float, within: float = 1.0) -> None:
+    def assert_ends(
+        self, action: str, result: str = "completed", *, at: float, within: float = 1.0
+    ) -> None:
         """Assert that an action ends "completed", "failed" or "abandoned"."""
         __tracebackhide__ = True
         self._check("actions", action)
-        ends = [(end, how) for name, _, end, how in self.actions if name == action and end is not None]
+        ends = [
+            (end, how) for name, _, end, how in self.actions if name == action and end is not None
+        ]
         found = [
-            (end, end if how == result else math.inf, f"it is {how} at {seconds(end)}", action) for end, how in ends
+            (end, end if how == result else math.inf, f"it is {how} at {seconds(end)}", action)
+            for end, how in ends
         ]
         self._in_time(f"{action} is {result}", at, within, found)
 
@@ -155,12 +164,20 @@ class Decisions:
         """
         __tracebackhide__ = True
         self._check("actions", *filter(None, (from_, to)))
-        changes = [one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)]
+        changes = [
+            one for one in self.changes if from_ in (None, one.before) and to in (None, one.action)
+        ]
         found = [(one.at_s, one.in_force_s, _in_words(one), one) for one in changes]
         return self._in_time(f"{from_ or 'any'} -> {to or 'any'}", at, within, found)
 
     def assert_reconfigures(
-        self, *, at: float, activate: Names = (), deactivate: Names = (), configure: Names = (), within: float = 1.0
+        self,
+        *,
+        at: float,
+        activate: Names = (),
+        deactivate: Names = (),
+        configure: Names = (),
+        within: float = 1.0,
     ) -> ReconfigurationPlan:
         """Assert that a plan makes at least these changes, by names of components and configurations; return it.
 
@@ -168,7 +185,11 @@ class Decisions:
         """
         __tracebackhide__ = True
         wanted = self._steps(activate, deactivate, configure)
-        plans = [plan for plan in self.plans if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)]
+        plans = [
+            plan
+            for plan in self.plans
+            if all(set(names) <= set(_done(plan)[verb]) for verb, names in wanted)
+        ]
         found = [(one.start, _in_force(one), _ended(one), one) for one in plans]
         return self._in_time("; ".join(_phrases(wanted)), at, within, found)
 
@@ -189,17 +210,30 @@ class Decisions:
         """
         __tracebackhide__ = True
         if not since <= min(until, self.kb.now):
-            raise ValueError(f"from {since:g} s until {until:g} s is no time of this replay of {self.kb.now:g} s")
+            raise ValueError(
+                f"from {since:g} s until {until:g} s is no time of this replay of {self.kb.now:g} s"
+            )
         actions = _names(action)
         self._check("actions", *actions)
         unwanted = self._steps(activate, deactivate, configure, least=0 if actions else 1)
-        begun = [(start, f"{name} is requested") for name, start, _, _ in self.actions if name in actions]
+        begun = [
+            (start, f"{name} is requested") for name, start, _, _ in self.actions if name in actions
+        ]
         for plan in self.plans:
-            done = [f"{verb} {name}" for verb, names in unwanted for name in names if name in _done(plan)[verb]]
+            done = [
+                f"{verb} {name}"
+                for verb, names in unwanted
+                for name in names
+                if name in _done(plan)[verb]
+            ]
             begun += [(plan.start, text) for text in done]
-        found = sorted((time, text) for time, text in begun if since - SLACK_S <= time <= until + SLACK_S)
+        found = sorted(
+            (time, text) for time, text in begun if since - SLACK_S <= time <= until + SLACK_S
+        )
         if found:
-            never = "never " + " or ".join([*(f"begin {name}" for name in actions), *_phrases(unwanted)])
+            never = "never " + " or ".join(
+                [*(f"begin {name}" for name in actions), *_phrases(unwanted)]
+            )
             times = _list(f"{text} at {seconds(time)}" for time, text in found)
             shown = _around(self.timeline, found[0][0], found[0][0], never)
             raise self._error(f"expected: {never}", f"{times}\n\nwhat happened:\n{shown}")
@@ -217,7 +251,9 @@ class Decisions:
         for name in names:
             getattr(self.kb, kind)[name]
 
-    def _in_time(self, expected: str, at: float, within: float, found: Sequence[tuple[float, float, str, T]]) -> T:
+    def _in_time(
+        self, expected: str, at: float, within: float, found: Sequence[tuple[float, float, str, T]]
+    ) -> T:
         """Return the first thing found (begin [s], in force [s], in words, thing) that is in time; raise if none is."""
         __tracebackhide__ = True
         for begin, end, _, one in found:
@@ -230,7 +266,9 @@ class Decisions:
 
     def _error(self, headline: str, rest: str) -> AssertionError:
         first = {problem: time for time, problem in reversed(self.problems)}
-        unused = [f"{seconds(first[one]):>11}  {one}" for one in sorted(first, key=first.__getitem__)]
+        unused = [
+            f"{seconds(first[one]):>11}  {one}" for one in sorted(first, key=first.__getitem__)
+        ]
         told = ["", "what could not be used, the first time:", *_cut(unused)] if unused else []
         return AssertionError("\n".join([headline, rest, *told]))
 
@@ -307,7 +345,11 @@ def _phrases(steps: Steps) -> list[str]:
 
 
 def _ended(plan: ReconfigurationPlan) -> str:
-    how = "is still open at the end" if plan.end is None else f"is {plan.result} at {seconds(plan.end)}"
+    how = (
+        "is still open at the end"
+        if plan.end is None
+        else f"is {plan.result} at {seconds(plan.end)}"
+    )
     return f"the plan of {seconds(plan.start)} {how} (because {plan.reason})"
 
 
@@ -350,16 +392,22 @@ def replay(
     end_s = max((message["time"] for message in messages), default=0.0) + AFTERMATH_S
     with blamed(lambda: "what the recording says of how it was run cannot be used"):
         takes_s = recorded.get("switching_s", {})
-        world.managed.follow(recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS})
+        world.managed.follow(
+            recorded.get("commands", ()), {verb: takes_s.get(verb, SWITCHING_S) for verb in VERBS}
+        )
         as_recorded = {"duration_s": end_s, **recorded.get("settings", {})}
-        limits = settings or RunSettings.read({name: str(value) for name, value in as_recorded.items()})
+        limits = settings or RunSettings.read(
+            {name: str(value) for name, value in as_recorded.items()}
+        )
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
     run = RosaRun(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
     if watch is not None:
         watch(run)
     decisions = _decided(run, world, traced=traced)
     if decisions.problems and not isinstance(source, str | Path | Bag):
-        found = "".join(f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems)
+        found = "".join(
+            f"\n  at {seconds(time)}: {problem}" for time, problem in decisions.problems
+        )
         raise MissionError(f"the messages cannot be used as they are:{found}")
     return decisions
 
@@ -372,7 +420,9 @@ class Recording(World):
 
     def __init__(self, messages: Iterable[Message], managed: ScriptedManaged) -> None:
         if managed.clock.now != 0.0:
-            raise MissionError(f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system")
+            raise MissionError(
+                f"a replay begins at 0 s, not at {managed.clock.now:g} s; hand in a new managed system"
+            )
         self.unheard, self._managed = deque(messages), managed
         self._now = 0.0
 
@@ -402,20 +452,32 @@ class _Nowhere(WorldKind):
     def open(self, values: Mapping[str, str], rng: "Generator") -> World:
         raise MissionError("a model alone has no world; replay a recording to it")
 
-    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(
+        self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
+    ) -> Verdict:
         return Verdict("replayed", "")
 
 
-def _asked(mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None) -> Mission:
+def _asked(
+    mission: Mission | Model | Callable[[], Model] | str, behaviour: TaskFactory | None
+) -> Mission:
     if behaviour is not None and (isinstance(behaviour, Behaviour) or not callable(behaviour)):
-        raise MissionError(f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}")
+        raise MissionError(
+            f"what decides is made for each replay: lambda kb, percepts: ..., not {behaviour!r}"
+        )
     wanted = find_mission(mission) if isinstance(mission, str) else mission
     if not isinstance(wanted, Mission | Model) and not callable(wanted):
-        raise MissionError(f"what is replayed to is a mission, its name, a model or what makes one, not {wanted!r}")
+        raise MissionError(
+            f"what is replayed to is a mission, its name, a model or what makes one, not {wanted!r}"
+        )
     if not isinstance(wanted, Mission):
-        model = wanted if isinstance(wanted, Model) else built("the model to replay to", Model, wanted)
+        model = (
+            wanted if isinstance(wanted, Model) else built("the model to replay to", Model, wanted)
+        )
         if behaviour is None:
-            raise MissionError(f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)")
+            raise MissionError(
+                f"the model {model.name} decides nothing by itself; replay(source, model, behaviour)"
+            )
         return Mission(model.name, "", lambda: model, behaviour, _Nowhere())
     return replace(wanted, tree=behaviour or wanted.tree)
 
@@ -445,7 +507,9 @@ def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
         count = f"{len(world.unheard)} message{'s were' if len(world.unheard) > 1 else ' was'} not heard"
         moments.append(Moment(world.now, "end", f"the mission ended ({how}); {count}"))
     return Decisions(
-        actions=tuple((one.action, one.start, one.end, one.result) for one in run.kb.history.actions),
+        actions=tuple(
+            (one.action, one.start, one.end, one.result) for one in run.kb.history.actions
+        ),
         plans=run.kb.plans,
         adaptations=tuple(run.adaptations),
         task_plans=run.plans,
@@ -462,7 +526,9 @@ def _decided(run: RosaRun, world: Recording, *, traced: bool) -> Decisions:
 
 def golden_path(test_file: Path, test: str, name: str = "") -> Path:
     """Return the path of a test's golden trace, in a folder beside its file; `name` if a test has several."""
-    words = (re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part)
+    words = (
+        re.sub(r"[^\w\-]+", "_", part).strip("_") for part in (test_file.stem, test, name) if part
+    )
     return test_file.parent / "golden" / f"{'.'.join(words)}.trace"
 
 
@@ -475,7 +541,9 @@ def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> boo
     """
     __tracebackhide__ = True
     if not isinstance(trace, Trace):
-        raise TypeError(f"a golden trace is a rosa_bt.Trace, such as decisions.trace, not a {type(trace).__name__}")
+        raise TypeError(
+            f"a golden trace is a rosa_bt.Trace, such as decisions.trace, not a {type(trace).__name__}"
+        )
     text = str(trace)
     if path.exists() and path.read_text(encoding="utf-8") == text:
         return False
@@ -491,7 +559,9 @@ def check_golden(trace: Trace, path: Path, *, update: bool, command: str) -> boo
         what, how = "not as in the golden trace", "update"
         shown = list(unified_diff(golden, now, "golden", "now", lineterm="", n=4))
     lines = "\n".join(_cut(shown))
-    raise AssertionError(f"{what} {path}\nif this is as it should be, {how} it: {command}\n\n{lines}")
+    raise AssertionError(
+        f"{what} {path}\nif this is as it should be, {how} it: {command}\n\n{lines}"
+    )
 
 
 def readable(trace: Trace) -> Iterator[str]:
@@ -499,10 +569,16 @@ def readable(trace: Trace) -> Iterator[str]:
     yield f"model {trace.model}"
     before = None
     for tick in trace.ticks:
-        told = [event for event, place in tick.events if place is not None]  # not told by the tree itself
-        lines = [f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in told]
+        told = [
+            event for event, place in tick.events if place is not None
+        ]  # not told by the tree itself
+        lines = [
+            f"  event    {event.verb} {', '.join(map(str, event.arguments))}" for event in told
+        ]
         if before is None or tick.tree != before.tree:
-            lines += [f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree]
+            lines += [
+                f"  tree     {'  ' * node.depth}{node.kind} {node.name}" for node in tick.tree
+            ]
         if before is None or tick.visited != before.visited:
             for visit in tick.visited:
                 feedback = f" ({visit.feedback})" if visit.feedback else ""

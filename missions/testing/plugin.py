@@ -17,10 +17,16 @@ _WRITTEN = pytest.StashKey[list[Path]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add `--update-traces`."""
     group = parser.getgroup("rosa", "adaptive missions (rosa)")
-    group.addoption("--update-traces", action="store_true", help="write the golden traces that differ or are missing")
+    group.addoption(
+        "--update-traces",
+        action="store_true",
+        help="write the golden traces that differ or are missing",
+    )
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+def pytest_terminal_summary(
+    terminalreporter: pytest.TerminalReporter, config: pytest.Config
+) -> None:
     """Say which golden traces were written."""
     written = config.stash.get(_WRITTEN, [])
     if written:
@@ -51,7 +57,11 @@ def replay(request: pytest.FixtureRequest) -> "Callable[..., Decisions]":
     from missions.testing.decisions import replay
 
     @wraps(replay)
-    def beside(source: str | Path | Iterable[Mapping[str, Any]], *given: Any, **named: Any) -> "Decisions":  # noqa: ANN401  # those of replay
+    def beside(
+        source: str | Path | Iterable[Mapping[str, Any]],
+        *given: Any,  # noqa: ANN401  # the arguments of replay
+        **named: Any,  # noqa: ANN401  # the arguments of replay
+    ) -> "Decisions":
         if isinstance(source, str | Path):
             source = request.path.parent / source
         return replay(source, *given, **named)
@@ -71,7 +81,9 @@ def golden_trace(request: pytest.FixtureRequest) -> "Callable[..., None]":
         __tracebackhide__ = True
         path = golden_path(request.path, test.partition("::")[2], name)
         if path in compared:
-            raise ValueError(f"{test} has compared with {path.name} already; golden_trace(trace, name=...)")
+            raise ValueError(
+                f"{test} has compared with {path.name} already; golden_trace(trace, name=...)"
+            )
         compared.add(path)
         command = f'pytest --update-traces "{test}"'
         if check_golden(trace, path, update=config.getoption("--update-traces"), command=command):

@@ -8,7 +8,13 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 
 from kb import UnknownName
-from missions.engine.components import VERBS, NamedComponents, Script, SimulatedComponents, checked_times
+from missions.engine.components import (
+    VERBS,
+    NamedComponents,
+    Script,
+    SimulatedComponents,
+    checked_times,
+)
 from rosa_bt import RosaAction
 
 LETTERS: Final = {"R": Status.RUNNING, "S": Status.SUCCESS, "F": Status.FAILURE}
@@ -69,7 +75,11 @@ def replace_work(
     terminate: Callable[[Status], object] = lambda new_status: None,
 ) -> None:
     """Replace the methods of a leaf by these; a `RosaAction` still requests its action and releases it."""
-    own: dict[str, Callable[..., object]] = {"update": update, "initialise": initialise, "terminate": terminate}
+    own: dict[str, Callable[..., object]] = {
+        "update": update,
+        "initialise": initialise,
+        "terminate": terminate,
+    }
     if isinstance(leaf, RosaAction):
         own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
     vars(leaf).update(own)
@@ -80,7 +90,9 @@ def _read(outcomes: str | Iterable[Status]) -> tuple[Status, ...]:
     wrong = [one for one in script if one not in LETTERS.values()]
     if wrong or not script:
         given = f"{wrong[0]!r} is none" if wrong else "none is given"
-        raise ValueError(f"outcomes are R, S and F, or RUNNING, SUCCESS and FAILURE, at least one; {given}")
+        raise ValueError(
+            f"outcomes are R, S and F, or RUNNING, SUCCESS and FAILURE, at least one; {given}"
+        )
     return tuple(one for one in script if isinstance(one, Status))
 
 
@@ -108,7 +120,9 @@ class FakeClock:
     def advance_to(self, time: float) -> float:
         """Let time pass until `time` [s], and return it; ValueError if that is in the past or not a number."""
         if not time >= self._now:
-            raise ValueError(f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; time only passes")
+            raise ValueError(
+                f"a clock that shows {self._now:g} s cannot be moved to {time:g} s; time only passes"
+            )
         self._now = time
         return time
 
@@ -123,13 +137,17 @@ class ScriptedManaged(SimulatedComponents):
 
     def __init__(self, clock: FakeClock, takes: float | Mapping[str, float] | None = None) -> None:
         self._names = NamedComponents()
-        by_verb = takes if takes is None or isinstance(takes, Mapping) else dict.fromkeys(VERBS, takes)
+        by_verb = (
+            takes if takes is None or isinstance(takes, Mapping) else dict.fromkeys(VERBS, takes)
+        )
         super().__init__(clock, self._names, by_verb)
         self.clock = clock
         self._is_timed = takes is not None
         self._recorded: dict[tuple[str, str], list[Script]] = {}
 
-    def follow(self, commands: Iterable[tuple[str, str, float, bool]], usual: Mapping[str, float]) -> None:
+    def follow(
+        self, commands: Iterable[tuple[str, str, float, bool]], usual: Mapping[str, float]
+    ) -> None:
         """Let unscripted commands end as recorded: (verb, component, how long [s], whether it succeeded) of each.
 
         A command after the last recorded one of its kind ends as that did. A command of another kind takes the usual

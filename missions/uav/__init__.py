@@ -24,7 +24,9 @@ MISSION = Mission(
     model=uav_model,
     tree=uav_tree,
     problem=PROBLEM,
-    actions=by_schema(SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper),
+    actions=by_schema(
+        SearchForSamples, PickUpAndAnalyse, AnalyseOnSite, ReturnAndRecharge, LandAndFoldGripper
+    ),
     facts=facts,
     world=SKY,
     waits_for_news=True,

@@ -40,7 +40,9 @@ def uav_model() -> Model:
     search = model.action("search_for_samples", requires=["generate_search_path", "detect_samples"])
     search.constrain(battery >= SEARCH_LEVEL)
     model.action("pick_up_and_analyse", requires=needs).constrain(battery >= PICK_UP_LEVEL)
-    model.action("analyse_on_site", requires=["analyse_from_above"]).constrain(battery >= ANALYSE_LEVEL)
+    model.action("analyse_on_site", requires=["analyse_from_above"]).constrain(
+        battery >= ANALYSE_LEVEL
+    )
     model.action("return_and_recharge", requires=["go_to_base"])
     model.action("land_and_fold_gripper", requires=["fold_gripper"])
     return model

@@ -26,7 +26,13 @@ from py_trees.composites import Selector, Sequence
 from kb import KnowledgeBase
 from missions.engine.mission import Condition, Percepts
 from missions.uav.model import MOST_SAMPLES
-from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act, first_feasible, switch_safely
+from rosa_bt import (
+    RosaAction,
+    do_until_unfeasible,
+    feasible_then_act,
+    first_feasible,
+    switch_safely,
+)
 from rosa_bt.composites import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
@@ -35,7 +41,11 @@ SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 
 # Whether a sample is wanted is sensed, so the goal changes by itself when one is added.
 PROBLEM: Final = DeclaredProblem(
     objects={**dict.fromkeys(SAMPLES, "sample"), "drone": "robot"},
-    facts=("(looking drone)", "(gripper_folded drone)", *(f"(wanted {one})" for one in SAMPLES[:-1])),
+    facts=(
+        "(looking drone)",
+        "(gripper_folded drone)",
+        *(f"(wanted {one})" for one in SAMPLES[:-1]),
+    ),
     goal=("(forall (?s - sample) (imply (wanted ?s) (analysed ?s)))",),
 )
 
@@ -58,9 +68,13 @@ def is_all_analysed(percepts: Percepts) -> bool:
 def facts(kb: KnowledgeBase, percepts: Percepts) -> Mapping[str, bool]:
     """Return what was sensed, as facts of the PDDL problem."""
     kinds = ("wanted", "analysed", "target")
-    known = {f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES}
+    known = {
+        f"({what} {one})": percepts.holds(f"{one}_{what}") for what in kinds for one in SAMPLES
+    }
     is_folded = percepts.holds("gripper_folded")
-    if is_folded and kb.pending_plan is not None:  # the pending plan may unfold it soon, even for an action given up
+    if (
+        is_folded and kb.pending_plan is not None
+    ):  # the pending plan may unfold it soon, even for an action given up
         is_folded = "gripper" not in kb.pending_plan.activate
     return known | {"(looking drone)": not target(percepts), "(gripper_folded drone)": is_folded}
 
@@ -169,7 +183,11 @@ class ReturnAndRecharge(UavAction):
         self._before = self.percepts.count("battery_recharged")
 
     def update(self) -> Status:
-        return Status.SUCCESS if self.percepts.count("battery_recharged") > self._before else Status.RUNNING
+        return (
+            Status.SUCCESS
+            if self.percepts.count("battery_recharged") > self._before
+            else Status.RUNNING
+        )
 
 
 def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
@@ -177,7 +195,9 @@ def uav_tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
     search = feasible_then_act(SearchForSamples(kb, percepts))
     waiting = Condition("sample waiting?", lambda: bool(target(percepts)))
     find = Selector("find", memory=True, children=[waiting, search])
-    analyse = first_feasible("analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)])
+    analyse = first_feasible(
+        "analyse", [PickUpAndAnalyse(kb, percepts), AnalyseOnSite(kb, percepts)]
+    )
     # With memory: after a sample is found, the search does not start again while the sample is analysed.
     work = Sequence("find and analyse", memory=True, children=[find, analyse])
     one = do_until_unfeasible(work, ReturnAndRecharge(kb, percepts), memory=True, name="one sample")

@@ -25,29 +25,47 @@ class Settings(Constants):
     """The constants; frozen. World frame ENU, z up, ground at z = 0, base at the origin; times since the start."""
 
     # What happens
-    samples: float = setting(7, "-", "number of samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1)
-    added_s: float = setting(60.0, "s", "when an operator reports one more sample; 0: never", _SCENARIO)
+    samples: float = setting(
+        7, "-", "number of samples that are wanted from the start", _OWN, 1, MOST_SAMPLES - 1
+    )
+    added_s: float = setting(
+        60.0, "s", "when an operator reports one more sample; 0: never", _SCENARIO
+    )
     gripper_worn_s: float = setting(120.0, "s", "time after which a grip jams; 0: never", _SCENARIO)
-    jam_delay_s: float = setting(3.0, "s", "longest time from such a grip to its jam", _SCENARIO, 0.1, 5)
+    jam_delay_s: float = setting(
+        3.0, "s", "longest time from such a grip to its jam", _SCENARIO, 0.1, 5
+    )
 
     # The field
-    field_x_m: float = setting(36.0, "m", "length of the field, eastward from the base", _OWN, 10, 90)
+    field_x_m: float = setting(
+        36.0, "m", "length of the field, eastward from the base", _OWN, 10, 90
+    )
     lane_m: float = setting(6.0, "m", "distance between the lanes of the search", _OWN, 2, 10)
-    lanes: float = setting(6, "-", "number of lanes; the middle third has no samples", _SCENARIO, 3, 9)
+    lanes: float = setting(
+        6, "-", "number of lanes; the middle third has no samples", _SCENARIO, 3, 9
+    )
     sample_kg: float = setting(0.2, "kg", "mass of a sample", _OWN, 0, 0.5)
 
     # Flight
-    physics_step_s: float = setting(0.01, "s", "step of the physics; thrust is constant for two", _OWN, 0.001, 0.01)
+    physics_step_s: float = setting(
+        0.01, "s", "step of the physics; thrust is constant for two", _OWN, 0.001, 0.01
+    )
     cruise_m: float = setting(5.0, "m", "height of search and travel", _OWN, 2, 20)
     speed_m_s: float = setting(3.0, "m/s", "horizontal speed limit", _CONTROL, 0.5, 5)
     climb_m_s: float = setting(1.5, "m/s", "vertical speed limit", _CONTROL, 0.2, 3)
     rotor_limit_n: float = setting(8.0, "N", "largest thrust of one rotor", _CONTROL, 5.5, 20)
-    rotor_radius_m: float = setting(0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5)
-    figure_of_merit: float = setting(0.6, "-", "ideal divided by actual power of a hovering rotor", _CONTROL, 0.1, 1)
+    rotor_radius_m: float = setting(
+        0.127, "m", "radius of a propeller, for its power", "10 inch propeller", 0.05, 0.5
+    )
+    figure_of_merit: float = setting(
+        0.6, "-", "ideal divided by actual power of a hovering rotor", _CONTROL, 0.1, 1
+    )
     drag: float = setting(0.3, "N s/m", "linear drag of the air", _CONTROL, 0, 1.1)
     wind_m_s: float = setting(1.0, "m/s", "steady wind, from a random direction", _OWN, 0, 4)
     gravity_m_s2: float = setting(9.81, "m/s2", "gravity", "standard gravity", 7, 12)
-    air_kg_m3: float = setting(1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2)
+    air_kg_m3: float = setting(
+        1.225, "kg/m3", "density of the air", "standard atmosphere at sea level", 0.5, 2
+    )
 
     # Battery
     capacity_j: float = setting(28000.0, "J", "energy of a full battery", _SHORT, 1000)
@@ -58,11 +76,15 @@ class Settings(Constants):
     battery_period_s: float = setting(0.5, "s", "period of the battery monitor", _OWN, 0.05, 5)
 
     # Work
-    half_view_rad: float = setting(0.66, "rad", "half of the sample camera's field of view", _OWN, 0.1, 1.4)
+    half_view_rad: float = setting(
+        0.66, "rad", "half of the sample camera's field of view", _OWN, 0.1, 1.4
+    )
     grip_s: float = setting(1.0, "s", "time to grip a sample", _OWN, 0.1)
     analysis_s: float = setting(6.0, "s", "time to analyse a held sample", _OWN, 0.1)
     infrared_s: float = setting(4.0, "s", "time to analyse a sample in the infra-red", _OWN, 0.1)
-    infrared_quality: float = setting(0.6, "-", "worth of an infra-red analysis; of a held sample it is 1", _OWN)
+    infrared_quality: float = setting(
+        0.6, "-", "worth of an infra-red analysis; of a held sample it is 1", _OWN
+    )
     fold_s: float = setting(1.5, "s", "time to fold or unfold the gripper", _OWN, 0.2)
 
     # Switching
@@ -129,10 +151,17 @@ def attitude(quaternion: Sequence[float], rates: Vector, force: Vector) -> tuple
     w, i, j, k = quaternion
     east, north, up = force
     size = math.sqrt(east * east + north * north + up * up)
-    nose, aside = 1 - 2 * (j * j + k * k), 2 * (i * j + w * k)  # of the body's x axis, to the east and to the north
-    thrust = 2 * (i * k + w * j) * east + 2 * (j * k - w * i) * north + (1 - 2 * (i * i + j * j)) * up
+    nose, aside = (
+        1 - 2 * (j * j + k * k),
+        2 * (i * j + w * k),
+    )  # of the body's x axis, to the east and to the north
+    thrust = (
+        2 * (i * k + w * j) * east + 2 * (j * k - w * i) * north + (1 - 2 * (i * i + j * j)) * up
+    )
     forward = (nose * east + aside * north + 2 * (i * k - w * j) * up) / size
-    left = (2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up) / size
+    left = (
+        2 * (i * j - w * k) * east + (1 - 2 * (i * i + k * k)) * north + 2 * (j * k + w * i) * up
+    ) / size
     # the turn from the mast (0, 0, 1) to the wanted direction, body frame; its sine, or 1 beyond a right angle
     turn_x, turn_y = -left, forward
     if thrust <= 0.0:
@@ -155,11 +184,17 @@ def mixed(thrust: float, torques: Vector, limit: float) -> list[float]:
     turning = (x - y + z, x + y - z, -x + y + z, -x - y - z)
     even = max(-min(turning), min(limit - max(turning), thrust / 4))
     wanted = [even + one for one in turning]
-    return wanted if min(wanted) >= 0.0 and max(wanted) <= limit else [max(0.0, min(limit, one)) for one in wanted]
+    return (
+        wanted
+        if min(wanted) >= 0.0 and max(wanted) <= limit
+        else [max(0.0, min(limit, one)) for one in wanted]
+    )
 
 
 def _within(value: float, limit: float) -> float:
-    return -limit if value < -limit else limit if value > limit else value  # three times as fast as min and max
+    return (
+        -limit if value < -limit else limit if value > limit else value
+    )  # three times as fast as min and max
 
 
 _log = logging.getLogger(__name__)
@@ -190,8 +225,14 @@ class Quadrotor:
     def __init__(self, settings: Settings, wind: tuple[float, float]) -> None:
         import mujoco  # takes long, and listing missions does not need it
 
-        mujoco.set_mju_user_warning(_log.debug)  # its own handler prints, and writes a file into the working directory
-        self._settings, self._step_s, self._advance = settings, SUBSTEPS * settings.physics_step_s, mujoco.mj_step
+        mujoco.set_mju_user_warning(
+            _log.debug
+        )  # its own handler prints, and writes a file into the working directory
+        self._settings, self._step_s, self._advance = (
+            settings,
+            SUBSTEPS * settings.physics_step_s,
+            mujoco.mj_step,
+        )
         self.model: Any = _compiled(mujoco, settings)
         self.data: Any = mujoco.MjData(self.model)
         self._qpos, self._qvel, self._ctrl = self.data.qpos, self.data.qvel, self.data.ctrl
@@ -252,17 +293,28 @@ class Quadrotor:
 
     def step(self) -> None:
         """Compute the thrusts and advance by one control period."""
-        thrusts = self._thrusts(self._step_s) if self._target is not None and self.has_power else [0.0] * 4
+        thrusts = (
+            self._thrusts(self._step_s)
+            if self._target is not None and self.has_power
+            else [0.0] * 4
+        )
         if self._arm != self._arm_wanted:
             turn = math.pi / 2 / self._settings.fold_s * self._step_s
             self._arm += max(-turn, min(turn, self._arm_wanted - self._arm))
         self._ctrl[:4], self._ctrl[4] = thrusts, self._arm
         self._advance(self.model, self.data, SUBSTEPS)
         a, b, c, d = thrusts
-        self.rotor_w = self._watts * (a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d))
+        self.rotor_w = self._watts * (
+            a * math.sqrt(a) + b * math.sqrt(b) + c * math.sqrt(c) + d * math.sqrt(d)
+        )
         x, y, z, a, b, c, d, *_ = self._qpos.tolist()
         u, v, w, roll, pitch, yaw, *_ = self._qvel.tolist()
-        self.position, self.velocity, self._turned, self._rates = (x, y, z), (u, v, w), (a, b, c, d), (roll, pitch, yaw)
+        self.position, self.velocity, self._turned, self._rates = (
+            (x, y, z),
+            (u, v, w),
+            (a, b, c, d),
+            (roll, pitch, yaw),
+        )
         self.is_landed = z - ON_GROUND_M < TOUCH_M and self._touches_down(thrusts)
 
     def _touches_down(self, thrusts: list[float]) -> bool:
@@ -275,9 +327,14 @@ class Quadrotor:
 
     def _thrusts(self, step_s: float) -> list[float]:
         settings, (u, v, w) = self._settings, self.velocity
-        east, north, up = velocity_wanted(self.position, self._aim(), settings.speed_m_s, settings.climb_m_s)
+        east, north, up = velocity_wanted(
+            self.position, self._aim(), settings.speed_m_s, settings.climb_m_s
+        )
         error = (east - u, north - v, up - w)
-        moved = [one + TRIM_GAIN * _within(off, 1.0) * step_s for one, off in zip(self._trim, error, strict=True)]
+        moved = [
+            one + TRIM_GAIN * _within(off, 1.0) * step_s
+            for one, off in zip(self._trim, error, strict=True)
+        ]
         x, y, z = [_within(one, TRIM_LIMIT) for one in moved]
         self._trim = trim = (x, y, z)
         force = wanted_force(error, trim, self._mass, settings.gravity_m_s2)
@@ -294,7 +351,9 @@ class Quadrotor:
 
 
 def _compiled(mujoco: Any, settings: Settings) -> Any:  # noqa: ANN401  # MuJoCo ships no types
-    spec = mujoco.MjSpec.from_string((files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8"))
+    spec = mujoco.MjSpec.from_string(
+        (files("missions.uav") / "quadrotor.xml").read_text(encoding="utf-8")
+    )
     spec.option.timestep = settings.physics_step_s
     spec.option.gravity = (0, 0, -settings.gravity_m_s2)
     for number in range(1, 5):

@@ -15,7 +15,15 @@ from kb import KnowledgeBase
 from kb.elements import Parameters
 from missions.engine import mission
 from missions.engine.components import NamedComponents, SimulatedComponents
-from missions.engine.mission import MISSION_STATUS, Message, MissionError, Percepts, Setting, Verdict, WorldKind
+from missions.engine.mission import (
+    MISSION_STATUS,
+    Message,
+    MissionError,
+    Percepts,
+    Setting,
+    Verdict,
+    WorldKind,
+)
 from missions.engine.settings import declared
 from missions.uav.model import ANALYSE_LEVEL, PICK_UP_LEVEL, SEARCH_LEVEL
 from missions.uav.tree import analysed, is_all_analysed
@@ -27,7 +35,13 @@ LIFT_M: Final = 2.5  # height at which a held sample is analysed
 LOOK_M: Final = 2.0  # height from which the infra-red camera looks
 FOLDED_RAD: Final = 0.15  # out of the camera's view; it counts as folded at half of this, for a margin against gusts
 FULL: Final = 0.99
-MOVERS: Final = ("search_planner", "pick_up_planner", "hover_planner", "return_planner", "landing_planner")
+MOVERS: Final = (
+    "search_planner",
+    "pick_up_planner",
+    "hover_planner",
+    "return_planner",
+    "landing_planner",
+)
 OFF_LANE_M: Final = 2.0  # how far from the middle of its lane a sample may lie
 LEVELS: Final = {
     PICK_UP_LEVEL: "picking up a sample needs",
@@ -71,8 +85,13 @@ class UavWorld(mission.World):
 
     def __init__(self, settings: Settings, rng: Generator) -> None:
         self.settings, self.rng = settings, rng
-        bearing, self._battery_due = rng.uniform(0, 2 * pi), float(rng.uniform(0, settings.battery_period_s))
-        self.vehicle = Quadrotor(settings, (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing)))
+        bearing, self._battery_due = (
+            rng.uniform(0, 2 * pi),
+            float(rng.uniform(0, settings.battery_period_s)),
+        )
+        self.vehicle = Quadrotor(
+            settings, (settings.wind_m_s * cos(bearing), settings.wind_m_s * sin(bearing))
+        )
         self._steps, self._step_s, self._nodes_due = 0, SUBSTEPS * settings.physics_step_s, 0.0
         self._flown_m, self._least = 0.0, 1.0
         self.level, self.jams_s = 1.0, inf
@@ -86,8 +105,12 @@ class UavWorld(mission.World):
         every, count = int(settings.lanes), int(settings.samples)
         lanes = [one for one in range(every) if not every // 3 <= one < every - every // 3]
         places = [self._place(lanes[number * len(lanes) // count]) for number in range(count)]
-        self.samples = [Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)]
-        added = Sample(f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True)
+        self.samples = [
+            Sample(f"sample_{number}", place) for number, place in enumerate(places, start=1)
+        ]
+        added = Sample(
+            f"sample_{count + 1}", self._place(lanes[0]), settings.added_s, is_reported=True
+        )
         self.samples += [added] if settings.added_s > 0 else []
         self._places = {one.name: [one.place] for one in self.samples}
         self._nodes = Nodes(self)
@@ -118,7 +141,10 @@ class UavWorld(mission.World):
         return (lane + 0.5) * self.settings.lane_m
 
     def _place(self, lane: int) -> tuple[float, float]:
-        x, off = self.rng.uniform(0.1, 0.95) * self.settings.field_x_m, self.rng.uniform(-OFF_LANE_M, OFF_LANE_M)
+        x, off = (
+            self.rng.uniform(0.1, 0.95) * self.settings.field_x_m,
+            self.rng.uniform(-OFF_LANE_M, OFF_LANE_M),
+        )
         return float(x), self._lane_y(lane) + float(off)
 
     @property
@@ -126,7 +152,11 @@ class UavWorld(mission.World):
         """Corners (x, y) of the way along all lanes, to and fro [m], world frame."""
         ends = (0.0, self.settings.field_x_m)
         lanes = range(int(self.settings.lanes))
-        return [(x, self._lane_y(lane)) for lane in lanes for x in (ends if lane % 2 == 0 else ends[::-1])]
+        return [
+            (x, self._lane_y(lane))
+            for lane in lanes
+            for x in (ends if lane % 2 == 0 else ends[::-1])
+        ]
 
     def want(self) -> None:
         """Mark and publish the samples that are wanted from now on."""
@@ -145,7 +175,9 @@ class UavWorld(mission.World):
         place = self.vehicle.position[:2]
         waiting = [one for one in self.samples if one.is_found and one.quality is None]
         if waiting:
-            self.target = min(waiting, key=lambda one: (not one.is_reported, dist(one.place, place)))
+            self.target = min(
+                waiting, key=lambda one: (not one.is_reported, dist(one.place, place))
+            )
             self.say(f"{self.target.name}_target")
 
     def approach(self, height: float) -> None:
@@ -219,7 +251,9 @@ class UavWorld(mission.World):
     @property
     def is_still(self) -> bool:
         """Whether nothing more can happen: the battery is empty, and all samples are wanted already."""
-        return not (self.vehicle.has_power or self.is_charging) and all(one.is_wanted for one in self.samples)
+        return not (self.vehicle.has_power or self.is_charging) and all(
+            one.is_wanted for one in self.samples
+        )
 
     def results(self) -> dict[str, float | None]:
         return {
@@ -245,7 +279,10 @@ class UavWorld(mission.World):
         return list(self._happened)
 
     def scenery(self) -> Mapping[str, Any]:
-        return {"base": [(0.0, 0.0)], **{name.replace("_", " "): place for name, place in self._places.items()}}
+        return {
+            "base": [(0.0, 0.0)],
+            **{name.replace("_", " "): place for name, place in self._places.items()},
+        }
 
 
 class Nodes(NamedComponents):
@@ -270,10 +307,16 @@ class Nodes(NamedComponents):
             "landing_planner": lambda: None,
             "folding_servo": self._fold,
         }
-        self._powers_w = {"gripper": half_w, "analyser": half_w, "infrared_camera": robot.settings.infrared_w}
+        self._powers_w = {
+            "gripper": half_w,
+            "analyser": half_w,
+            "infrared_camera": robot.settings.infrared_w,
+        }
         self.watts = 0.0
         self._worked_s = dict.fromkeys(self._acts, 0.0)
-        self._done: set[str] = set()  # components that have reported, since they became active, that they are
+        self._done: set[str] = (
+            set()
+        )  # components that have reported, since they became active, that they are
 
     def act(self) -> None:
         """Let the active components act; called once a period."""
@@ -285,7 +328,9 @@ class Nodes(NamedComponents):
         """Raise MissionError unless the component exists and no parameters are given: none has any."""
         if component not in self._acts or parameters:
             known = f"there are {', '.join(self._acts)}, which have no parameters"
-            raise MissionError(f"{component!r} with parameters {dict(parameters)} is unknown; {known}")
+            raise MissionError(
+                f"{component!r} with parameters {dict(parameters)} is unknown; {known}"
+            )
 
     def activate(self, component: str, /) -> None:
         if component in self.active:
@@ -335,7 +380,10 @@ class Nodes(NamedComponents):
         robot, vehicle = self._robot, self._robot.vehicle
         radius = vehicle.altitude * tan(robot.settings.half_view_rad)
         for one in robot.samples:
-            if not (one.is_found or one.is_reported) and dist(one.place, vehicle.position[:2]) <= radius:
+            if (
+                not (one.is_found or one.is_reported)
+                and dist(one.place, vehicle.position[:2]) <= radius
+            ):
                 one.is_found = True
                 robot.say(f"{one.name}_found")
 
@@ -353,7 +401,9 @@ class Nodes(NamedComponents):
             robot.publish("component status", "gripper", "FALSE")
         if robot.is_jammed or robot.held is not None or target is None:
             return
-        reached = robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
+        reached = (
+            robot.vehicle.is_near(robot.over(target, GRIP_M), 0.15) and robot.vehicle.arm_rad > 1.2
+        )
         if self._worked("gripper", reached) >= settings.grip_s:
             robot.held = target
             robot.pick_ups += 1
@@ -373,7 +423,10 @@ class Nodes(NamedComponents):
         """Analyse the target from above; an unfolded gripper would block the view."""
         robot, target, settings = self._robot, self._robot.target, self._robot.settings
         sees = target is not None and robot.vehicle.is_near(robot.over(target, LOOK_M), 0.4)
-        if self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD) >= settings.infrared_s:
+        if (
+            self._worked("infrared_camera", sees and robot.vehicle.arm_rad < FOLDED_RAD)
+            >= settings.infrared_s
+        ):
             robot.analysed(settings.infrared_quality)
 
     def _return(self) -> None:
@@ -410,11 +463,15 @@ class _SkyKind(WorldKind):
     def open(self, values: Mapping[str, str], rng: Generator) -> UavWorld:
         return UavWorld(Settings.read(values), rng)
 
-    def verdict(self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase) -> Verdict:
+    def verdict(
+        self, percepts: Percepts, results: Mapping[str, float | None], kb: KnowledgeBase
+    ) -> Verdict:
         """Judge by the goal: all wanted samples are analysed, and the battery never ran empty."""
         done, wanted = analysed(percepts), results.get("wanted_samples") or 0
         if percepts.holds("battery_empty"):
-            return Verdict("aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed")
+            return Verdict(
+                "aborted", f"the battery ran empty, {done} of {wanted:g} samples were analysed"
+            )
         if is_all_analysed(percepts):
             return Verdict("analysed_all", f"all {wanted:g} samples are analysed")
         return Verdict("aborted", f"time ran out, {done} of {wanted:g} samples were analysed")

@@ -6,7 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
@@ -29,13 +36,18 @@ class Narrator(Listener):
     """Prints what happens, above a bar of `duration_s` simulated seconds, shown while `progress` is open."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
-        begin, end = TextColumn("{task.completed:5.1f} s"), TextColumn("{task.total:.0f} s  {task.description}")
+        begin, end = (
+            TextColumn("{task.completed:5.1f} s"),
+            TextColumn("{task.total:.0f} s  {task.description}"),
+        )
         self._console, self.progress = console, _progress(console, begin, BarColumn(), end)
         self._known_problems: set[tuple[str, str]] = set()
         self._bar = self.progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
-        short = text.partition(" because ")[0] if " is unfeasible because " in text else text  # the adaptation says why
+        short = (
+            text.partition(" because ")[0] if " is unfeasible because " in text else text
+        )  # the adaptation says why
         _say(self._console, time_s, escape(short))
 
     def adaptation(self, adaptation: Adaptation) -> None:
@@ -49,7 +61,9 @@ class Narrator(Listener):
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
         if (problem.key, problem.reason) not in self._known_problems:
             self._known_problems.add((problem.key, problem.reason))
-            _say(self._console, time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}")
+            _say(
+                self._console, time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}"
+            )
 
     def tick(self, run: MissionRun) -> None:
         if self.progress.disable:
@@ -57,7 +71,9 @@ class Narrator(Listener):
         doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
         measured = run.measured.items()
         seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
-        self.progress.update(self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]")
+        self.progress.update(
+            self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]"
+        )
 
 
 class CampaignProgress:
@@ -68,9 +84,14 @@ class CampaignProgress:
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
-        rate, left = TextColumn("{task.fields[rate]:.2f} a second,"), TextColumn("left  [dim]{task.description}[/]")
+        rate, left = (
+            TextColumn("{task.fields[rate]:.2f} a second,"),
+            TextColumn("left  [dim]{task.description}[/]"),
+        )
         self._console = console
-        self.progress = _progress(console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
+        self.progress = _progress(
+            console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left
+        )
         self._started = time.perf_counter()
         self._bar = self.progress.add_task("", total=None, rate=0.0)
 
@@ -84,12 +105,21 @@ class CampaignProgress:
         self.count, self.new = self.count + 1, self.new + 1
         if record["outcome"] == "crashed":
             self.crashed += 1
-            self._print("bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}")
+            self._print(
+                "bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}"
+            )
         rate = self.new / max(time.perf_counter() - self._started, 1e-9)
-        self.progress.update(self._bar, completed=self.count, rate=rate, description=escape(record["run"]))
-        if self.progress.disable and self.count * 10 // self.total > (self.count - 1) * 10 // self.total:
+        self.progress.update(
+            self._bar, completed=self.count, rate=rate, description=escape(record["run"])
+        )
+        if (
+            self.progress.disable
+            and self.count * 10 // self.total > (self.count - 1) * 10 // self.total
+        ):
             left = (self.total - self.count) / rate
-            self._print("dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left")
+            self._print(
+                "dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left"
+            )
 
     def note(self, text: str) -> None:
         self._print("yellow", text)
@@ -98,7 +128,9 @@ class CampaignProgress:
         self._console.print(text, style=style, markup=False)
 
 
-def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool) -> None:
+def print_result(
+    console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool
+) -> None:
     """Print the figures and the verdict of a run that has ended, and its adaptations if asked for."""
     for adaptation in run.adaptations if with_adaptations else ():
         _print_adaptation(console, adaptation)
@@ -120,7 +152,9 @@ def print_result(console: Console, run: MissionRun, verdict: Verdict, wall_s: fl
 
 def _print_adaptation(console: Console, adaptation: Adaptation) -> None:
     reaction = adaptation.reaction_s
-    soon = f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
+    soon = (
+        f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
+    )
     kind = f"[bold {COLOURS[adaptation.kind]}]{adaptation.kind} adaptation[/]"
     _say(console, adaptation.at_s, f"{kind}: {escape(adaptation.change)}")
     console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}")

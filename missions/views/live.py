@@ -61,7 +61,9 @@ _HEADERS: Final = {
 }
 _SERVER: Final[dict[str, Any]] = {
     **{"compression": None, "max_size": _LONGEST, "server_header": None, "close_timeout": 1},
-    "logger": logging.Logger("live page", logging.CRITICAL),  # errors of a page are reported to the page
+    "logger": logging.Logger(
+        "live page", logging.CRITICAL
+    ),  # errors of a page are reported to the page
 }
 
 
@@ -108,17 +110,24 @@ class Steering(Listener):
             elif what == "inject":
                 self._inject(asked)
             else:
-                raise MissionError(f"{what!r} is unknown; known are pause, resume, step, speed and inject")
+                raise MissionError(
+                    f"{what!r} is unknown; known are pause, resume, step, speed and inject"
+                )
             self._change.notify_all()
 
     def _inject(self, asked: Mapping[str, Any]) -> None:
         if self._model is None:
             raise MissionError("no run has begun yet")
         attributes, components = self._model.attributes, self._model.components
-        values = {attributes[one].name: finite_number(value) for one, value in dict(asked.get("measure", {})).items()}
+        values = {
+            attributes[one].name: finite_number(value)
+            for one, value in dict(asked.get("measure", {})).items()
+        }
         released = [attributes[one].name for one in asked.get("release", ())]
         told = [(one, components[asked[one]].name) for one in ("fail", "recover") if one in asked]
-        self._held = {name: value for name, value in {**self._held, **values}.items() if name not in released}
+        self._held = {
+            name: value for name, value in {**self._held, **values}.items() if name not in released
+        }
         self._said += [("measure", name) for name in values] + told
 
     def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
@@ -129,9 +138,14 @@ class Steering(Listener):
             messages = [_with(message, held) for message in messages]
         for what, name in said:
             if what == "measure":
-                messages = [*messages, measured(now, **{name: held[name]})] if name in held else messages
+                messages = (
+                    [*messages, measured(now, **{name: held[name]})] if name in held else messages
+                )
             else:
-                messages = [*messages, failed(now, name) if what == "fail" else recovered(now, name)]
+                messages = [
+                    *messages,
+                    failed(now, name) if what == "fail" else recovered(now, name),
+                ]
         return messages
 
     def tick(self, run: MissionRun) -> None:
@@ -189,7 +203,13 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._socket = _listening(host, port)
         port = self._socket.getsockname()[1]
         self._hosts = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]", host)}
-        shown_host = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+        shown_host = (
+            socket.gethostname()
+            if host in ("0.0.0.0", "::")
+            else f"[{host}]"
+            if ":" in host
+            else host
+        )
         query = f"?token={quote(self._token)}" if self._token else ""
         self._place = f"http://{shown_host}:{port}/"
         self.url = f"{self._place}{query}"
@@ -204,7 +224,9 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._frames: dict[int, tuple[int, str]] = {}
         self._is_closing = False
         self._beat = asyncio.Event()
-        self._thread = Thread(target=lambda: asyncio.run(self._serve()), name="live page", daemon=True)
+        self._thread = Thread(
+            target=lambda: asyncio.run(self._serve()), name="live page", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -246,7 +268,9 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     @property
     def _state(self) -> dict[str, Any]:
-        steered = {"paused": False, "speed": 1.0} if self._steering is None else self._steering.state
+        steered = (
+            {"paused": False, "speed": 1.0} if self._steering is None else self._steering.state
+        )
         return {"over": self._is_closing, "pages": len(self._pages), **steered}
 
     @property
@@ -272,12 +296,20 @@ class LiveView(AbstractContextManager["LiveView"]):
             if refusal:
                 return connection.respond(403, refusal + "\n")
         except (LookupError, ValueError):  # a header twice, a malformed address or text
-            return connection.respond(400, f"the address, host or origin is malformed; open {self._place}\n")
-        if path.path == "/ws" and len(self._pages) >= _MOST_PAGES:  # each takes a file descriptor of the robot
+            return connection.respond(
+                400, f"the address, host or origin is malformed; open {self._place}\n"
+            )
+        if (
+            path.path == "/ws" and len(self._pages) >= _MOST_PAGES
+        ):  # each takes a file descriptor of the robot
             return connection.respond(503, f"{_MOST_PAGES} pages are open already\n")
         if path.path == "/ws":
             return None
-        response = connection.respond(200, self._page) if path.path == "/" else connection.respond(404, "\n")
+        response = (
+            connection.respond(200, self._page)
+            if path.path == "/"
+            else connection.respond(404, "\n")
+        )
         del response.headers["Content-Type"]
         response.headers.update(_HEADERS)
         return response
@@ -312,7 +344,12 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     async def _greet(self, page: "_Page") -> None:
         rows, following = self._rows.snapshot()
-        greeting = {"hello": self.recorder.header, "rows": rows, "first": self._rows.first, "next": following}
+        greeting = {
+            "hello": self.recorder.header,
+            "rows": rows,
+            "first": self._rows.first,
+            "next": following,
+        }
         greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}
         greeting["may"] = [] if self._steering is None else ["pause", "speed", "inject"]
         await page.websocket.send(encoded(greeting))
@@ -327,11 +364,20 @@ class LiveView(AbstractContextManager["LiveView"]):
                 answer = self._answer(asked)
             except (KnowledgeBaseError, MissionError) as error:
                 answer = {"error": str(error)}
-            except (ValueError, ArithmeticError, TypeError, KeyError, AttributeError, RecursionError) as error:
+            except (
+                ValueError,
+                ArithmeticError,
+                TypeError,
+                KeyError,
+                AttributeError,
+                RecursionError,
+            ) as error:
                 answer = {"error": f"that is not a message of a page: {type(error).__name__}"}
             if answer is not None:
                 number = asked.get("id") if isinstance(asked, dict) else None
-                await page.websocket.send(encoded(answer if number is None else {"id": number, **answer}))
+                await page.websocket.send(
+                    encoded(answer if number is None else {"id": number, **answer})
+                )
 
     def _answer(self, asked: Mapping[str, Any]) -> dict[str, Any] | None:
         if "past" in asked:
@@ -339,10 +385,14 @@ class LiveView(AbstractContextManager["LiveView"]):
             start, rows = self._rows.since(start, max(0, min(end - start, _PAST)))
             return {"past": rows, "from": start}
         if asked.get("ask") == "whatif":
-            situation = self._kb.situation(dict(asked.get("measured", {})), failed=list(asked.get("failed", ())))
+            situation = self._kb.situation(
+                dict(asked.get("measured", {})), failed=list(asked.get("failed", ()))
+            )
             return {"whatif": {"t": self._now, **supposed(situation)}}
         if self._steering is None:
-            raise MissionError("this page may only watch; with --allow-control, pages may control a simulation")
+            raise MissionError(
+                "this page may only watch; with --allow-control, pages may control a simulation"
+            )
         self._steering.do(asked)
         return None
 
@@ -357,19 +407,29 @@ class _Page:
 
 def _listening(host: str, port: int) -> socket.socket:
     if not 0 <= port <= 65535:
-        raise MissionError(f"a port must be a number from 0 (any that is free) to 65535, not {port}")
+        raise MissionError(
+            f"a port must be a number from 0 (any that is free) to 65535, not {port}"
+        )
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         return socket.create_server((host, port), family=family)
     except OSError as error:
         said = os.strerror(error.errno) if error.errno else error
-        raise MissionError(f"the live page cannot listen on {host}:{port}: {said}; give another port, or 0") from None
+        raise MissionError(
+            f"the live page cannot listen on {host}:{port}: {said}; give another port, or 0"
+        ) from None
 
 
 def _with(message: Message, held: Mapping[str, float]) -> Message:
     """Return a message with the injected values in place of the measured ones."""
     statuses = [
-        {**one, "values": {key: repr(held[key]) if key in held else value for key, value in one["values"].items()}}
+        {
+            **one,
+            "values": {
+                key: repr(held[key]) if key in held else value
+                for key, value in one["values"].items()
+            },
+        }
         if str(one["message"]).strip().casefold() in MEASUREMENTS
         else one
         for one in message["status"]
@@ -381,4 +441,6 @@ def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends
     speed = finite_number(value)
     if 0 <= speed <= FASTEST:
         return speed
-    raise MissionError(f"a speed must be from 0 (as fast as possible) to {FASTEST:g} times real time, not {value!r}")
+    raise MissionError(
+        f"a speed must be from 0 (as fast as possible) to {FASTEST:g} times real time, not {value!r}"
+    )

@@ -19,7 +19,10 @@ from missions.engine.runner import MissionRun
 
 COUNTS: Final = ("times", "samples", "points", "percent")
 UNITS: Final = {
-    **{name: name for name in ("s", "ms", "min", "h", "m", "mm", "cm", "km", "l", "rad", "deg", "kg", *COUNTS)},
+    **{
+        name: name
+        for name in ("s", "ms", "min", "h", "m", "mm", "cm", "km", "l", "rad", "deg", "kg", *COUNTS)
+    },
     **{"j": "J", "kj": "kJ", "w": "W", "wh": "Wh", "v": "V", "hz": "Hz", "percent": "%"},
     **{"m_s": "m/s", "rad_s": "rad/s"},
 }
@@ -79,7 +82,9 @@ def open_files(paths: Mapping[str, Path | None]) -> dict[str, OutputFile]:
 _ADAPTATION: Final = ("at_s", "kind", "trigger", "reason", "change", "reaction_s")
 
 
-def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]) -> dict[str, Any]:
+def summary(
+    run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, str]
+) -> dict[str, Any]:
     """Return a finished run, with the settings that were given, as plain data; times in [s], units in the names."""
     return {
         "mission": run.mission.name,
@@ -93,7 +98,12 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
         **run.results(),
         "adaptations": [_fields(one, *_ADAPTATION) for one in run.adaptations],
         "actions": [
-            {"name": one.action, "start_s": one.start, "end_s": one.end, **_fields(one, "result", "reason")}
+            {
+                "name": one.action,
+                "start_s": one.start,
+                "end_s": one.end,
+                **_fields(one, "result", "reason"),
+            }
             for one in run.actions
         ],
         "plans": [
@@ -102,9 +112,13 @@ def summary(run: MissionRun, verdict: Verdict, seed: int, changed: Mapping[str, 
             for one in run.plans
         ],
         **({"plans_from": run.plans[0].number} if run.plans and run.plans[0].number > 1 else {}),
-        "reactions": [_fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions],
+        "reactions": [
+            _fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions
+        ],
         "disturbances": [{"at_s": time, "what": text} for time, text in run.ask("disturbances")],
-        "diagnostics_problems": [{"at_s": time, "problem": str(problem)} for time, problem in run.problems],
+        "diagnostics_problems": [
+            {"at_s": time, "problem": str(problem)} for time, problem in run.problems
+        ],
     }
 
 
@@ -122,7 +136,9 @@ def plain(value: object, digits: int | None = None) -> Any:  # noqa: ANN401  # w
     if isinstance(value, Mapping):
         return {str(key): plain(one, digits) for key, one in value.items()}
     if isinstance(value, float):
-        return None if not math.isfinite(value) else value if digits is None else round(value, digits)
+        return (
+            None if not math.isfinite(value) else value if digits is None else round(value, digits)
+        )
     if value is None or isinstance(value, int | str):
         return value
     return [plain(one, digits) for one in value] if isinstance(value, list | tuple) else str(value)
@@ -135,11 +151,16 @@ def timing_of(run: MissionRun, wall_s: float) -> dict[str, Any]:
         "wall_s": wall_s,
         "simulated_s_per_wall_s": run.world.now / wall_s,
         "compute_s": run.compute_s,
-        "reactions": [_fields(one, "uncertainty", "start_s") | {"compute_s": took_s} for one, took_s in run.reactions],
+        "reactions": [
+            _fields(one, "uncertainty", "start_s") | {"compute_s": took_s}
+            for one, took_s in run.reactions
+        ],
     }
 
 
-def figure_in_words(name: str, value: float | None, model: Model | None = None) -> tuple[str, str, str]:
+def figure_in_words(
+    name: str, value: float | None, model: Model | None = None
+) -> tuple[str, str, str]:
     """Return the words, unit and value of a figure as texts: "energy_used_j" gives "energy used", "J" and "3152.6".
 
     The unit is that of the model's attribute of this name, else the ending of the name, else empty. None gives "-".
@@ -152,7 +173,9 @@ def figure_in_words(name: str, value: float | None, model: Model | None = None) 
         words, sign = name.replace("_", " "), model.attributes[name].unit
     if value is None:
         shown = "-"
-    elif float(value).is_integer() and (not sign or unit in COUNTS):  # a count of something, not an amount of a unit
+    elif float(value).is_integer() and (
+        not sign or unit in COUNTS
+    ):  # a count of something, not an amount of a unit
         shown = f"{value:.0f}"
     else:
         shown = f"{float(value):.2f}" if abs(value) < 10 else f"{float(value):.1f}"

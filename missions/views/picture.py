@@ -30,7 +30,10 @@ SAMPLED_S: Final = 0.6
 """The longest time between two samples of a run [s]."""
 REPORTED_S: Final = 2.0
 """The longest time between a failure and its report [s]."""
-_ALL: Final = {"function design": ("function", "designs"), "configuration": ("component", "configurations")}
+_ALL: Final = {
+    "function design": ("function", "designs"),
+    "configuration": ("component", "configurations"),
+}
 
 
 class RunTimeline:
@@ -50,20 +53,34 @@ class RunTimeline:
     def __init__(self, run: Recorded) -> None:
         self.run, self.end = run, max(run.rows[-1][0], 1e-3)
         self._elements = {key: one for _, key, one in run.track("element") if one is not None}
-        poses = np.array([(time, *position[:2]) for time, _, position in run.track("pose")], dtype=float).reshape(-1, 3)
+        poses = np.array(
+            [(time, *position[:2]) for time, _, position in run.track("pose")], dtype=float
+        ).reshape(-1, 3)
         self.times, self.xy = poses[:, 0], poses[:, 1:]
-        self.places = {one["name"]: np.array(one["points"]) for one in run.last("scene").get(0, ()) if one["points"]}
+        self.places = {
+            one["name"]: np.array(one["points"])
+            for one in run.last("scene").get(0, ())
+            if one["points"]
+        }
         acted = list(run.last("action").values())
-        self.actions = [(self._name(one["action"]), one["start"], one["end"] or self.end) for one in acted]
+        self.actions = [
+            (self._name(one["action"]), one["start"], one["end"] or self.end) for one in acted
+        ]
         self.designs, self.configurations = map(list[Span], map(self._chosen, _ALL))
         self.units: dict[str, str] = {}
         self.courses = self._courses()
         self.limits = self._limits()
-        self.adaptations: list[Entry] = sorted(run.last("adaptation").values(), key=lambda one: float(one["t"]))
+        self.adaptations: list[Entry] = sorted(
+            run.last("adaptation").values(), key=lambda one: float(one["t"])
+        )
         known: list[Entry] = list(run.last("disturbance").values())
-        self.disturbances = sorted([*known, *self._failures(known)], key=lambda one: float(one["t"]))
+        self.disturbances = sorted(
+            [*known, *self._failures(known)], key=lambda one: float(one["t"])
+        )
         self.panels = self._panels()
-        self.unseen = [one for one in self.disturbances if not one["words"].startswith(tuple(self.panels))]
+        self.unseen = [
+            one for one in self.disturbances if not one["words"].startswith(tuple(self.panels))
+        ]
 
     def where(self, time: float) -> Array:
         """Return the position of the robot (2,) [m] at a time [s]."""
@@ -71,13 +88,17 @@ class RunTimeline:
 
     def legs(self) -> Iterator[tuple[str, str, Array]]:
         """Yield each part of the path with the same action and choice: action, choice and positions (n, 2) [m]."""
-        at_poses = groupby(zip(self.times, self.xy, strict=True), key=lambda pose: self._doing(pose[0]))
+        at_poses = groupby(
+            zip(self.times, self.xy, strict=True), key=lambda pose: self._doing(pose[0])
+        )
         for (done, choice), poses in at_poses:
             if done and choice:
                 yield done, choice, np.array([xy for _, xy in poses])
 
     def _doing(self, time: float) -> tuple[str, str]:
-        done, *chosen = (_at(spans, time) for spans in (self.actions, self.designs, self.configurations))
+        done, *chosen = (
+            _at(spans, time) for spans in (self.actions, self.designs, self.configurations)
+        )
         return done, ", ".join(filter(None, chosen))
 
     def _name(self, key: int | str) -> str:
@@ -88,7 +109,10 @@ class RunTimeline:
         of, parts = _ALL[kind]
         since: dict[int | str, float] = {}
         spans: defaultdict[int, list[Span]] = defaultdict(list)
-        for time, key, is_selected in [*self.run.track("selected"), *((self.end, key, 0) for key in self._elements)]:
+        for time, key, is_selected in [
+            *self.run.track("selected"),
+            *((self.end, key, 0) for key in self._elements),
+        ]:
             one = self._elements[key]
             if is_selected:
                 since[key] = time
@@ -104,27 +128,52 @@ class RunTimeline:
         points: defaultdict[str, list[tuple[float, float]]] = defaultdict(list)
         for time, key, value in (*self.run.track("value"), *self.run.track("signal")):
             signal, _, unit = str(key).partition(" [")
-            name = signal if unit or key not in self._elements else self._name(key).replace("_", " ")
-            self.units[name] = unit.rstrip("]") if unit else self._elements.get(key, {}).get("unit", "")
-            if points[name] and time > points[name][-1][0] + 2 * SAMPLED_S:  # a signal is recorded only when it changes
+            name = (
+                signal if unit or key not in self._elements else self._name(key).replace("_", " ")
+            )
+            self.units[name] = (
+                unit.rstrip("]") if unit else self._elements.get(key, {}).get("unit", "")
+            )
+            if (
+                points[name] and time > points[name][-1][0] + 2 * SAMPLED_S
+            ):  # a signal is recorded only when it changes
                 points[name].append((time - SAMPLED_S, points[name][-1][1]))
             points[name].append((time, np.nan if value is None else value))
-        worth = [str(name).replace("_", " ") for name in self.run.header.get("signals", ())] or list(points)
+        worth = [
+            str(name).replace("_", " ") for name in self.run.header.get("signals", ())
+        ] or list(points)
         worth = [name for name in worth if np.isfinite([value for _, value in points[name]]).any()]
-        return {name: np.array([*points[name], (self.end, points[name][-1][1])]).T for name in worth}
+        return {
+            name: np.array([*points[name], (self.end, points[name][-1][1])]).T for name in worth
+        }
 
     def _limits(self) -> dict[str, dict[float, list[str]]]:
         limits: dict[str, dict[float, list[str]]] = defaultdict(dict)
         for one in self._elements.values():
             if one["kind"] == "constraint":
-                labels = limits[self._name(one["attribute"]).replace("_", " ")].setdefault(one["value"], [])
-                labels += [f"{brief(one['operator'])} {one['value']:g}  {brief(self._name(key))}" for key in one["on"]]
+                labels = limits[self._name(one["attribute"]).replace("_", " ")].setdefault(
+                    one["value"], []
+                )
+                labels += [
+                    f"{brief(one['operator'])} {one['value']:g}  {brief(self._name(key))}"
+                    for key in one["on"]
+                ]
         return limits
 
     def _panels(self) -> dict[str, list[str]]:
-        worth = [name for name, (_, values) in self.courses.items() if name in self.limits or len({*values}) > 1]
-        hosts = {name: next((one for one in worth if name.endswith(f" {one}")), name) for name in worth}
-        return {host: [name for name in worth if hosts[name] == host != name] for host in worth if hosts[host] == host}
+        worth = [
+            name
+            for name, (_, values) in self.courses.items()
+            if name in self.limits or len({*values}) > 1
+        ]
+        hosts = {
+            name: next((one for one in worth if name.endswith(f" {one}")), name) for name in worth
+        }
+        return {
+            host: [name for name in worth if hosts[name] == host != name]
+            for host in worth
+            if hosts[host] == host
+        }
 
     def _failures(self, disturbances: Sequence[Entry]) -> Iterator[Entry]:
         """Yield the reported failures, except those that a disturbance just before explains."""
@@ -140,7 +189,12 @@ def _at(spans: Sequence[Span], time: float) -> str:
 
 def brief(text: str, most: int = 26) -> str:
     """Return a text of at most so many characters, with signs such as ≥ instead of ASCII."""
-    short = text.replace(" = ", "\u00a0=\u00a0").replace("->", "→").replace(">=", "≥").replace("<=", "≤")
+    short = (
+        text.replace(" = ", "\u00a0=\u00a0")
+        .replace("->", "→")
+        .replace(">=", "≥")
+        .replace("<=", "≤")
+    )
     return short if len(short) <= most else f"{short[: most - 1]}…"
 
 
@@ -184,7 +238,10 @@ def picture(run: Recorded) -> Figure:
     hues = dict(zip(dict.fromkeys(name for name, *_ in timeline.actions), HUES * 99, strict=False))
     _title(figure, run)
     _legend(figure, timeline, hues)
-    has_map, has_list = bool(len(timeline.xy)), run.header["manager"] == "ours"  # how others adapt is not known
+    has_map, has_list = (
+        bool(len(timeline.xy)),
+        run.header["manager"] == "ours",
+    )  # how others adapt is not known
     rows = list(_rows(timeline, hues, has_map=has_map))
     heights = [height for height, _ in rows]
     top = max(HEIGHT - 160 - sum(heights), 260) if has_map else 50 + 50 * len(timeline.adaptations)
@@ -201,7 +258,11 @@ def picture(run: Recorded) -> Figure:
         axes.tick_params(labelbottom=number == len(rows), bottom=number == len(rows))
         axes.set_xlabel("time [s]" if number == len(rows) else "")
     seen = figure.add_subplot(above[: 2 - has_list]) if has_map else None
-    listed = figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[]) if has_list else None
+    listed = (
+        figure.add_subplot(above[int(has_map) :], frame_on=False, xticks=[], yticks=[])
+        if has_list
+        else None
+    )
     if seen is not None:
         _map(seen, timeline, hues)
     figure.draw_without_rendering()  # texts from here on go where there is room
@@ -222,19 +283,31 @@ def _title(figure: Figure, run: Recorded) -> None:
     name = f"{header['title']}  ·  {who}  ·  seed {header['seed']}"
     figure.text(0.01, 1 - 30 / HEIGHT, name, fontsize=13, fontweight="bold", va="center")
     facts = [f"{ended.get('outcome', '').replace('_', ' ')} after {run.rows[-1][0]:.0f} s"]
-    facts += [f"{words} {shown} {unit}".strip() for words, unit, shown in ended.get("figures", ())[:FIGURES]]
+    facts += [
+        f"{words} {shown} {unit}".strip()
+        for words, unit, shown in ended.get("figures", ())[:FIGURES]
+    ]
     figure.text(0.99, 1 - 30 / HEIGHT, "   ·   ".join(facts), fontsize=9.5, ha="right", va="center")
 
 
 def _legend(figure: Figure, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
-    styles: dict[str, dict[str, Any]] = {name: {"color": hue, "linewidth": 4} for name, hue in hues.items()}
+    styles: dict[str, dict[str, Any]] = {
+        name: {"color": hue, "linewidth": 4} for name, hue in hues.items()
+    }
     for kind in dict.fromkeys(one["kind"] for one in timeline.adaptations):
-        styles[f"{kind} adaptation"] = {**ROUND, "ms": 9, "mfc": BADGES[kind][0], "mec": BADGES[kind][1]}
+        styles[f"{kind} adaptation"] = {
+            **ROUND,
+            "ms": 9,
+            "mfc": BADGES[kind][0],
+            "mec": BADGES[kind][1],
+        }
     if timeline.disturbances:
         styles["disturbance"] = {"linewidth": 1, "linestyle": "--", **DIAMOND}
     entries = [Line2D([], [], label=label, **style) for label, style in styles.items()]
     letters = 9 * min(1.0, WIDTH / max(sum(78 + 9.4 * len(label) for label in styles), 1.0))
-    legend = figure.legend(handles=entries, loc="center left", ncols=max(len(entries), 1), fontsize=letters)
+    legend = figure.legend(
+        handles=entries, loc="center left", ncols=max(len(entries), 1), fontsize=letters
+    )
     legend.set_bbox_to_anchor((0.0, 1 - 72 / HEIGHT))
 
 
@@ -242,17 +315,30 @@ def _legend(figure: Figure, timeline: RunTimeline, hues: Mapping[str, str]) -> N
 
 
 def _map(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
-    near = [points[np.argmin(np.hypot(*(points - timeline.xy[0]).T))] for points in timeline.places.values()]
-    axes.set(xlabel="east x [m]", ylabel="north y [m]", facecolor="#f6f9fb", xmargin=0.06, ymargin=0.1)
+    near = [
+        points[np.argmin(np.hypot(*(points - timeline.xy[0]).T))]
+        for points in timeline.places.values()
+    ]
+    axes.set(
+        xlabel="east x [m]", ylabel="north y [m]", facecolor="#f6f9fb", xmargin=0.06, ymargin=0.1
+    )
     axes.update_datalim([*near, *timeline.xy, *(timeline.xy[0] + [[-1.0, -1.0], [1.0, 1.0]])])
     for points in timeline.places.values():
         axes.plot(
-            *points.T, color="#c9ced3", linewidth=10, solid_capstyle="round", zorder=2, scalex=False, scaley=False
+            *points.T,
+            color="#c9ced3",
+            linewidth=10,
+            solid_capstyle="round",
+            zorder=2,
+            scalex=False,
+            scaley=False,
         )
     axes.plot(*timeline.xy.T, color=FAINT, linewidth=1.8, zorder=3)
     for number, (name, start, end) in enumerate(timeline.actions):
         inside = timeline.xy[(start <= timeline.times) & (timeline.times <= end)]
-        width = 4.6 - 2.8 * number / len(timeline.actions)  # so an earlier passage stays visible below
+        width = 4.6 - 2.8 * number / len(
+            timeline.actions
+        )  # so an earlier passage stays visible below
         axes.plot(*inside.T, color=hues[name], linewidth=width, solid_capstyle="round", zorder=4)
 
 
@@ -268,10 +354,17 @@ class _Room:
         """Write a text near a point [m], with a line to it; `pad` is the width of the text's margin [px]."""
         line = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
         style = {"ha": "center", "va": "center", "zorder": 7, "arrowprops": line, **style}
-        label = self.axes.annotate(text, (xy[0], xy[1]), (0, 0), textcoords="offset pixels", **style)
-        anchor, half = self.axes.transData.transform(xy), np.array(Text.get_window_extent(label).size) / 2 + pad
+        label = self.axes.annotate(
+            text, (xy[0], xy[1]), (0, 0), textcoords="offset pixels", **style
+        )
+        anchor, half = (
+            self.axes.transData.transform(xy),
+            np.array(Text.get_window_extent(label).size) / 2 + pad,
+        )
         turns = np.arange(0.25, 6.5, np.pi / 8)
-        tries = np.array([(half + 6 + far) * (np.cos(turn), np.sin(turn)) for far in REACH for turn in turns])
+        tries = np.array(
+            [(half + 6 + far) * (np.cos(turn), np.sin(turn)) for far in REACH for turn in turns]
+        )
         best = tries[np.argmin(self._costs(anchor, half, tries))]
         label.set_position(tuple(best))
         self._low = np.vstack([self._low, anchor - half + best, anchor - 5])
@@ -315,12 +408,17 @@ def _label(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str]) -> None:
     for number, one in enumerate(timeline.adaptations, start=1):
         room.write(timeline.where(one["t"]), str(number), 8, **_badge(one["kind"]))
     scale = axes.bbox.width / np.ptp(axes.get_xlim())
-    legs = [(name, choice, xy, np.cumsum(np.hypot(*np.diff(xy, axis=0).T))) for name, choice, xy in timeline.legs()]
+    legs = [
+        (name, choice, xy, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
+        for name, choice, xy in timeline.legs()
+    ]
     long = [one for one in legs if len(one[3]) and one[3][-1] * scale > 0.8 * LETTER * len(one[1])]
     for name, choice, xy, driven_m in long if len({one[1] for one in long}) > 1 else ():
         frame = {"boxstyle": "round,pad=0.25", "facecolor": "white", "linewidth": 1.4}
         middle = xy[np.searchsorted(driven_m, driven_m[-1] / 2)]
-        room.write(middle, choice, 8, fontsize=8, bbox={**frame, "edgecolor": hues[name.split(", ")[0]]})
+        room.write(
+            middle, choice, 8, fontsize=8, bbox={**frame, "edgecolor": hues[name.split(", ")[0]]}
+        )
 
 
 def _mark(axes: Axes, xy: Array, marker: str, size: float, color: str) -> None:
@@ -330,7 +428,14 @@ def _mark(axes: Axes, xy: Array, marker: str, size: float, color: str) -> None:
 def _badge(kind: str) -> dict[str, Any]:
     face, edge, digits = BADGES.get(kind, BADGES["parameter"])
     bbox = {"boxstyle": "circle,pad=0.25", "facecolor": face, "edgecolor": edge}
-    return {"bbox": bbox, "color": digits, "fontsize": 7.5, "fontweight": "bold", "ha": "center", "va": "center"}
+    return {
+        "bbox": bbox,
+        "color": digits,
+        "fontsize": 7.5,
+        "fontweight": "bold",
+        "ha": "center",
+        "va": "center",
+    }
 
 
 # ---------------------------------------------------------------- the list of adaptations
@@ -342,7 +447,10 @@ def _list(axes: Axes, entries: Sequence[Entry]) -> None:
     axes.set(xlim=(0, width), ylim=(height, -20))
     head = "adaptations: what set them off → what was changed" if entries else "no adaptation"
     axes.text(0, -20, head, fontsize=10, fontweight="bold", va="top")
-    for size, full in (*product((10, 9, 8.5, 8, 7.5, 7), (True,)), *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,))):
+    for size, full in (
+        *product((10, 9, 8.5, 8, 7.5, 7), (True,)),
+        *product((9, 8.5, 8, 7.5, 7, 6.5, 6), (False,)),
+    ):
         line, left = 1.25 * size, 10 + 7.5 * size
         texts = [_lines(one, full, (width - left) / (0.58 * size)) for one in entries]
         starts = np.cumsum([0, *(line * (len(text) + 0.4) for text in texts)])
@@ -350,7 +458,14 @@ def _list(axes: Axes, entries: Sequence[Entry]) -> None:
             break
     for number, (one, text, y) in enumerate(zip(entries, texts, starts, strict=False), start=1):
         if y + line * (len(text) + 1.4) > height and one is not entries[-1]:
-            axes.text(left, y, f"… and {len(entries) + 1 - number} more", fontsize=size, color=MUTED, va="top")
+            axes.text(
+                left,
+                y,
+                f"… and {len(entries) + 1 - number} more",
+                fontsize=size,
+                color=MUTED,
+                va="top",
+            )
             break
         axes.text(7, y + line * 0.8, str(number), **_badge(one["kind"]))
         axes.text(18, y, f"{one['t']:.1f} s", fontsize=size, fontweight="bold", va="top")
@@ -363,7 +478,11 @@ def _lines(one: Entry, full: bool, width: float) -> list[str]:
     how = "not in force" if reaction is None else f"in\u00a0{reaction:.2f}\u00a0s"
     why = re.sub(r" \(measured [^)]*\)", "", f": {one['decided']}") if full else ""
     texts = one["cause"] + brief(why, LONGEST), f"-> {one['changed']} [{how}]"
-    return [part for text in texts for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")]
+    return [
+        part
+        for text in texts
+        for part in textwrap.wrap(brief(text, 500), int(width), subsequent_indent="    ")
+    ]
 
 
 # ---------------------------------------------------------------- everything over time, one row below the other
@@ -382,11 +501,18 @@ def _rows(
         yield tall, partial(_panel, timeline=timeline, hues=hues, names=[name, *sharing])
     if timeline.adaptations:
         yield EVENT, partial(_numbers, timeline=timeline)
-    lanes = {"actions": timeline.actions, "designs": timeline.designs, "configurations": timeline.configurations}
+    lanes = {
+        "actions": timeline.actions,
+        "designs": timeline.designs,
+        "configurations": timeline.configurations,
+    }
     for title, spans in lanes.items():
         names = list(dict.fromkeys(name for name, *_ in spans))
         if names:
-            yield LANE * len(names) + 4, partial(_bars, title=title, names=names, spans=spans, hues=hues)
+            yield (
+                LANE * len(names) + 4,
+                partial(_bars, title=title, names=names, spans=spans, hues=hues),
+            )
 
 
 def _levels(events: Sequence[Entry], end_s: float) -> list[int]:
@@ -406,8 +532,17 @@ def _events(axes: Axes, timeline: RunTimeline, levels: Sequence[int]) -> None:
     for level, one in zip(levels, timeline.unseen, strict=True):
         axes.plot(one["t"], level, zorder=3, **DIAMOND)
         is_late = one["t"] / end * TIME_AXIS + LETTER * len(one["words"]) > TIME_AXIS
-        text = axes.text(one["t"] + end * (-0.007 if is_late else 0.007), level, one["words"], color=ALARM, va="center")
-        text.set(ha="right" if is_late else "left", bbox={"facecolor": "white", "edgecolor": "none", "pad": 0})
+        text = axes.text(
+            one["t"] + end * (-0.007 if is_late else 0.007),
+            level,
+            one["words"],
+            color=ALARM,
+            va="center",
+        )
+        text.set(
+            ha="right" if is_late else "left",
+            bbox={"facecolor": "white", "edgecolor": "none", "pad": 0},
+        )
 
 
 def _numbers(axes: Axes, timeline: RunTimeline) -> None:
@@ -421,7 +556,9 @@ def _aside(axes: Axes, text: str, y: float, color: str = MUTED) -> None:
     axes.text(1.006, y, text, transform=axes.transAxes, va="center", color=color, fontsize=8)
 
 
-def _bars(axes: Axes, title: str, names: list[str], spans: Sequence[Span], hues: Mapping[str, str]) -> None:
+def _bars(
+    axes: Axes, title: str, names: list[str], spans: Sequence[Span], hues: Mapping[str, str]
+) -> None:
     axes.set(ylim=(len(names) - 0.45, -0.55))
     axes.set_yticks(range(len(names)), [brief(name) for name in names])
     axes.tick_params(left=False)
@@ -446,7 +583,9 @@ def _panel(axes: Axes, timeline: RunTimeline, hues: Mapping[str, str], names: li
         height += half * len(labels)
     for one in timeline.disturbances:
         if one["words"].startswith(names[0]):
-            axes.plot(one["t"], np.interp(one["t"], *timeline.courses[names[0]]), zorder=5, **DIAMOND)
+            axes.plot(
+                one["t"], np.interp(one["t"], *timeline.courses[names[0]]), zorder=5, **DIAMOND
+            )
     words = [*names[0].split(), f"[{timeline.units[names[0]] or '-'}]"]
     axes.set_ylabel("\n".join(words), rotation=0, ha="right", va="center", labelpad=9)
     if len(names) > 1:

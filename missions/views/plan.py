@@ -56,15 +56,26 @@ def lines_of(answer: Answer) -> Iterator[str]:
         yield f"{result.outcome} by {result.engine}: {steps}, cost {result.cost or 0:g}"
         links = causes_of(answer).links
         for number, step in enumerate(result.steps):
-            needs = [f"{' '.join(link.needs)} by {link.source + 1}" for link in links if link.target == number]
+            needs = [
+                f"{' '.join(link.needs)} by {link.source + 1}"
+                for link in links
+                if link.target == number
+            ]
             yield f"  {number + 1}  {step}" + (f"  needs {', '.join(needs)}" if needs else "")
-    yield from (f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible)
+    yield from (
+        f"out: {question.kb.why(question.kb.actions[action])}" for action in question.unfeasible
+    )
     yield from (f"note: {oversight}" for oversight in question.oversights)
 
 
 def as_data(result: PlanningResult) -> dict[str, object]:
     steps = [{"action": step.schema, "arguments": list(step.arguments)} for step in result.steps]
-    return {"outcome": str(result.outcome), "engine": result.engine, "cost": result.cost, "steps": steps}
+    return {
+        "outcome": str(result.outcome),
+        "engine": result.engine,
+        "cost": result.cost,
+        "steps": steps,
+    }
 
 
 def certificate_lines(certificate: Certificate) -> Iterator[str]:
@@ -81,7 +92,9 @@ def certificate_lines(certificate: Certificate) -> Iterator[str]:
 
 
 def certificate_as_data(certificate: Certificate) -> dict[str, object]:
-    entries = [{"unfeasible": list(out), **as_data(result)} for out, result in certificate.entries.items()]
+    entries = [
+        {"unfeasible": list(out), **as_data(result)} for out, result in certificate.entries.items()
+    ]
     return {"fatal": list(certificate.fatal), "entries": entries}
 
 
@@ -91,7 +104,9 @@ def causes_of(answer: Answer) -> CausalOrder:
     return causal_order(question.domain, answer.result.steps, question.problem.state, goals)
 
 
-def causal_order(domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]) -> CausalOrder:
+def causal_order(
+    domain: Domain, steps: Sequence[Step], state: State, goals: Iterable[UpThing]
+) -> CausalOrder:
     """Return why the steps of a plan from a state to the goals come in their order."""
     changer: dict[str, int] = {}
     touched: defaultdict[str, set[int]] = defaultdict(set)
@@ -120,12 +135,17 @@ def _replayed(domain: Domain, step: Step, state: State) -> tuple[set[str], State
     needed = set(mentioned_atoms(domain, schema.start, schema.start_effects, binding))
     meanwhile = started(domain, step, state)
     changed = state ^ meanwhile
-    needed |= set(mentioned_atoms(domain, schema.over_all + schema.end, schema.end_effects, binding)) - changed
+    needed |= (
+        set(mentioned_atoms(domain, schema.over_all + schema.end, schema.end_effects, binding))
+        - changed
+    )
     after = ended(domain, step, meanwhile)
     return needed, changed | (meanwhile ^ after), after
 
 
-def _beyond(links: Iterable[Link], threats: Iterable[tuple[int, int]], count: int) -> tuple[tuple[int, int], ...]:
+def _beyond(
+    links: Iterable[Link], threats: Iterable[tuple[int, int]], count: int
+) -> tuple[tuple[int, int], ...]:
     """Return the threats that do not follow from a chain of links and other orders."""
     linked = {(link.source, link.target) for link in links}
     before: list[set[int]] = [set() for _ in range(count)]
@@ -146,13 +166,19 @@ def svg_of(order: CausalOrder, title: str) -> str:
     goal, boxes, depths, height = len(order.steps), list[_Box](), list[int](), 2 * _GAP
     for number in range(goal + 1):
         links = [link for link in order.links if link.target == number]
-        before = [link.source for link in links] + [earlier for earlier, later in order.orders if later == number]
-        depths.append(max((depths[one] + 1 for one in (range(goal) if number == goal else before)), default=0))
+        before = [link.source for link in links] + [
+            earlier for earlier, later in order.orders if later == number
+        ]
+        depths.append(
+            max((depths[one] + 1 for one in (range(goal) if number == goal else before)), default=0)
+        )
         lines = _lines(order, number, links)
         boxes.append(_Box(_GAP + depths[number] * _INDENT, height, lines, *svg_size(lines)))
         height += boxes[-1].height + _ROW_GAP
     width = max(box.x + box.width for box in boxes) + _GAP
-    width = max(width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0))
+    width = max(
+        width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0)
+    )
     height += LINE if order.orders else 0.0
     arrows = [_arrow(boxes, link.source, link.target, is_order=False) for link in order.links]
     arrows += [_arrow(boxes, earlier, later, is_order=True) for earlier, later in order.orders]
@@ -164,8 +190,16 @@ def svg_of(order: CausalOrder, title: str) -> str:
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
             *arrows,
-            *(line for box in boxes for line in svg_box(*box[:3], _GOAL if box is boxes[-1] else _STEP)),
-            *([f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>'] if order.orders else []),
+            *(
+                line
+                for box in boxes
+                for line in svg_box(*box[:3], _GOAL if box is boxes[-1] else _STEP)
+            ),
+            *(
+                [f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>']
+                if order.orders
+                else []
+            ),
             "</svg>",
             "",
         ]
@@ -188,13 +222,21 @@ def _lines(order: CausalOrder, number: int, links: Iterable[Link]) -> list[str]:
         step = order.steps[number]
         lines = [f"{number + 1}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
     return lines + [
-        line for link in links for need in link.needs for line in wrap(f"{link.source + 1} → {need}", _LETTERS)
+        line
+        for link in links
+        for need in link.needs
+        for line in wrap(f"{link.source + 1} → {need}", _LETTERS)
     ]
 
 
 def _arrow(boxes: Sequence[_Box], earlier: int, later: int, *, is_order: bool) -> str:
     source, target = boxes[earlier], boxes[later]
-    x, y = source.x + 8 + 6 * (earlier % 5) + 3 * is_order, target.y + LINE * (1.1 if is_order else 0.6)
+    x, y = (
+        source.x + 8 + 6 * (earlier % 5) + 3 * is_order,
+        target.y + LINE * (1.1 if is_order else 0.6),
+    )
     style = f'stroke="{_LATER}" stroke-dasharray="5 4"' if is_order else f'stroke="{_EDGE}"'
     way = f"M{x:g} {source.y + source.height:g}V{y:g}H{target.x:g}"
-    return f'<path d="{way}" fill="none" {style} marker-end="url(#{"wait" if is_order else "so"})"/>'
+    return (
+        f'<path d="{way}" fill="none" {style} marker-end="url(#{"wait" if is_order else "so"})"/>'
+    )

@@ -31,7 +31,12 @@ from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 _log = logging.getLogger(__name__)
 
 _COLUMNS: Final = ("status", "required", "selected", "active", "stale")
-_LETTERS: Final = {Status.RUNNING: "R", Status.SUCCESS: "S", Status.FAILURE: "F", Status.INVALID: ""}
+_LETTERS: Final = {
+    Status.RUNNING: "R",
+    Status.SUCCESS: "S",
+    Status.FAILURE: "F",
+    Status.INVALID: "",
+}
 _SHAPES: Final[Sequence[tuple[tuple[type, ...], str]]] = (
     ((SequenceNode, SafeSwitch), "sequence"),
     ((Selector, DoUntilUnfeasible), "selector"),
@@ -81,12 +86,28 @@ class Recorder:
     ) -> None:
         self.rows = Rows(keep)
         self.header: dict[str, Any] = {
-            **{"live": False, "title": title or kb.model.name, "model": kb.model.name, "units": dict(units or {})},
-            **{"mission": "", "words": "", "task": "", "manager": "ours", "seed": None, "settings": {}},
+            **{
+                "live": False,
+                "title": title or kb.model.name,
+                "model": kb.model.name,
+                "units": dict(units or {}),
+            },
+            **{
+                "mission": "",
+                "words": "",
+                "task": "",
+                "manager": "ours",
+                "seed": None,
+                "settings": {},
+            },
             **(header or {}),
         }
         self.kb, self._pose, self._what_if = kb, pose, what_if
-        self._own = None if header is not None else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+        self._own = (
+            None
+            if header is not None
+            else AdaptationLog(kb, self.adapted, lambda: self._task_plans)
+        )
         if self._own is not None:
             self._own.news(inf)
         self._nodes: dict[tuple[str, str], int] = {}
@@ -98,11 +119,15 @@ class Recorder:
         self._task_plans: list[Any] = []
         self._heard: dict[Any, Any] = {}  # the last task plan of each behaviour
         if isinstance(tree, Behaviour):
-            raise MissionError(f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it")
+            raise MissionError(
+                f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
+            )
         self._look(kb.now)
         for one in kb.required_actions:
             self.acted(one.number, one)
-        self._tree = _TreeRows(self, tree.tree if isinstance(tree, TreeRunner) else tree) if tree else None
+        self._tree = (
+            _TreeRows(self, tree.tree if isinstance(tree, TreeRunner) else tree) if tree else None
+        )
         if scene is not None:
             self.show(scene)
         self._stop = kb.subscribe(self._hear)
@@ -112,7 +137,9 @@ class Recorder:
         shown = []
         for name, points in scene.items():
             pairs = [[round(float(point[0]), 3), round(float(point[1]), 3)] for point in points]
-            shown.append({"name": name, "points": pairs, "shape": "line" if len(pairs) > 1 else "point"})
+            shown.append(
+                {"name": name, "points": pairs, "shape": "line" if len(pairs) > 1 else "point"}
+            )
         self.rows.put(self.kb.now, "scene", 0, shown)
 
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
@@ -146,16 +173,24 @@ class Recorder:
         if event.verb == "measure":
             if ("attribute", event.subject) not in self._nodes:
                 self._look(time)
-            self.rows.put(time, "value", self._nodes["attribute", event.subject], event.arguments[1])
+            self.rows.put(
+                time, "value", self._nodes["attribute", event.subject], event.arguments[1]
+            )
             if not event.changes:
                 return
         self._events.append(event)
         shown = {"verb": event.verb, "words": event.text, "kind": str(event.kind)}
-        shown |= {name: one for name, one in event.to_json().items() if name in ("cause", "changes")}
+        shown |= {
+            name: one for name, one in event.to_json().items() if name in ("cause", "changes")
+        }
         self.rows.put(time, "event", event.number, shown)
         self._look(time)
         self._note_records(event)
-        if self._what_if and any(one.kind != "constraint" for one in event.changes) and is_news(self.kb, event):
+        if (
+            self._what_if
+            and any(one.kind != "constraint" for one in event.changes)
+            and is_news(self.kb, event)
+        ):
             self.suppose(time)
         if self._own is not None and self._tree is None:
             self._own.ticking(time)
@@ -187,7 +222,12 @@ class Recorder:
         present = {node.index: node for node in network.present()}
         for index in sorted(present.keys() | set(self._nodes.values())):
             node = present.get(index)
-            self.rows.put(time, "element", index, None if node is None else described(node, self.header["units"]))
+            self.rows.put(
+                time,
+                "element",
+                index,
+                None if node is None else described(node, self.header["units"]),
+            )
         self._nodes = {(node.kind, node.name): node.index for node in present.values()}
 
     def _explain(self, time: float, present: Collection[Node], changed: Iterable[Node]) -> None:
@@ -199,7 +239,9 @@ class Recorder:
             found = self.kb.explain(node.element)
             self.rows.put(time, "why", node.index, found.sentence)
             self.rows.put(time, "help", node.index, [str(one) for one in found.remedies] or None)
-            chosen_for |= dict.fromkeys(one for one in (node, *node.wholes) if one.kind in CHOSEN and one.parts)
+            chosen_for |= dict.fromkeys(
+                one for one in (node, *node.wholes) if one.kind in CHOSEN and one.parts
+            )
         for node in chosen_for:
             self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
 
@@ -207,7 +249,9 @@ class Recorder:
         """Write rows for the action, plan or parameters that an event changed."""
         time, rows, names = event.time, self.rows, self._nodes
         if event.verb in ("request_action", "cancel_action"):
-            one = next(one for one in reversed(self.kb.history.actions) if one.action == event.subject)
+            one = next(
+                one for one in reversed(self.kb.history.actions) if one.action == event.subject
+            )
             self.acted(one.number, one)
         elif event.plan is not None or event.verb == "finish_plan":
             for plan in reversed(self.kb.plans):
@@ -221,7 +265,12 @@ class Recorder:
         if event.verb in ("finish_attempt", "component_configured", "component_active"):
             for name, view in self.kb.components.items():
                 if view.parameters_in_force:
-                    rows.put(time, "parameters", names["component", name], plain(view.parameters_in_force))
+                    rows.put(
+                        time,
+                        "parameters",
+                        names["component", name],
+                        plain(view.parameters_in_force),
+                    )
 
     # ---------------------------------------------------------------- the task layer
 
@@ -241,8 +290,14 @@ class Recorder:
                 self._planned += 1
                 self._task_plans.append(plan)
                 shown = {name: getattr(plan, name) for name in ("engine", "reason", "message")}
-                shown |= {"asked": plan.at_s, "outcome": str(plan.outcome), "solved": plan.outcome.is_solved}
-                self.put("taskplan", self._planned, shown | {"steps": [str(step) for step in plan.steps]})
+                shown |= {
+                    "asked": plan.at_s,
+                    "outcome": str(plan.outcome),
+                    "solved": plan.outcome.is_solved,
+                }
+                self.put(
+                    "taskplan", self._planned, shown | {"steps": [str(step) for step in plan.steps]}
+                )
         if self._pose is not None and self.kb.now >= self._posed_at + POSE_PERIOD_S - 1e-9:
             self._posed_at = self.kb.now
             self.posed(self.kb.now, self._pose())
@@ -254,7 +309,11 @@ class Recorder:
 
     def acted(self, number: int, one: RequiredAction) -> None:
         """Write an action that has begun or ended."""
-        self.put("action", number, {"action": self._nodes["action", one.action], "cause": one.cause, **_ending(one)})
+        self.put(
+            "action",
+            number,
+            {"action": self._nodes["action", one.action], "cause": one.cause, **_ending(one)},
+        )
 
     def adapted(self, adaptation: Adaptation) -> None:
         """Write an adaptation that is in force or has failed, with the chain from cause to effect."""
@@ -268,7 +327,9 @@ class Recorder:
             "changed": adaptation.change,
             "reaction": adaptation.reaction_s,
             "in_force": plain(adaptation.in_force_s),
-            "chain": chain_of(adaptation, tuple(self._events), self._task_plans, self._nodes, nodes),
+            "chain": chain_of(
+                adaptation, tuple(self._events), self._task_plans, self._nodes, nodes
+            ),
         }
         self.put("adaptation", self._adapted, shown)
         if self._own is not None:
@@ -333,7 +394,9 @@ class _TreeRows(VisitorBase):
         is_news = any(one.children != children for one, children in self._below)
         if is_news:
             self._describe()
-        present = {one: (_LETTERS[one.status].lower(), one.feedback_message) for one in self._ids} | self._ticked
+        present = {
+            one: (_LETTERS[one.status].lower(), one.feedback_message) for one in self._ids
+        } | self._ticked
         for behaviour, uid in self._ids.items():
             if present[behaviour] != self._known.get(behaviour):
                 self._known[behaviour] = present[behaviour]
@@ -353,7 +416,9 @@ class _TreeRows(VisitorBase):
             behaviour, parent = parents.pop()
             if behaviour in present:
                 continue
-            uid = present[behaviour] = self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
+            uid = present[behaviour] = (
+                self._ids[behaviour] if behaviour in self._ids else next(self._numbers)
+            )
             parents += [(child, uid) for child in reversed(behaviour.children)]
             self._below.append((behaviour, list(behaviour.children)))
             if has_plans(behaviour):
@@ -361,7 +426,9 @@ class _TreeRows(VisitorBase):
             elements = recorder.elements_of(behaviour)
             for index in elements:
                 self.about.setdefault(index, []).append(uid)
-            nodes.append([uid, parent, type(behaviour).__name__, behaviour.name, _shape(behaviour), elements])
+            nodes.append(
+                [uid, parent, type(behaviour).__name__, behaviour.name, _shape(behaviour), elements]
+            )
         for behaviour, uid in self._ids.items():
             if behaviour not in present:
                 recorder.put("node", uid, None)
@@ -394,7 +461,13 @@ class RunRecorder(Listener):
     """
 
     def __init__(
-        self, run: MissionRun, seed: int, settings: Mapping[str, str], keep: int | None = None, *, what_if: bool = True
+        self,
+        run: MissionRun,
+        seed: int,
+        settings: Mapping[str, str],
+        keep: int | None = None,
+        *,
+        what_if: bool = True,
     ) -> None:
         self._run = run
         self._scene: tuple[str, ...] | None = None
@@ -406,9 +479,21 @@ class RunRecorder(Listener):
         self._measured = frozenset(kb.attributes)
         signals = dict(map(_split, sample.signals if sample else ()))
         header = {
-            **{"title": run.mission.name, "mission": run.mission.name, "words": run.mission.summary},
-            **{"task": run.task, "manager": run.manager, "seed": seed, "settings": dict(sorted(settings.items()))},
-            **{"signals": list(signals), "units": {name: unit for name, unit in signals.items() if unit}},
+            **{
+                "title": run.mission.name,
+                "mission": run.mission.name,
+                "words": run.mission.summary,
+            },
+            **{
+                "task": run.task,
+                "manager": run.manager,
+                "seed": seed,
+                "settings": dict(sorted(settings.items())),
+            },
+            **{
+                "signals": list(signals),
+                "units": {name: unit for name, unit in signals.items() if unit},
+            },
         }
         tree = getattr(run, "tree", None)
         self.recorder = Recorder(kb, tree, keep=keep, what_if=what_if, header=header)
@@ -418,8 +503,15 @@ class RunRecorder(Listener):
     def end(self, verdict: Verdict) -> None:
         run = self._run
         self._show()
-        figures = [list(figure_in_words(name, value, run.model)) for name, value in run.results().items()]
-        shown = {"outcome": verdict.outcome, "success": verdict.success, "reason": verdict.reason, "figures": figures}
+        figures = [
+            list(figure_in_words(name, value, run.model)) for name, value in run.results().items()
+        ]
+        shown = {
+            "outcome": verdict.outcome,
+            "success": verdict.success,
+            "reason": verdict.reason,
+            "figures": figures,
+        }
         self.recorder.put("result", 0, shown)
         self.recorder.close()
 

@@ -21,21 +21,35 @@ from missions.engine.mission import MissionError
 from missions.views.output import OutputFile, plain
 
 VERSION: Final = 1
-NUMBERED: Final = frozenset({"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"})
+NUMBERED: Final = frozenset(
+    {"event", "action", "plan", "taskplan", "adaptation", "whatif", "disturbance", "problem"}
+)
 """The tracks whose keys are growing numbers, one for each thing that happened; their oldest entries can be dropped."""
 
 VERBATIM: Final = frozenset(
-    {"pose", "signal", "scene", "disturbance", "problem", "result", "taskplan", "tree", "node", "tick", "adaptation"}
+    {
+        "pose",
+        "signal",
+        "scene",
+        "disturbance",
+        "problem",
+        "result",
+        "taskplan",
+        "tree",
+        "node",
+        "tick",
+        "adaptation",
+    }
 )
 """The tracks that do not follow from the events of a knowledge base: a recording holds them besides the events."""
 
 Row = tuple[float, str, int | str, Any]
 _ENCODER: Final = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False, allow_nan=False)
-_POLICY: Final = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
-)
+_POLICY: Final = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'"
 """The page makes no requests, except a live page to its own server."""
-_DATA: Final = re.compile(r'<script type="application/json" id="rosa-data">(.*?)</script>', re.DOTALL)
+_DATA: Final = re.compile(
+    r'<script type="application/json" id="rosa-data">(.*?)</script>', re.DOTALL
+)
 _MOST: Final = 200
 """The largest number of differences to show."""
 _DEFAULT: Final = "the default"
@@ -197,13 +211,21 @@ def read_page(path: Path) -> Recorded:
         document = json.loads(found[1]) if found else {}
         version, runs = document.get("version"), document.get("runs")
     except (OSError, ValueError, AttributeError) as error:
-        raise MissionError(f"cannot read the report {path}: {getattr(error, 'strerror', None) or error}") from None
+        raise MissionError(
+            f"cannot read the report {path}: {getattr(error, 'strerror', None) or error}"
+        ) from None
     if not runs or len(runs) > 1:
         held = "holds no run" if not runs else "holds two runs already"
-        raise MissionError(f"{path} {held}; give a page of `rosa run MISSION --report FILE.html`, or a recording")
+        raise MissionError(
+            f"{path} {held}; give a page of `rosa run MISSION --report FILE.html`, or a recording"
+        )
     if version != VERSION:
-        raise MissionError(f"{path} is of version {version!r}; this program reads version {VERSION}")
-    return Recorded(runs[0]["header"], [tuple(row) for row in runs[0]["rows"]], str(document.get("note", "")))
+        raise MissionError(
+            f"{path} is of version {version!r}; this program reads version {VERSION}"
+        )
+    return Recorded(
+        runs[0]["header"], [tuple(row) for row in runs[0]["rows"]], str(document.get("note", ""))
+    )
 
 
 def _built(name: str) -> str:
@@ -230,15 +252,24 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
     """
     models = one.header["model"], other.header["model"]
     if models[0] != models[1]:
-        raise MissionError(f"only runs of the same model can be compared, not of {models[0]} and {models[1]}")
+        raise MissionError(
+            f"only runs of the same model can be compared, not of {models[0]} and {models[1]}"
+        )
     in_a, in_b = _settings(one.header), _settings(other.header)
     asked = [
-        {"t": 0.0, "words": f"{name}: {value} in A, {in_b.get(name, _DEFAULT)} in B", "a": None, "b": None}
+        {
+            "t": 0.0,
+            "words": f"{name}: {value} in A, {in_b.get(name, _DEFAULT)} in B",
+            "a": None,
+            "b": None,
+        }
         for name, value in {**dict.fromkeys(in_b, _DEFAULT), **in_a}.items()
         if value != in_b.get(name, _DEFAULT)
     ]
     found: list[tuple[float, str]] = []
-    moments: defaultdict[tuple[str, str], tuple[list[_Moment], list[_Moment]]] = defaultdict(lambda: ([], []))
+    moments: defaultdict[tuple[str, str], tuple[list[_Moment], list[_Moment]]] = defaultdict(
+        lambda: ([], [])
+    )
     for place, run in enumerate((one, other)):
         for each in _moments(run):
             moments[each.kind, each.words][place].append(each)
@@ -246,14 +277,23 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
         rest = _unmet(mine, theirs), _unmet(theirs, mine)
         for of_a, of_b in zip(*rest, strict=False):
             first = min(of_a, of_b, key=lambda each: each.time)
-            when = f"{abs(of_b.time - of_a.time):.1f} s {'sooner' if first is of_b else 'later'} in B"
+            when = (
+                f"{abs(of_b.time - of_a.time):.1f} s {'sooner' if first is of_b else 'later'} in B"
+            )
             found.append((first.time, f"{first.words}: {when}{first.why}"))
         paired = min(map(len, rest))
         for letter, left in zip("AB", rest, strict=True):
-            found += [(each.time, f"only in {letter}: {each.words}{each.why}") for each in left[paired:]]
+            found += [
+                (each.time, f"only in {letter}: {each.words}{each.why}") for each in left[paired:]
+            ]
     found.sort()
     differing = [
-        {"t": time, "words": words, "a": _adaptation_at(one, time), "b": _adaptation_at(other, time)}
+        {
+            "t": time,
+            "words": words,
+            "a": _adaptation_at(one, time),
+            "b": _adaptation_at(other, time),
+        }
         for time, words in found[:_MOST]
     ]
     if differing:
@@ -263,7 +303,9 @@ def differences(one: Recorded, other: Recorded) -> list[dict[str, Any]]:
 
 def _unmet(moments: list[_Moment], others: list[_Moment]) -> list[_Moment]:
     """Return the moments that are more than a second from all the others."""
-    return [one for one in moments if all(abs(one.time - other.time) >= _LATER_S for other in others)]
+    return [
+        one for one in moments if all(abs(one.time - other.time) >= _LATER_S for other in others)
+    ]
 
 
 def _settings(header: Mapping[str, Any]) -> dict[str, Any]:
@@ -280,10 +322,15 @@ def _moments(run: Recorded) -> Iterator[_Moment]:
             yield _Moment(event["kind"], event["words"].partition(": ")[0], time, _because(cause))
         elif event["kind"] == "monitoring data":
             for kind, name, _, new in event.get("changes", ()):
-                if kind in ("action", "function design", "configuration") and new in ("unfeasible", "feasible"):
+                if kind in ("action", "function design", "configuration") and new in (
+                    "unfeasible",
+                    "feasible",
+                ):
                     yield _Moment("status", f"{name} is {new}", time, _because(event["words"]))
     for time, _, ended in run.track("result"):
-        yield _Moment("result", f"the mission ends: {ended['outcome']}", time, _because(ended["reason"]))
+        yield _Moment(
+            "result", f"the mission ends: {ended['outcome']}", time, _because(ended["reason"])
+        )
 
 
 def _because(cause: str) -> str:

@@ -64,9 +64,13 @@ class SocketFeed:
         except ValueError:
             port = None
         if not place.hostname or port is None:
-            raise MissionError(f"{address!r} is not the address of a live view; write HOST:PORT, or the printed link")
+            raise MissionError(
+                f"{address!r} is not the address of a live view; write HOST:PORT, or the printed link"
+            )
         query = f"token={token}" if token else place.query
-        url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (f"?{query}" if query else "")
+        url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (
+            f"?{query}" if query else ""
+        )
         self.title = f"{place.hostname}:{port}"
         self._wrong = ""
         try:
@@ -124,7 +128,11 @@ class Fold:
     def known(self) -> Iterator[Text]:
         """Yield actions, functions and components with status, selection and reason."""
         status, elements = self.track("status"), self.track("element")
-        for kind, chosen_by in (("action", ""), ("function", "designs"), ("component", "configurations")):
+        for kind, chosen_by in (
+            ("action", ""),
+            ("function", "designs"),
+            ("component", "configurations"),
+        ):
             yield Text(f"{kind}s", "bold")
             for key, one in elements.items():
                 if one is None or one["kind"] != kind:
@@ -134,9 +142,17 @@ class Fold:
                     line.append(" required", "bold")
                 if self.track("active").get(key):
                     line.append(" runs", "blue")
-                chosen = [elements[one]["name"] for one in one.get(chosen_by) or () if self.track("selected").get(one)]
+                chosen = [
+                    elements[one]["name"]
+                    for one in one.get(chosen_by) or ()
+                    if self.track("selected").get(one)
+                ]
                 line.append(f" {', '.join(chosen)}" if chosen else "", "cyan")
-                why = self.track("why").get(key) if status.get(key) in ("unfeasible", "failure") else ""
+                why = (
+                    self.track("why").get(key)
+                    if status.get(key) in ("unfeasible", "failure")
+                    else ""
+                )
                 yield line.append(f"  {why}", "dim") if why else line
 
     def adaptations(self) -> Iterator[Text]:
@@ -152,7 +168,11 @@ class Fold:
         """Yield each measurement with its latest value, and a line of its latest values."""
         elements = self.track("element")
         for key, values in self._values.items():
-            name, unit = (elements[key]["name"], elements[key]["unit"]) if key in elements else (str(key), "")
+            name, unit = (
+                (elements[key]["name"], elements[key]["unit"])
+                if key in elements
+                else (str(key), "")
+            )
             stale = " stale" if self.track("stale").get(key) else ""
             yield Text(f"{name[:20]:<20} {values[-1]:>8.4g} {unit}", "bold").append(stale, "red")
             yield Text(_course(values, max(10, width)), "blue")
@@ -204,7 +224,11 @@ class TerminalView(App[None]):
         outcome = self._fold.track("result").get(0)
         over = f"over: {outcome['outcome']}, {outcome['reason']}" if outcome else ""
         self.sub_title = "  ".join(filter(None, (f"{self._fold.now:.1f} s", over, wrong)))
-        lines = {"tree": self._fold.tree(), "known": self._fold.known(), "adaptations": self._fold.adaptations()}
+        lines = {
+            "tree": self._fold.tree(),
+            "known": self._fold.known(),
+            "adaptations": self._fold.adaptations(),
+        }
         lines["measurements"] = self._fold.measurements(self.size.width // 2 - 6)
         for name, shown in lines.items():
             self._shown[name].update(Text("\n").join(shown))

@@ -43,7 +43,8 @@ class Assistant:
         kb = self._kb
         return {
             "actions": {
-                one: {"feasible": kb.is_feasible(one), "why": kb.why(view)} for one, view in kb.actions.items()
+                one: {"feasible": kb.is_feasible(one), "why": kb.why(view)}
+                for one, view in kb.actions.items()
             },
             "being done": [one.action for one in kb.required_actions],
         }
@@ -77,10 +78,16 @@ class Assistant:
         """Say why a function has its design, or a component its configuration, and not another one."""
         return str(self._kb.explain_choice(element))
 
-    def what_if(self, measured: dict[str, float] | None = None, failed: list[str] | None = None) -> dict[str, Any]:
+    def what_if(
+        self, measured: dict[str, float] | None = None, failed: list[str] | None = None
+    ) -> dict[str, Any]:
         """Say what could be done if attributes had other values and components had failed; nothing is changed."""
         situation = self._kb.situation(measured or {}, failed=failed or ())
-        out = {name: situation.why(view) for name, view in situation.actions.items() if not situation.is_feasible(name)}
+        out = {
+            name: situation.why(view)
+            for name, view in situation.actions.items()
+            if not situation.is_feasible(name)
+        }
         return {"feasible": list(situation.selectable_actions()), "unfeasible": out}
 
     def best_configuration(self, action: str) -> dict[str, Any]:
@@ -97,14 +104,20 @@ class Assistant:
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
         feasible = self._kb.selectable_actions()
-        found = answer(ask(mission=self._mission, feasible=feasible, goals=[goal] if goal else []), _PLANNING_S)
+        found = answer(
+            ask(mission=self._mission, feasible=feasible, goals=[goal] if goal else []), _PLANNING_S
+        )
         steps = [str(step) for step in found.result.steps]
         result = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
         return {**result, "obstacles": list(found.obstacles)}
 
     def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
         """Tell what was decided last, with the cause: requests, and reconfiguration plans with their reasons."""
-        events = [one for one in self._kb.log if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)]
+        events = [
+            one
+            for one in self._kb.log
+            if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
+        ]
         return [self._decision(one) for one in events[-max(1, min(most, _MOST)) :]]
 
     def request_action(self, action: str) -> dict[str, Any]:
@@ -119,11 +132,19 @@ class Assistant:
 
     def _decision(self, event: Event) -> dict[str, Any]:
         reason = event.plan.reason if event.plan is not None else ""
-        return {"time": event.time, "what": event.text, "why": reason, "caused by event": event.cause}
+        return {
+            "time": event.time,
+            "what": event.text,
+            "why": reason,
+            "caused by event": event.cause,
+        }
 
 
 def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: {"status": str(view.status), "selected": view.is_selected} for name, view in views.items()}
+    return {
+        name: {"status": str(view.status), "selected": view.is_selected}
+        for name, view in views.items()
+    }
 
 
 def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServer":
@@ -136,13 +157,21 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
     kept = () if allow_actions else ("request_action", "cancel_action")
-    tools = {name: getattr(assistant, name) for name in vars(Assistant) if name[0] != "_" and name not in kept}
+    tools = {
+        name: getattr(assistant, name)
+        for name in vars(Assistant)
+        if name[0] != "_" and name not in kept
+    }
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as its base has it
             takes = signature(tools[name]).parameters if name in tools else arguments
-            if unknown := arguments.keys() - takes:  # otherwise they are ignored, and another question is answered
-                raise ToolError(f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}")
+            if (
+                unknown := arguments.keys() - takes
+            ):  # otherwise they are ignored, and another question is answered
+                raise ToolError(
+                    f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}"
+                )
             return await super().call_tool(name, arguments, context)
 
     server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
@@ -174,7 +203,9 @@ def serve_http(server: "MCPServer", port: int, token: str) -> None:
         MissionError: there is no token, or the extra `mcp` is missing.
     """
     if not token:
-        raise MissionError("over HTTP an assistant needs a token: --token, or the variable ROSA_TOKEN")
+        raise MissionError(
+            "over HTTP an assistant needs a token: --token, or the variable ROSA_TOKEN"
+        )
     with needs("mcp", "the server for assistants"):
         import uvicorn
     app, wanted = server.streamable_http_app(), f"Bearer {token}".encode()
@@ -182,8 +213,19 @@ def serve_http(server: "MCPServer", port: int, token: str) -> None:
     async def guarded(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
         given = dict(scope.get("headers") or ()).get(b"authorization", b"")
         if scope["type"] == "http" and not compare_digest(given, wanted):
-            await send({"type": "http.response.start", "status": 401, "headers": [(b"content-type", b"text/plain")]})
-            await send({"type": "http.response.body", "body": b"a token is needed: Authorization: Bearer TOKEN\n"})
+            await send(
+                {
+                    "type": "http.response.start",
+                    "status": 401,
+                    "headers": [(b"content-type", b"text/plain")],
+                }
+            )
+            await send(
+                {
+                    "type": "http.response.body",
+                    "body": b"a token is needed: Authorization: Bearer TOKEN\n",
+                }
+            )
         else:
             await app(scope, receive, send)
 

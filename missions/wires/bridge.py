@@ -18,7 +18,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from kb import ComponentKind, Event, EventKind, KnowledgeBase, KnowledgeBaseError, ReconfigurationPlan
+from kb import (
+    ComponentKind,
+    Event,
+    EventKind,
+    KnowledgeBase,
+    KnowledgeBaseError,
+    ReconfigurationPlan,
+)
 from kb.elements import Parameters
 from kb.records import Process
 from missions.engine.mission import MissionError, Percepts
@@ -73,15 +80,21 @@ class BridgeSettings:
         try:
             read = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise MissionError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from None
+            raise MissionError(
+                f"cannot read {path}: {getattr(error, 'strerror', None) or error}"
+            ) from None
         known = {one.name: one for one in fields(cls)}
         for name, value in read.items():
             if name not in known:
-                raise MissionError(f"{path} has an unknown field {name!r}; known are {', '.join(known)}")
+                raise MissionError(
+                    f"{path} has an unknown field {name!r}; known are {', '.join(known)}"
+                )
             wanted = dict if name in ("attributes", "components") else str
             texts = value.values() if isinstance(value, dict) else (value,)
             if not isinstance(value, wanted) or not all(isinstance(one, str) for one in texts):
-                raise MissionError(f"{name} in {path} must be {'a table of texts' if wanted is dict else 'a text'}")
+                raise MissionError(
+                    f"{name} in {path} must be {'a table of texts' if wanted is dict else 'a text'}"
+                )
         return cls(**read)
 
 
@@ -182,7 +195,9 @@ class RosComponents:
         self._node = node
         for name in names:
             _ = kb.components[name]
-        own = {name: name for name, one in kb.components.items() if one.kind is ComponentKind.LIFECYCLE}
+        own = {
+            name: name for name, one in kb.components.items() if one.kind is ComponentKind.LIFECYCLE
+        }
         self._names = {name: f"/{one.strip('/')}" for name, one in {**own, **names}.items()}
         self._states: dict[str, int] = {}
         for name, place in self._names.items():
@@ -215,7 +230,9 @@ class RosComponents:
         return None if state is None else state == _ACTIVE
 
     def _look(self, component: str) -> Calls:
-        answer = yield self._node.call(f"{self._place(component)}/get_state", "lifecycle_msgs/srv/GetState", {})
+        answer = yield self._node.call(
+            f"{self._place(component)}/get_state", "lifecycle_msgs/srv/GetState", {}
+        )
         self._states[component] = int(answer["current_state"]["id"])
 
     def _switch(self, component: str, goal: int) -> Calls:
@@ -230,15 +247,21 @@ class RosComponents:
     def _change(self, component: str, transition: int, goal: int) -> Calls:
         request = {"transition": {"id": transition, "label": ""}}
         place = self._place(component)
-        answer = yield self._node.call(f"{place}/change_state", "lifecycle_msgs/srv/ChangeState", request)
+        answer = yield self._node.call(
+            f"{place}/change_state", "lifecycle_msgs/srv/ChangeState", request
+        )
         if not answer.get("success"):
-            raise RosError(f"{place} refuses the transition {transition} from {self._states[component]}")
+            raise RosError(
+                f"{place} refuses the transition {transition} from {self._states[component]}"
+            )
         self._states[component] = goal
 
     def _set(self, component: str, parameters: Parameters) -> Calls:
         request = {"parameters": parameter_messages(parameters)}
         kind = "rcl_interfaces/srv/SetParametersAtomically"
-        answer = yield self._node.call(f"{self._place(component)}/set_parameters_atomically", kind, request)
+        answer = yield self._node.call(
+            f"{self._place(component)}/set_parameters_atomically", kind, request
+        )
         result = answer.get("result") or {}
         if not result.get("successful"):
             reason = result.get("reason") or "without a reason"
@@ -247,7 +270,9 @@ class RosComponents:
     def _place(self, component: str) -> str:
         if component not in self._names:
             known = ", ".join(self._names) or "none"
-            raise RosError(f"there is no node for {component!r}, only for {known}: name its node under components")
+            raise RosError(
+                f"there is no node for {component!r}, only for {known}: name its node under components"
+            )
         return self._names[component]
 
     def _follow(self, calls: Calls) -> "Future[None]":
@@ -287,7 +312,9 @@ def _place(attribute: str, text: str) -> tuple[str, list[str], str]:
     where, _, kind = text.strip().partition(" ")
     topic, *path = where.split(".")
     if not topic.startswith("/") or not all(path) or not path:
-        raise MissionError(f"{attribute} is measured by {text!r}; write /topic.field, e.g. /battery_state.percentage")
+        raise MissionError(
+            f"{attribute} is measured by {text!r}; write /topic.field, e.g. /battery_state.percentage"
+        )
     return topic, path, kind.strip()
 
 
@@ -306,12 +333,15 @@ class RosaServices:
         for name, kind, answer in self._table():
             package = "ros_typedb_msgs" if kind == "Query" else "rosa_msgs"
             try:
-                node.serve(f"/rosa_kb/{name}", f"{package}/srv/{kind}", partial(self._answer, name, answer))
+                node.serve(
+                    f"/rosa_kb/{name}", f"{package}/srv/{kind}", partial(self._answer, name, answer)
+                )
             except RosError:  # the node's library does not have this type
                 unknown.append(name)
         if unknown:
             _log.warning(
-                "these services of /rosa_kb/ are not served, as their types are not known: %s", ", ".join(unknown)
+                "these services of /rosa_kb/ are not served, as their types are not known: %s",
+                ", ".join(unknown),
             )
 
     def _table(self) -> Iterator[tuple[str, str, Answer]]:
@@ -321,28 +351,62 @@ class RosaServices:
             yield f"{kind}/insert", f"{kind.capitalize()}Query", partial(self._insert, kind)
         for what, kind, held, whole, ask in (
             ("function_designs", "FunctionDesign", "fds", "function", kb.selectable_designs),
-            ("component_configuration", "ComponentConfiguration", "c_configs", "component", configurations),
+            (
+                "component_configuration",
+                "ComponentConfiguration",
+                "c_configs",
+                "component",
+                configurations,
+            ),
         ):
-            yield f"{what}/selectable", f"Selectable{kind}s", partial(self._selectable, held, whole, ask)
+            yield (
+                f"{what}/selectable",
+                f"Selectable{kind}s",
+                partial(self._selectable, held, whole, ask),
+            )
             yield f"{what}/priority", f"Get{kind}Priority", partial(self._named, held)
         yield from (
             ("action/request", "ActionQuery", self._request_action),
-            ("action/exists", "ActionQuery", lambda one: {"action": self._thing("action", _name(one, "action"))}),
+            (
+                "action/exists",
+                "ActionQuery",
+                lambda one: {"action": self._thing("action", _name(one, "action"))},
+            ),
             ("action/selectable", "ActionQueryArray", self._selectable_actions),
-            ("function/adaptable", "AdaptableFunctions", lambda _: self._all("functions", kb.adaptable_functions())),
+            (
+                "function/adaptable",
+                "AdaptableFunctions",
+                lambda _: self._all("functions", kb.adaptable_functions()),
+            ),
             ("component/adaptable", "AdaptableComponents", self._adaptable_components),
             ("component/active/set", "ComponentQuery", self._set_active),
-            ("component/active/get", "ComponentQuery", lambda one: self._component(_name(one, "component"))),
+            (
+                "component/active/get",
+                "ComponentQuery",
+                lambda one: self._component(_name(one, "component")),
+            ),
             ("component_parameters/get", "GetComponentParameters", self._parameters),
             ("select_configuration", "SelectedConfigurations", self._select),
-            ("reconfiguration_plan/get", "ReconfigurationPlanQuery", lambda one: self._plan(self._meant_plan(one))),
-            ("reconfiguration_plan/get_latest", "ReconfigurationPlanQuery", lambda _: self._plan(kb.latest_plan)),
+            (
+                "reconfiguration_plan/get",
+                "ReconfigurationPlanQuery",
+                lambda one: self._plan(self._meant_plan(one)),
+            ),
+            (
+                "reconfiguration_plan/get_latest",
+                "ReconfigurationPlanQuery",
+                lambda _: self._plan(kb.latest_plan),
+            ),
             ("reconfiguration_plan/result/set", "ReconfigurationPlanQuery", self._finish_plan),
             ("component_process/insert", "ComponentProcessQuery", self._process_started),
             ("component_process/end/set", "ComponentProcessQuery", self._process_ended),
             ("component_process/get_active", "ComponentProcessQueryArray", self._active_processes),
             ("function_design/insert", "FunctionDesignQuery", self._insert_design),
-            ("functional_requirement/insert", "FunctionalRequirementQuery", self._insert_requirement),
+            (
+                "functional_requirement/insert",
+                "FunctionalRequirementQuery",
+                self._insert_requirement,
+            ),
             ("query", "Query", _refuse_query),
         )
 
@@ -362,15 +426,24 @@ class RosaServices:
         name = _name(one, "action")
         if not one["action"].get("is_required"):
             self._kb.cancel_action(name)
-        elif not (reply := self._kb.request_action(name, preference=str(one.get("preference") or "") or None)):
+        elif not (
+            reply := self._kb.request_action(
+                name, preference=str(one.get("preference") or "") or None
+            )
+        ):
             raise RosError(reply.reason)
         return {"action": self._thing("action", name)}
 
     def _selectable_actions(self, one: Message) -> Message:
         asked = _names(one, "actions")
-        return self._all("actions", [name for name in self._kb.selectable_actions() if name in asked or not asked])
+        return self._all(
+            "actions",
+            [name for name in self._kb.selectable_actions() if name in asked or not asked],
+        )
 
-    def _selectable(self, field: str, whole: str, ask: Callable[[str], Iterable[str]], one: Message) -> Message:
+    def _selectable(
+        self, field: str, whole: str, ask: Callable[[str], Iterable[str]], one: Message
+    ) -> Message:
         return self._all(field, ask(_name(one, whole)))
 
     def _named(self, field: str, one: Message) -> Message:
@@ -381,10 +454,15 @@ class RosaServices:
         return self._all("components", self._kb.adaptable_components(designs))
 
     def _select(self, one: Message) -> Message:
-        designs, configurations = _names(one, "selected_fds"), _names(one, "selected_component_configs")
+        designs, configurations = (
+            _names(one, "selected_fds"),
+            _names(one, "selected_component_configs"),
+        )
         self._kb.select(
             designs={self._kb.designs[name].function: name for name in designs},
-            configurations={self._kb.configurations[name].component: name for name in configurations},
+            configurations={
+                self._kb.configurations[name].component: name for name in configurations
+            },
         )
         return {}
 
@@ -397,7 +475,9 @@ class RosaServices:
         found = [plan for plan in self._kb.plans if _iso(plan.start) == start]
         if not found:
             latest = ", ".join(_iso(plan.start) for plan in self._kb.plans[-3:]) or "none"
-            raise RosError(f"no reconfiguration plan has start_time {start!r}; the latest: {latest}")
+            raise RosError(
+                f"no reconfiguration plan has start_time {start!r}; the latest: {latest}"
+            )
         return found[-1]
 
     def _set_active(self, one: Message) -> Message:
@@ -409,7 +489,10 @@ class RosaServices:
 
     def _parameters(self, one: Message) -> Message:
         view = self._kb.configurations[_name(one, "c_config")]
-        return {**self._component(view.component), "parameters": parameter_messages(view.parameters)}
+        return {
+            **self._component(view.component),
+            "parameters": parameter_messages(view.parameters),
+        }
 
     def _process_started(self, one: Message) -> Message:
         given = _part(one, "component_process")
@@ -422,7 +505,11 @@ class RosaServices:
         return {"component_process": given}
 
     def _active_processes(self, _: Message) -> Message:
-        return {"component_process": [self._process(one) for one in self._kb.processes if one.end is None]}
+        return {
+            "component_process": [
+                self._process(one) for one in self._kb.processes if one.end is None
+            ]
+        }
 
     def _insert(self, kind: str, one: Message) -> Message:
         name = _name(one, kind)
@@ -432,7 +519,10 @@ class RosaServices:
 
     def _insert_design(self, one: Message) -> Message:
         given = _part(one, "function_design")
-        function, name = self._kb.model.functions[_name(given, "function")], _name(one, "function_design")
+        function, name = (
+            self._kb.model.functions[_name(given, "function")],
+            _name(one, "function_design"),
+        )
         components = [self._kb.model.components[c] for c in _names(given, "required_components")]
         if name not in self._kb.designs:
             function.design(name, components, priority=given.get("priority", 1.0))
@@ -441,7 +531,9 @@ class RosaServices:
     def _insert_requirement(self, one: Message) -> Message:
         given, model = _part(one, "functional_requirement"), self._kb.model
         action = model.actions[_name(given, "action")]
-        names = dict.fromkeys([*self._kb.actions[action.name].functions, *_names(given, "required_functions")])
+        names = dict.fromkeys(
+            [*self._kb.actions[action.name].functions, *_names(given, "required_functions")]
+        )
         model.change(action, functions=[model.functions[name] for name in names])
         return {"functional_requirement": given}
 
@@ -460,11 +552,17 @@ class RosaServices:
         if kind == "action":
             fields["is_required"] = view.is_required
         elif kind == "component":
-            fields |= {"node_type": str(view.kind), "parameters": parameter_messages(view.parameters_in_force)}
+            fields |= {
+                "node_type": str(view.kind),
+                "parameters": parameter_messages(view.parameters_in_force),
+            }
             fields |= {field: getattr(view, field) for field in _OF_COMPONENT}
         elif kind != "function":
             whole = "function" if kind == "design" else "component"
-            fields |= {"priority": float(view.priority or 0.0), whole: self._thing(whole, getattr(view, whole))}
+            fields |= {
+                "priority": float(view.priority or 0.0),
+                whole: self._thing(whole, getattr(view, whole)),
+            }
         if kind == "design":
             fields["required_components"] = self._things("component", view.components)
         return fields
@@ -487,7 +585,9 @@ class RosaServices:
 
 def _refuse_query(one: Message) -> Message:
     asked = str(one.get("query", ""))[:60]
-    raise RosError(f"TypeQL such as {asked!r} is not answered here; use the other services, or kb.query")
+    raise RosError(
+        f"TypeQL such as {asked!r} is not answered here; use the other services, or kb.query"
+    )
 
 
 def _span(one: ReconfigurationPlan | Process) -> Message:
@@ -496,7 +596,9 @@ def _span(one: ReconfigurationPlan | Process) -> Message:
 
 def _iso(time_s: float) -> str:
     """Return a time [s since 1970] as ISO 8601, to the millisecond."""
-    return datetime.fromtimestamp(time_s, UTC).replace(tzinfo=None).isoformat(timespec="milliseconds")
+    return (
+        datetime.fromtimestamp(time_s, UTC).replace(tzinfo=None).isoformat(timespec="milliseconds")
+    )
 
 
 def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
@@ -506,15 +608,23 @@ def parameter_messages(parameters: Mapping[str, Any]) -> list[Message]:
 
 def _value_message(value: Any) -> Message:  # noqa: ANN401  # of a parameter
     is_list = isinstance(value, list)
-    kinds = type((value or [0.0])[0] if is_list else value).__mro__  # numpy's numbers are subclasses of these
+    kinds = type(
+        (value or [0.0])[0] if is_list else value
+    ).__mro__  # numpy's numbers are subclasses of these
     code, name = next(_BY_TYPE[kind] for kind in kinds if kind in _BY_TYPE)
-    return {"type": code + 5, f"{name}_array_value": value} if is_list else {"type": code, f"{name}_value": value}
+    return (
+        {"type": code + 5, f"{name}_array_value": value}
+        if is_list
+        else {"type": code, f"{name}_value": value}
+    )
 
 
 def _part(one: Message, key: str) -> Message:
     part = one.get(key)
     if not isinstance(part, dict):
-        raise RosError(f"the request needs an object in the field {key!r}; its fields are {', '.join(one) or 'none'}")
+        raise RosError(
+            f"the request needs an object in the field {key!r}; its fields are {', '.join(one) or 'none'}"
+        )
     return part
 
 

@@ -10,7 +10,18 @@ from time import monotonic
 from typing import Any, Final
 
 from missions.engine.mission import MissionError, needs
-from missions.wires.node import LOOPBACK, QUEUED, Client, Field, Message, Outbox, Reader, RosError, TypedNode, made
+from missions.wires.node import (
+    LOOPBACK,
+    QUEUED,
+    Client,
+    Field,
+    Message,
+    Outbox,
+    Reader,
+    RosError,
+    TypedNode,
+    made,
+)
 from missions.wires.ros import NOTHING, Types, types
 
 _LOOK_S: Final = 0.05
@@ -63,7 +74,11 @@ class Structs(Types):
         from cyclonedds.idl import types as idl
 
         named = {"bool": bool, "string": str, "byte": idl.uint8, "char": idl.uint8}
-        one = self.find(field.kind) if "/" in field.kind else named.get(field.kind) or getattr(idl, field.kind)
+        one = (
+            self.find(field.kind)
+            if "/" in field.kind
+            else named.get(field.kind) or getattr(idl, field.kind)
+        )
         if field.length is None:
             return one
         make: Any = idl.array[one, field.length] if field.length else idl.sequence[one]  # type: ignore[misc]  # as cyclonedds has it
@@ -88,11 +103,15 @@ class DdsNode(TypedNode):
         with needs("dds", "DDS"):
             import rosbags  # noqa: F401  # DdsNode needs its types
             from cyclonedds import core
-        name = f"DDS on {host}" + ("" if host in LOOPBACK else ", where nobody is asked for a token")
+        name = f"DDS on {host}" + (
+            "" if host in LOOPBACK else ", where nobody is asked for a token"
+        )
         self._structs = Structs()
         super().__init__(name, self._structs)
         self._closing = Event()
-        self._participant = _participant(int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain is None else domain, host)
+        self._participant = _participant(
+            int(os.environ.get("ROS_DOMAIN_ID") or 0) if domain is None else domain, host
+        )
         self._whose = self._participant.guid.int >> 32 & 2**64 - 1
         self._waiting = core.WaitSet(self._participant)
         self._outbox = Outbox(self._send)
@@ -124,7 +143,9 @@ class DdsNode(TypedNode):
 
     def _publishers(self, reader: Reader) -> tuple[bool, bool]:
         opened = reader.opened[-1]
-        return bool(opened.matched_pub), bool(opened.get_requested_incompatible_qos_status().total_count)
+        return bool(opened.matched_pub), bool(
+            opened.get_requested_incompatible_qos_status().total_count
+        )
 
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # made by `find`
         writer = self._data_writer(topic, kind)
@@ -146,40 +167,62 @@ class DdsNode(TypedNode):
         def is_served() -> bool:
             servers = reader.opened[-1].matched_pub
             if writer.matched_sub and any(self._is_fast_dds(reader, one) for one in servers):
-                raise RosError(f"{service} is served by Fast DDS, whose services are not reached by DDS; use rosbridge")
+                raise RosError(
+                    f"{service} is served by Fast DDS, whose services are not reached by DDS; use rosbridge"
+                )
             return bool(writer.matched_sub and servers)
 
         def send(number: int, request: Any) -> None:  # noqa: ANN401  # made by `find`
-            self._outbox.put((writer, self._structs.with_header(asked, self._whose, number, request), None))
+            self._outbox.put(
+                (writer, self._structs.with_header(asked, self._whose, number, request), None)
+            )
 
         asked = f"{kind}_Request"
-        writer = self._data_writer(f"rq{service}Request", self._structs.find(asked, has_header=True))
-        reader = self._hear(f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True), take)
+        writer = self._data_writer(
+            f"rq{service}Request", self._structs.find(asked, has_header=True)
+        )
+        reader = self._hear(
+            f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True), take
+        )
         return Client(is_served, send)
 
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
-        writer = self._data_writer(f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True))
+        writer = self._data_writer(
+            f"rr{service}Reply", self._structs.find(f"{kind}_Response", has_header=True)
+        )
 
         def take(request: Any) -> None:  # noqa: ANN401  # a class made here
             if self._is_fast_dds(reader, request.sample_info.publication_handle):
-                raise ValueError(f"{service} is called by Fast DDS, whose calls are not read by DDS; use rosbridge")
+                raise ValueError(
+                    f"{service} is called by Fast DDS, whose calls are not read by DDS; use rosbridge"
+                )
             answer = respond(request)
-            thing = self._structs.with_header(f"{kind}_Response", request.rmw_guid, request.rmw_seq, answer)
+            thing = self._structs.with_header(
+                f"{kind}_Response", request.rmw_guid, request.rmw_seq, answer
+            )
             self._outbox.put((writer, thing, reader))
 
-        reader = self._hear(f"rq{service}Request", self._structs.find(f"{kind}_Request", has_header=True), take)
+        reader = self._hear(
+            f"rq{service}Request", self._structs.find(f"{kind}_Request", has_header=True), take
+        )
 
     def _send(self, what: tuple[Any, Any, Reader | None]) -> None:
         """Write a message; a response waits until its client's reader is discovered, which can take a moment."""
         writer, thing, asking = what
         end = monotonic() + _WRITE_S
-        while asking is not None and len(writer.matched_sub) < len(asking.opened[-1].matched_pub) and monotonic() < end:
+        while (
+            asking is not None
+            and len(writer.matched_sub) < len(asking.opened[-1].matched_pub)
+            and monotonic() < end
+        ):
             self._closing.wait(0.005)
         while not self._closing.is_set():
             try:
                 writer.write(thing)
                 return
-            except Exception as error:  # a reader does not keep up, or the message cannot be written
+            except (
+                Exception
+            ) as error:  # a reader does not keep up, or the message cannot be written
                 if monotonic() > end:
                     self.refused.add(error)
                     return
@@ -217,10 +260,18 @@ class DdsNode(TypedNode):
         from cyclonedds.core import Policy
 
         kind = "rmw_dds_common/msg/ParticipantEntitiesInfo"
-        writer = self._data_writer("ros_discovery_info", self._structs.find(kind), Policy.Durability.TransientLocal)
+        writer = self._data_writer(
+            "ros_discovery_info", self._structs.find(kind), Policy.Durability.TransientLocal
+        )
         node = {"node_namespace": "/", "node_name": "rosa_kb"}
         identity = {"data": [*self._participant.guid.bytes, *bytes(8)]}
-        self._outbox.put((writer, made(self._structs, kind, {"gid": identity, "node_entities_info_seq": [node]}), None))
+        self._outbox.put(
+            (
+                writer,
+                made(self._structs, kind, {"gid": identity, "node_entities_info_seq": [node]}),
+                None,
+            )
+        )
 
 
 def _participant(domain: int, host: str) -> Any:  # noqa: ANN401  # of cyclonedds
@@ -232,10 +283,14 @@ def _participant(domain: int, host: str) -> Any:  # noqa: ANN401  # of cyclonedd
         if domain not in _domains:
             _domains[domain] = address, Domain(domain, _CONFIGURATION.format(address))
         if _domains[domain][0] != address:
-            raise MissionError(f"this process is in the DDS domain {domain} on {_domains[domain][0]}, not on {host}")
+            raise MissionError(
+                f"this process is in the DDS domain {domain} on {_domains[domain][0]}, not on {host}"
+            )
         return DomainParticipant(domain)
     except DDSException as error:
-        raise MissionError(f"the DDS domain {domain} cannot be opened on {host}: {error.msg}") from None
+        raise MissionError(
+            f"the DDS domain {domain} cannot be opened on {host}: {error.msg}"
+        ) from None
 
 
 def _quality(*, is_reliable: bool = True) -> Any:  # noqa: ANN401  # of cyclonedds

@@ -36,7 +36,9 @@ _IDLE, _SKIPPED, _WAS = 0, 4, 10
 _CODES: Final = {Status.INVALID: _IDLE, Status.RUNNING: 1, Status.SUCCESS: 2, Status.FAILURE: 3}
 _LOOK_MS: Final = 100
 _NO_RECORD: Final = "transitions are not recorded here: `rosa run --record FILE.mcap` and `--report FILE.html` do it"
-_NO_HOOKS: Final = "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
+_NO_HOOKS: Final = (
+    "breakpoints and replaced nodes are not accepted: a robot does what its own program says"
+)
 _NOT_SERVED: Final = {**dict.fromkeys("IRUAX", _NO_HOOKS), **dict.fromkeys("rt", _NO_RECORD)}
 
 
@@ -49,7 +51,9 @@ class _Present(NamedTuple):
     codes: Mapping[Behaviour, int]
 
     def statuses(self) -> bytes:
-        return b"".join(_STATUS.pack(number, self.codes[node]) for node, number in self.tree.numbers.items())
+        return b"".join(
+            _STATUS.pack(number, self.codes[node]) for node, number in self.tree.numbers.items()
+        )
 
 
 class Groot2Publisher(VisitorBase):
@@ -80,7 +84,9 @@ class Groot2Publisher(VisitorBase):
             self._notices = self._bound(zmq.PUB, port + 1)
         except zmq.ZMQError as error:
             self._context.destroy()
-            taken = f"Groot2's wire needs the TCP ports {port} and {port + 1} of this machine: {error}"
+            taken = (
+                f"Groot2's wire needs the TCP ports {port} and {port + 1} of this machine: {error}"
+            )
             raise MissionError(f"{taken}; give another port") from None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="groot2", daemon=True)
@@ -133,7 +139,9 @@ class Groot2Publisher(VisitorBase):
                 frames = self._socket.recv_multipart()
                 try:
                     answer = self._answer(frames)
-                except Exception as error:  # e.g. a value on a blackboard that has no text; the next is answered
+                except (
+                    Exception
+                ) as error:  # e.g. a value on a blackboard that has no text; the next is answered
                     answer = _refusal(f"that cannot be shown: {type(error).__name__}: {error}")
                 self._socket.send_multipart(answer)
         self._context.destroy()
@@ -141,27 +149,38 @@ class Groot2Publisher(VisitorBase):
     def _answer(self, frames: Sequence[bytes]) -> list[bytes]:
         head, argument = frames[0], b"".join(frames[1:2])
         if len(head) != _HEAD.size or head[0] != _PROTOCOL:
-            return _refusal(f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes")
+            return _refusal(
+                f"a request begins with 6 bytes: {_PROTOCOL}, a letter and a number of 4 bytes"
+            )
         kind, present = chr(head[1]), self._present
         served: Mapping[str, Callable[[], bytes]] = {
             "T": present.tree.xml.encode,
             "S": present.statuses,
-            "B": lambda: self._packed(self._boards(present.tree, argument.decode(errors="replace").split(";"))),
+            "B": lambda: self._packed(
+                self._boards(present.tree, argument.decode(errors="replace").split(";"))
+            ),
             "D": lambda: b"[]",
         }
         if kind not in served:
-            return _refusal(_NOT_SERVED.get(kind, f"unknown request {kind!r}; served are {' '.join(served)}"))
+            return _refusal(
+                _NOT_SERVED.get(kind, f"unknown request {kind!r}; served are {' '.join(served)}")
+            )
         return [head + present.identity, served[kind]()]
 
     def _boards(self, tree: NumberedTree, names: Sequence[str]) -> Mapping[str, Mapping[str, Any]]:
         chosen = [name for name in names if name in tree.subtrees] or list(tree.subtrees)
-        return {name: _values(None if (one := tree.subtrees[name]) is None else one.blackboard) for name in chosen}
+        return {
+            name: _values(None if (one := tree.subtrees[name]) is None else one.blackboard)
+            for name in chosen
+        }
 
 
 def _values(subtree: Mapping[str, Any] | None) -> dict[str, Any]:
     """Return the entries of a blackboard, other values than numbers and texts as text; a tick may write meanwhile."""
     board = Blackboard.storage if subtree is None else subtree
-    return {key.lstrip("/"): one if _is_plain(one) else repr(one) for key, one in list(board.items())}
+    return {
+        key.lstrip("/"): one if _is_plain(one) else repr(one) for key, one in list(board.items())
+    }
 
 
 def _is_plain(value: object) -> bool:

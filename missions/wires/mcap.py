@@ -32,12 +32,21 @@ from missions.wires import ros
 from missions.wires.node import Refusals
 from rosa_bt.xml import NumberedTree
 
-DIAGNOSTICS, TREE, TREE_LOG, LOG = "/diagnostics", "/behavior_tree", "/behavior_tree_log", "/rosa/log"
+DIAGNOSTICS, TREE, TREE_LOG, LOG = (
+    "/diagnostics",
+    "/behavior_tree",
+    "/behavior_tree_log",
+    "/rosa/log",
+)
 EVENTS, RUN, ROWS = "/rosa/events", "/rosa/run", "/rosa/rows"
 """Our own topics: the events of the log, how the mission was run, and rows that a report shows besides the events."""
 VERSION: Final = 1
 """The version of our recordings."""
-_COMMANDS: Final = {"activate": "activate", "deactivate": "deactivate", "configure": "set_parameters"}
+_COMMANDS: Final = {
+    "activate": "activate",
+    "deactivate": "deactivate",
+    "configure": "set_parameters",
+}
 """The command to a component, by the operation of an attempt."""
 _LARGEST_RECORD: Final = 2**30
 """The largest record of an MCAP file [bytes]."""
@@ -128,12 +137,21 @@ class McapFile(AbstractContextManager["McapFile"]):
         self._thread = Thread(target=self._write_all, name="mcap", daemon=True)
         self._thread.start()
 
-    def write(self, topic: str, kind: str, time_s: float, make: Callable[..., dict[str, Any]], *arguments: Any) -> None:  # noqa: ANN401  # the arguments of make
+    def write(
+        self,
+        topic: str,
+        kind: str,
+        time_s: float,
+        make: Callable[..., dict[str, Any]],
+        *arguments: Any,  # noqa: ANN401  # the arguments of make
+    ) -> None:
         """Queue a message at a time [s]: the thread writes what `make(*arguments)` returns, as type `kind`."""
         if self.waiting < self.most:
             self._queue.put(partial(self._write, topic, kind, time_s, partial(make, *arguments)))
         elif self._error is None:
-            self._give_up(OSError(f"the disk does not keep up, {self.waiting} messages wait to be written"))
+            self._give_up(
+                OSError(f"the disk does not keep up, {self.waiting} messages wait to be written")
+            )
 
     @property
     def waiting(self) -> int:
@@ -151,7 +169,9 @@ class McapFile(AbstractContextManager["McapFile"]):
             waiting = self.waiting
             self._thread.join(PATIENCE_S)
             if self._thread.is_alive() and self.waiting == waiting:
-                raise self._unwritten(self._error or OSError(f"the disk does not answer, {waiting} messages wait"))
+                raise self._unwritten(
+                    self._error or OSError(f"the disk does not answer, {waiting} messages wait")
+                )
         if self._file.closed:
             return
         try:
@@ -169,7 +189,9 @@ class McapFile(AbstractContextManager["McapFile"]):
         for write in iter(self._queue.get, None):
             write()
 
-    def _write(self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]) -> None:
+    def _write(
+        self, topic: str, kind: str, time_s: float, make: Callable[[], dict[str, Any]]
+    ) -> None:
         if self._error is not None:
             return
         try:
@@ -190,7 +212,9 @@ class McapFile(AbstractContextManager["McapFile"]):
         _log.warning("%s is recorded no further: %s", self.path, error)
 
     def _unwritten(self, error: Exception) -> MissionError:
-        return MissionError(f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}")
+        return MissionError(
+            f"cannot write {self.path}: {getattr(error, 'strerror', None) or error}"
+        )
 
     def __exit__(self, *reason: object) -> None:
         self.close()
@@ -236,7 +260,12 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         self._open.callback(shown.rows.heard.remove, self._row)
         if page is None:
             self._open.callback(shown.close)
-        header = {"rosa": VERSION, "model": kb.model.name, "typeql": typeql_text(kb.model), **(run or {})}
+        header = {
+            "rosa": VERSION,
+            "model": kb.model.name,
+            "typeql": typeql_text(kb.model),
+            **(run or {}),
+        }
         self._file.most = inf  # all that is known already is recorded, however long that takes
         self._file.write(RUN, ros.STRING, kb.now, ros.json_text, {**header, "page": shown.header})
         for event in kb.log:
@@ -253,7 +282,9 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
     def message(self, message: Message) -> None:
         """Record a message of diagnostics: its time [s] and statuses, each with name, message and values."""
         time_s = float(message["time"])
-        self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message["status"])
+        self._file.write(
+            DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message["status"]
+        )
 
     def close(self) -> None:
         """Stop recording, and complete the file.
@@ -270,7 +301,12 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         write = self._file.write
         write(EVENTS, ros.STRING, event.time, ros.json_text, event.to_json())
         if event.verb == "measure":
-            write(f"/attributes/{event.subject}", ros.FLOAT, event.time, lambda: {"data": float(event.arguments[1])})
+            write(
+                f"/attributes/{event.subject}",
+                ros.FLOAT,
+                event.time,
+                lambda: {"data": float(event.arguments[1])},
+            )
         elif event.kind in _LOGGED or event.verb == "component_failed":
             write(LOG, ros.LOG, event.time, ros.log_of, event)
 
@@ -290,7 +326,10 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             self._file.write(TREE, ros.STRING, now, dict, {"data": self._numbered.xml})
         changes = []
         for node, uid in self._numbered.numbers.items():
-            before, status = self._statuses.get(uid, "IDLE"), _NAMES.get(node.status, node.status.name)
+            before, status = (
+                self._statuses.get(uid, "IDLE"),
+                _NAMES.get(node.status, node.status.name),
+            )
             if status != before:
                 changes.append((node.name, uid, before, status))
                 self._statuses[uid] = status
@@ -322,14 +361,23 @@ class Bag:
 
     def header(self) -> Message:
         """Return the first message of a replay: how the robot was run, and what came of its commands."""
-        return {"time": 0.0, "status": [], **({"run": {**self.run, "commands": self._commands()}} if self.run else {})}
+        return {
+            "time": 0.0,
+            "status": [],
+            **({"run": {**self.run, "commands": self._commands()}} if self.run else {}),
+        }
 
     def _commands(self) -> list[tuple[str, str, float, bool]]:
         """Return the commands in order: command, component, duration [s], and whether it succeeded."""
         given = [one for one in self.events if one.verb == "record_attempt"]
         ended = {one.arguments[0]: one for one in self.events if one.verb == "finish_attempt"}
         return [
-            (_COMMANDS[one.arguments[2]], one.arguments[1], end.time - one.time, end.arguments[1] == "completed")
+            (
+                _COMMANDS[one.arguments[2]],
+                one.arguments[1],
+                end.time - one.time,
+                end.arguments[1] == "completed",
+            )
             for number, one in enumerate(given, start=1)
             if (end := ended.get(number)) is not None
         ]
@@ -387,7 +435,9 @@ def read_page(path: str | Path) -> Recorded:
     """
     bag = read_bag(path)
     if not bag.run:
-        raise MissionError(f"{path} is not rosa's own; rosa replay {path} --mission NAME --report FILE.html shows it")
+        raise MissionError(
+            f"{path} is not rosa's own; rosa replay {path} --mission NAME --report FILE.html shows it"
+        )
     now = [0.0]
     kb = KnowledgeBase(recorded_model(bag), clock=lambda: now[0])
     recorder, rows = Recorder(kb, header=bag.run["page"]), iter(bag.rows)
@@ -402,7 +452,9 @@ def read_page(path: str | Path) -> Recorded:
             now[0] = max(now[0], event.time)
             kb.tell(event)
     recorder.close()
-    return replace(recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else "")
+    return replace(
+        recorder.recorded, note=f"{bag.cut}; all before that is shown" if bag.cut else ""
+    )
 
 
 def recorded_model(bag: Bag) -> Model:
@@ -416,7 +468,9 @@ def recorded_model(bag: Bag) -> Model:
 def _run_of(run: object, place: str | Path) -> dict[str, Any]:
     if not isinstance(run, dict) or run.get("rosa") != VERSION:
         version = run.get("rosa") if isinstance(run, Mapping) else run
-        raise MissionError(f"{place} is a recording of version {version!r}; this program reads version {VERSION}")
+        raise MissionError(
+            f"{place} is a recording of version {version!r}; this program reads version {VERSION}"
+        )
     if missing := {"model", "typeql", "page"} - run.keys():
         raise MissionError(f"{place} is damaged: its header lacks {', '.join(sorted(missing))}")
     return run
@@ -433,13 +487,17 @@ def mcap_messages(place: Path, problems: Counter[str]) -> Iterator[Raw]:
     schemas: dict[int, tuple[str, str]] = {}
     channels: dict[int, tuple[str, str, str]] = {}
     with place.open("rb") as file:
-        for record in StreamReader(file, validate_crcs=True, record_size_limit=_LARGEST_RECORD).records:
+        for record in StreamReader(
+            file, validate_crcs=True, record_size_limit=_LARGEST_RECORD
+        ).records:
             if isinstance(record, records.Schema):
                 schemas[record.id] = record.name, record.data.decode()
             elif isinstance(record, records.Channel):
                 channels[record.id] = (record.topic, *schemas.get(record.schema_id, ("", "")))
                 if record.message_encoding != "cdr":
-                    problems[f"{record.topic} is encoded as {record.message_encoding}, not as cdr"] += 1
+                    problems[
+                        f"{record.topic} is encoded as {record.message_encoding}, not as cdr"
+                    ] += 1
             elif isinstance(record, records.Message):
                 yield Raw(*channels[record.channel_id], record.log_time, record.data)
 
@@ -452,11 +510,19 @@ def messages(path: str | Path, bag: Bag) -> Iterator[Raw]:
     """
     place, is_any = Path(path), False
     if not exists(path):  # noqa: PTH110  # False for an impossible name, where Path raises
-        raise MissionError(f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2")
+        raise MissionError(
+            f"there is no recording {path}; name a file .mcap or .db3, or the folder of a rosbag2"
+        )
     if not is_bag(path):
-        is_heard = "holds what was heard only, for `rosa replay` and tests" if place.suffix == ".jsonl" else ""
+        is_heard = (
+            "holds what was heard only, for `rosa replay` and tests"
+            if place.suffix == ".jsonl"
+            else ""
+        )
         holds = is_heard or "is no recording (.mcap, .db3, or the folder of a rosbag2)"
-        raise MissionError(f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided")
+        raise MissionError(
+            f"{path} {holds}; `rosa run MISSION --record FILE.mcap` also keeps what was decided"
+        )
     ros.types()  # a missing library is not a fault of the recording
     for file, found in _ways(place, bag):
         try:
@@ -477,7 +543,11 @@ def _ways(place: Path, bag: Bag) -> Iterator[tuple[Path, Iterator[Raw]]]:
     is_bag2 = (place / "metadata.yaml").exists() if place.is_dir() else place.suffix != ".mcap"
     if is_bag2:
         yield place, _rosbag2(place)
-    files = sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one)) if place.is_dir() else [place]
+    files = (
+        sorted(place.glob("*.mcap"), key=lambda one: (len(one.name), one))
+        if place.is_dir()
+        else [place]
+    )
     if not files and not is_bag2:
         bag.cut = "the folder has neither metadata.yaml nor a file .mcap; name the file .db3 itself"
     if place.is_dir() or not is_bag2:

@@ -161,7 +161,9 @@ class Outbox:
                 one = self._queue[0]
             try:
                 self._write(one)
-            except Exception as error:  # the thread that reads this connection fails too, and ends it
+            except (
+                Exception
+            ) as error:  # the thread that reads this connection fails too, and ends it
                 _log.info("nothing more is sent: %s", error)
                 return
             with self._news:
@@ -201,22 +203,31 @@ def made(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401 
     for name in message:
         if name not in fields:
             raise RosError(f"{kind} has no field {name!r}; it has {', '.join(fields) or 'none'}")
-    given = {name: _made(library, *fields[name], value, f"{name} of {kind}") for name, value in message.items()}
+    given = {
+        name: _made(library, *fields[name], value, f"{name} of {kind}")
+        for name, value in message.items()
+    }
     return library.new(kind, given)
 
 
 def _made(library: Library, kind: str, length: int | None, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
     if length is not None:
         if not isinstance(value, list | tuple) or (length and len(value) != length):
-            raise RosError(f"{place} must be a list of {length or 'any number of'} {kind}, not {value!r:.60}")
+            raise RosError(
+                f"{place} must be a list of {length or 'any number of'} {kind}, not {value!r:.60}"
+            )
         return [_made(library, kind, None, one, place) for one in value]
-    if kind in _FLOATS and (value is None or (isinstance(value, int | float) and not isinstance(value, bool))):
+    if kind in _FLOATS and (
+        value is None or (isinstance(value, int | float) and not isinstance(value, bool))
+    ):
         return math.nan if value is None else float(value)
     if kind in _INTEGERS and isinstance(value, int) and not isinstance(value, bool):
         low, high = _INTEGERS[kind]
         if low <= value <= high:
             return value
-    if (kind == "bool" and isinstance(value, bool)) or (kind == "string" and isinstance(value, str)):
+    if (kind == "bool" and isinstance(value, bool)) or (
+        kind == "string" and isinstance(value, str)
+    ):
         return value
     if "/" in kind:
         return made(library, kind, value)
@@ -224,7 +235,10 @@ def _made(library: Library, kind: str, length: int | None, value: Any, place: st
 
 
 def message_of(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # an object of the library
-    return {name: _value_of(library, *field, getattr(thing, name)) for name, field in library.fields(kind).items()}
+    return {
+        name: _value_of(library, *field, getattr(thing, name))
+        for name, field in library.fields(kind).items()
+    }
 
 
 def _value_of(library: Library, kind: str, length: int | None, value: Any) -> object:  # noqa: ANN401  # of a field
@@ -284,7 +298,11 @@ class TypedNode(Node):
 
     def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
         found = self._types.find(kind)
-        self._hear(f"{self.topics}{topic}", found, lambda thing: heard(message_of(self._types, kind, thing)))
+        self._hear(
+            f"{self.topics}{topic}",
+            found,
+            lambda thing: heard(message_of(self._types, kind, thing)),
+        )
 
     def publish(self, topic: str, kind: str, message: Message) -> None:
         thing = made(self._types, kind, message)
@@ -309,7 +327,9 @@ class TypedNode(Node):
     def close(self) -> None:
         """Fail the open calls and forget all readers and writers; a subclass closes its library first."""
         for call in self._open.values():
-            call.future.set_exception(RosError(f"{call.service} is not answered any more: the node is closed"))
+            call.future.set_exception(
+                RosError(f"{call.service} is not answered any more: the node is closed")
+            )
         self._readers, self._writers, self._clients, self._open = [], {}, {}, {}
 
     @abstractmethod
@@ -342,7 +362,9 @@ class TypedNode(Node):
     def _take(self, reader: Reader, thing: Any) -> None:  # noqa: ANN401  # of the library
         try:
             reader.take(thing)
-        except Exception as error:  # a malformed message, or an error of the hearer; go on with the next
+        except (
+            Exception
+        ) as error:  # a malformed message, or an error of the hearer; go on with the next
             self.refused.add(error)
 
     def _look(self) -> None:
@@ -358,7 +380,10 @@ class TypedNode(Node):
             for number in list(self._open):
                 self._send_call(number)
         if is_there != self.is_connected:
-            self._tell(is_there, f"{self._name}: {'other nodes are there' if is_there else 'all other nodes are gone'}")
+            self._tell(
+                is_there,
+                f"{self._name}: {'other nodes are there' if is_there else 'all other nodes are gone'}",
+            )
 
     def _send_call(self, number: int) -> None:
         call = self._open[number]
@@ -372,7 +397,11 @@ class TypedNode(Node):
             call.is_sent = True
             client.send(number, call.request)
         elif not is_there and (call.is_sent or monotonic() > call.until_s):
-            why = f"the server of {call.service} is gone" if call.is_sent else f"nobody serves {call.service}"
+            why = (
+                f"the server of {call.service} is gone"
+                if call.is_sent
+                else f"nobody serves {call.service}"
+            )
             self._finish(number, RosError(why))
 
     def _finish(self, number: int, answer: Any) -> None:  # noqa: ANN401  # of the library, or what was raised
@@ -381,7 +410,11 @@ class TypedNode(Node):
         if call is None:
             return
         if isinstance(answer, BaseException):
-            failed = answer if isinstance(answer, RosError) else RosError(f"{call.service} failed: {answer}")
+            failed = (
+                answer
+                if isinstance(answer, RosError)
+                else RosError(f"{call.service} failed: {answer}")
+            )
             call.future.set_exception(failed)
         else:
             call.future.set_result(message_of(self._types, f"{call.kind}_Response", answer))
@@ -389,9 +422,19 @@ class TypedNode(Node):
     def _response(self, kind: str, answer: Answer, request: Any) -> Any:  # noqa: ANN401  # of the library
         """Return the response to a call; if it is refused or fails, an empty one, as ROS 2 has no error response."""
         try:
-            return made(self._types, f"{kind}_Response", answer(message_of(self._types, f"{kind}_Request", request)))
+            return made(
+                self._types,
+                f"{kind}_Response",
+                answer(message_of(self._types, f"{kind}_Request", request)),
+            )
         except RosError as error:
             _log.warning("a call of %s is refused: %s", kind, error)
         except Exception as error:  # our own error must not end the node
-            _log.warning("a call of %s could not be answered: %s: %s", kind, type(error).__name__, error, exc_info=True)
+            _log.warning(
+                "a call of %s could not be answered: %s: %s",
+                kind,
+                type(error).__name__,
+                error,
+                exc_info=True,
+            )
         return self._types.new(f"{kind}_Response", {})

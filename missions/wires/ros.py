@@ -50,7 +50,9 @@ class Types:
             if kind not in known:
                 what = f"the type {kind!r} is not known" if kind else "no type is named"
                 raise RosError(f"{what}; name one of ROS 2's, PACKAGE/msg/TYPE")
-            self._fields[kind] = {name: _field(*one) for name, one in known[kind][1] if name != NOTHING}
+            self._fields[kind] = {
+                name: _field(*one) for name, one in known[kind][1] if name != NOTHING
+            }
         return self._fields[kind]
 
     def find(self, kind: str) -> Any:  # noqa: ANN401  # `rosbags` makes classes
@@ -58,7 +60,10 @@ class Types:
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a class that is made
         fields = self.fields(kind)
-        whole = {name: values[name] if name in values else self._empty(field) for name, field in fields.items()}
+        whole = {
+            name: values[name] if name in values else self._empty(field)
+            for name, field in fields.items()
+        }
         return self.find(kind)(**whole or {NOTHING: 0})
 
     def definition(self, kind: str) -> str:
@@ -100,7 +105,9 @@ def types() -> Types:
         name, text = line.split(":", 1)
         package, base = name.split("/")
         parts = text.split("->")
-        for ending, part in zip(("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True):
+        for ending, part in zip(
+            ("_Request", "_Response") if len(parts) > 1 else ("",), parts, strict=True
+        ):
             fields = part.strip().replace(", ", "\n") or f"uint8 {NOTHING}"
             (found,) = get_types_from_msg(fields, f"{package}/msg/{base}").values()
             store.register({f"{package}/{'srv' if ending else 'msg'}/{base}{ending}": found})
@@ -129,7 +136,9 @@ def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message
         {
             "name": str(one.get("name", "")),
             "message": str(one["message"]),
-            "values": [{"key": str(key), "value": str(value)} for key, value in one["values"].items()],
+            "values": [
+                {"key": str(key), "value": str(value)} for key, value in one["values"].items()
+            ],
         }
         for one in statuses
     ]
@@ -139,7 +148,9 @@ def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message
 def log_of(event: Event, more: str = "") -> Message:
     """Return a log message for an event: a plan with its reason, a failed component as a warning."""
     why = f" because {event.plan.reason}" if event.plan is not None and event.plan.reason else ""
-    return log(event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}")
+    return log(
+        event.time, WARN if event.verb == "component_failed" else INFO, f"{event.text}{why}{more}"
+    )
 
 
 def log(time_s: float, level: int, text: str) -> Message:
@@ -163,13 +174,21 @@ def pose(time_s: float, position: Sequence[float]) -> Message:
 def transform(time_s: float, position: Sequence[float]) -> Message:
     """Return the same pose as a transform from the world frame to the robot's frame."""
     moved = {"translation": dict(zip("xyz", position, strict=True)), "rotation": _UPRIGHT}
-    return {"transforms": [{"header": _header(time_s, FRAME), "child_frame_id": BODY, "transform": moved}]}
+    return {
+        "transforms": [
+            {"header": _header(time_s, FRAME), "child_frame_id": BODY, "transform": moved}
+        ]
+    }
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:
     """Return the statuses in the CDR bytes of a DiagnosticArray, each with `name`, `message` and `values`."""
     return [
-        {"name": one.name, "message": one.message, "values": {pair.key: pair.value for pair in one.values}}
+        {
+            "name": one.name,
+            "message": one.message,
+            "values": {pair.key: pair.value for pair in one.values},
+        }
         for one in types().decode(DIAGNOSTICS, data).status
     ]
 
@@ -180,7 +199,13 @@ _LOOK_S: Final = 0.2
 """The period of looking which other nodes are there [s]."""
 _TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
 """A field's type as rclpy writes it: `sequence<double, 3>`, `std_msgs/Header`, `string<10>`, `double[36]`."""
-_NAMES: Final = {"boolean": "bool", "octet": "byte", "float": "float32", "double": "float64", "wstring": "string"}
+_NAMES: Final = {
+    "boolean": "bool",
+    "octet": "byte",
+    "float": "float32",
+    "double": "float64",
+    "wstring": "string",
+}
 
 
 class Messages:
@@ -197,7 +222,9 @@ class Messages:
 
     def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a message package
         fields = self.fields(kind)
-        return self.find(kind)(**{name: _native(fields[name], value) for name, value in values.items()})
+        return self.find(kind)(
+            **{name: _native(fields[name], value) for name, value in values.items()}
+        )
 
     def find(self, kind: str) -> Any:  # noqa: ANN401  # of a message package
         """Return the class of a message, or of a service."""
@@ -207,7 +234,9 @@ class Messages:
         try:
             found = get_service(name) if "/srv/" in name else get_message(name)
         except (ImportError, AttributeError, ValueError) as error:
-            raise RosError(f"the type {kind!r} is not installed ({error}); source the workspace that has it") from None
+            raise RosError(
+                f"the type {kind!r} is not installed ({error}); source the workspace that has it"
+            ) from None
         return getattr(found, f"Re{part}") if part else found
 
 
@@ -215,7 +244,10 @@ def _written(text: str) -> Field:
     found = _TYPE.fullmatch(text)
     if found is None:
         raise RosError(f"the type {text!r} of a field is not known")
-    name, length = found[1], 0 if text.startswith("sequence") else int(found[2]) if found[2] else None
+    name, length = (
+        found[1],
+        0 if text.startswith("sequence") else int(found[2]) if found[2] else None,
+    )
     return Field(name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name), length)
 
 
@@ -275,10 +307,14 @@ class RclpyNode(TypedNode):
         from rclpy.qos import ReliabilityPolicy
 
         found = self._node.get_publishers_info_by_topic(reader.topic)
-        return bool(found), any(one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found)
+        return bool(found), any(
+            one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found
+        )
 
     def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of a message package
-        publish: Callable[[Any], object] = self._node.create_publisher(kind, topic, _quality()).publish
+        publish: Callable[[Any], object] = self._node.create_publisher(
+            kind, topic, _quality()
+        ).publish
         return publish
 
     def _client(self, service: str, kind: str) -> Client:
@@ -286,12 +322,16 @@ class RclpyNode(TypedNode):
 
         def send(number: int, request: Any) -> None:  # noqa: ANN401  # of a message package
             answered = client.call_async(request)
-            answered.add_done_callback(lambda one: self._finish(number, one.exception() or one.result()))
+            answered.add_done_callback(
+                lambda one: self._finish(number, one.exception() or one.result())
+            )
 
         return Client(client.service_is_ready, send)
 
     def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
-        self._node.create_service(self._types.find(kind), service, lambda request, _: respond(request))
+        self._node.create_service(
+            self._types.find(kind), service, lambda request, _: respond(request)
+        )
 
 
 def _quality(*, is_reliable: bool = True) -> Any:  # noqa: ANN401  # an object of rclpy

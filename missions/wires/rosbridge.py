@@ -20,7 +20,18 @@ from urllib.parse import parse_qs, urlsplit
 
 from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
-from missions.wires.node import LOOPBACK, NONSENSE, QUEUED, Answer, Heard, Message, Node, Outbox, RosError, begun
+from missions.wires.node import (
+    LOOPBACK,
+    NONSENSE,
+    QUEUED,
+    Answer,
+    Heard,
+    Message,
+    Node,
+    Outbox,
+    RosError,
+    begun,
+)
 
 PORT: Final = 9090
 _LARGEST: Final = 2**20
@@ -42,7 +53,9 @@ class Peer(Outbox):
 
     def close(self) -> list[Message]:
         left = super().close()
-        if left:  # the other side does not read, so it would not answer the closing handshake either
+        if (
+            left
+        ):  # the other side does not read, so it would not answer the closing handshake either
             with suppress(OSError):
                 self.socket.socket.shutdown(SHUT_RDWR)
         with suppress(Exception):  # it may be gone
@@ -80,12 +93,20 @@ class Wire(Node):
 
     def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
         future, number = begun(), f"call_service:{next(self._ids)}"
-        made = {"op": "call_service", "id": number, "service": service, "type": kind, "args": request}
+        made = {
+            "op": "call_service",
+            "id": number,
+            "service": service,
+            "type": kind,
+            "args": request,
+        }
         with self._sending:
             self._open[number] = future  # before it is sent, as the answer may come at once
             if not self._send(made):
                 del self._open[number]
-                future.set_exception(RosError(f"{service} cannot be called: there is no connection"))
+                future.set_exception(
+                    RosError(f"{service} cannot be called: there is no connection")
+                )
         return future
 
     def serve(self, service: str, kind: str, answer: Answer) -> None:
@@ -104,7 +125,9 @@ class Wire(Node):
 
     def _hear(self, message: Message) -> None:
         if message["op"] == "publish":
-            self.refused.hand_on(_dict_of(message, "msg"), self._subscribed[_text_of(message, "topic")])
+            self.refused.hand_on(
+                _dict_of(message, "msg"), self._subscribed[_text_of(message, "topic")]
+            )
         elif message["op"] == "service_response":
             future = self._open.pop(_text_of(message, "id"), None)
             if future is not None:
@@ -163,7 +186,9 @@ class Rosbridge(Wire):
                 with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
                     wait_s = _FIRST_WAIT_S
                     self._talk(socket)
-            except Exception as error:  # refused, unknown host, no WebSocket, wrong token: try again
+            except (
+                Exception
+            ) as error:  # refused, unknown host, no WebSocket, wrong token: try again
                 said = f"no connection to {self._url}: {error or type(error).__name__}; it tries again, at last every "
                 said += f"{_LONGEST_WAIT_S:g} s. Is a rosbridge running there, and is the address (--url) right?"
                 self._tell(False, said)
@@ -174,7 +199,9 @@ class Rosbridge(Wire):
         why = ""
         self._begin(Peer(socket), time.monotonic() - self._away_since)
         try:
-            if self._closing.is_set():  # `close` came while it connected and did not see this socket
+            if (
+                self._closing.is_set()
+            ):  # `close` came while it connected and did not see this socket
                 socket.close()
             for text in socket:
                 try:
@@ -190,7 +217,9 @@ class Rosbridge(Wire):
         with self._sending:
             for message in self._declared:
                 peer.send(message)
-            late = deque(self._unsent, maxlen=QUEUED - len(self._declared))  # more would push out the declarations
+            late = deque(
+                self._unsent, maxlen=QUEUED - len(self._declared)
+            )  # more would push out the declarations
             for message in late:
                 peer.put(message)
             self._unsent.clear()
@@ -217,12 +246,19 @@ class _Client:
 
     def __init__(self, send: Callable[[Message], object]) -> None:
         self.send = send
-        self.said: dict[str, dict[str, str]] = {"advertise": {}, "subscribe": {}, "advertise_service": {}}
+        self.said: dict[str, dict[str, str]] = {
+            "advertise": {},
+            "subscribe": {},
+            "advertise_service": {},
+        }
 
     def say(self, op: str, message: Message) -> None:
         """Note a declaration, or its end if the op begins with "un"; raise ValueError if there are too many."""
         what = op.removeprefix("un")
-        said, name = self.said[what], _text_of(message, "service" if what == "advertise_service" else "topic")
+        said, name = (
+            self.said[what],
+            _text_of(message, "service" if what == "advertise_service" else "topic"),
+        )
         if op != what:
             said.pop(name, None)
         elif name not in said and len(said) >= QUEUED:
@@ -256,7 +292,9 @@ class RosbridgeServer(Wire):
         with needs("ros2", "rosbridge"):
             from websockets.sync.server import serve
         if host not in LOOPBACK and not token:
-            raise MissionError(f"{host} can be reached from other machines: give a token, which clients must give too")
+            raise MissionError(
+                f"{host} can be reached from other machines: give a token, which clients must give too"
+            )
         super().__init__(nullcontext())  # it needs no lock, as its own connection never ends
         self._token, self._lock, self._numbers = token, RLock(), count(1)
         self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
@@ -266,11 +304,15 @@ class RosbridgeServer(Wire):
             limits: Any = {"max_size": _LARGEST, "close_timeout": 1, "compression": None}
             self._server = serve(self._attend, host, port, process_request=self._admit, **limits)
         except (OSError, OverflowError) as error:
-            raise MissionError(f"rosbridge cannot be served on {host}:{port}: {error}; give another port") from None
+            raise MissionError(
+                f"rosbridge cannot be served on {host}:{port}: {error}; give another port"
+            ) from None
         self.port = int(self._server.socket.getsockname()[1])
         self._tell(True, f"serving rosbridge on port {self.port}")
         self._introspect()
-        self._thread = Thread(target=self._server.serve_forever, name="rosbridge-server", daemon=True)
+        self._thread = Thread(
+            target=self._server.serve_forever, name="rosbridge-server", daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -282,13 +324,20 @@ class RosbridgeServer(Wire):
     def _admit(self, connection: Any, request: Any) -> Any:  # noqa: ANN401  # websockets is imported late
         """Refuse a client without the token; where none is asked for, a web page of another site."""
         query = parse_qs(urlsplit(request.path).query)
-        given = request.headers.get("Authorization", "").removeprefix("Bearer ") or query.get("token", [""])[0]
+        given = (
+            request.headers.get("Authorization", "").removeprefix("Bearer ")
+            or query.get("token", [""])[0]
+        )
         if self._token:
             if not compare_digest(given.encode(), self._token.encode()):
-                return connection.respond(401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n")
+                return connection.respond(
+                    401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n"
+                )
         elif not _is_of_this_machine(request.headers.get("Origin", "file:")):
             return connection.respond(403, "pages of other sites are let in with a token only\n")
-        if len(self._clients) > _MOST_CLIENTS:  # one of them is this node; each takes files and threads of the robot
+        if (
+            len(self._clients) > _MOST_CLIENTS
+        ):  # one of them is this node; each takes files and threads of the robot
             return connection.respond(503, f"{_MOST_CLIENTS} clients are connected already\n")
         return None
 
@@ -305,9 +354,16 @@ class RosbridgeServer(Wire):
         finally:
             with self._lock:
                 del self._clients[client]
-                left = [number for number, call in self._forwarded.items() if client in (call.server, call.caller)]
+                left = [
+                    number
+                    for number, call in self._forwarded.items()
+                    if client in (call.server, call.caller)
+                ]
             for number in left:
-                self._respond(number, {"values": "the client that served it has disconnected", "result": False})
+                self._respond(
+                    number,
+                    {"values": "the client that served it has disconnected", "result": False},
+                )
             peer.close()
 
     def _take(self, client: _Client, text: str | bytes) -> None:
@@ -344,7 +400,9 @@ class RosbridgeServer(Wire):
         with self._lock:
             if len(self._forwarded) >= QUEUED:
                 raise ValueError(f"{QUEUED} calls wait for their answers already")
-            server = next((one for one in self._clients if service in one.said["advertise_service"]), None)
+            server = next(
+                (one for one in self._clients if service in one.said["advertise_service"]), None
+            )
             own = f"call_service:{next(self._numbers)}"
             self._forwarded[own] = _Call(server, service, client, message.get("id"))
         if server is None:
@@ -369,26 +427,40 @@ class RosbridgeServer(Wire):
         if call is None:  # it was answered already, while caller or server disconnected
             return
         made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
-        made |= {"result": answer.get("result", True)} | ({} if call.number is None else {"id": call.number})
+        made |= {"result": answer.get("result", True)} | (
+            {} if call.number is None else {"id": call.number}
+        )
         call.caller.send(made)
 
     def _introspect(self) -> None:
         topics, services = ("advertise", "subscribe"), ("advertise_service",)
         answers: dict[str, Answer] = {
-            "Topics": lambda _: {"topics": list(known := self._known(*topics)), "types": list(known.values())},
+            "Topics": lambda _: {
+                "topics": list(known := self._known(*topics)),
+                "types": list(known.values()),
+            },
             "TopicType": lambda one: {"type": self._known(*topics).get(str(one.get("topic")), "")},
             "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
             "Services": lambda _: {"services": list(self._known(*services))},
-            "ServiceType": lambda one: {"type": self._known(*services).get(str(one.get("service")), "")},
+            "ServiceType": lambda one: {
+                "type": self._known(*services).get(str(one.get("service")), "")
+            },
         }
         for kind, answer in answers.items():
-            name = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in kind).lstrip("_")
+            name = "".join(
+                f"_{letter.lower()}" if letter.isupper() else letter for letter in kind
+            ).lstrip("_")
             self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
 
     def _known(self, *ops: str) -> dict[str, str]:
         """Return the topics or services of all clients with their types; the first type that is given counts."""
         with self._lock:
-            found = [one for client in self._clients for op in ops for one in list(client.said[op].items())]
+            found = [
+                one
+                for client in self._clients
+                for op in ops
+                for one in list(client.said[op].items())
+            ]
         return {**dict(found), **dict(one for one in reversed(found) if one[1])}
 
 

@@ -85,7 +85,11 @@ def begun(text: str) -> float:
 
 def as_text(value: object) -> str:
     """Return a value as a text, as the operator `..` of scripts does: a double with six decimals."""
-    return f"{value:.6f}" if isinstance(value, float) else str(int(value) if isinstance(value, bool) else value)
+    return (
+        f"{value:.6f}"
+        if isinstance(value, float)
+        else str(int(value) if isinstance(value, bool) else value)
+    )
 
 
 def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any kind
@@ -95,15 +99,23 @@ def fit(entry: "Entry", value: Any) -> Any:  # noqa: ANN401  # a value of any ki
         ScriptError: the value cannot be converted.
     """
     held = entry.value
-    if is_number(held) and is_number(value):  # an entry that holds a bool takes other whole numbers, too
+    if is_number(held) and is_number(
+        value
+    ):  # an entry that holds a bool takes other whole numbers, too
         is_bool = isinstance(held, bool) and value in (0, 1)
         return cast(value, bool if is_bool else float if isinstance(held, float) else int)
-    if held is EMPTY or type(held) is type(value) or (isinstance(held, str) and isinstance(value, str)):
+    if (
+        held is EMPTY
+        or type(held) is type(value)
+        or (isinstance(held, str) and isinstance(value, str))
+    ):
         return value
     raise ScriptError(f"{value!r} does not fit an entry that holds {held!r}")
 
 
-OUTCOMES: Final = {one.name: one for one in Status if one is not Status.INVALID} | {"SKIPPED": Status.INVALID}
+OUTCOMES: Final = {one.name: one for one in Status if one is not Status.INVALID} | {
+    "SKIPPED": Status.INVALID
+}
 """The outcomes that a port can name, such as `else` of Precondition."""
 SCALARS: Final = (bool, int, float, str)
 
@@ -172,7 +184,9 @@ class Blackboard(MutableMapping[str, Any]):
     ) -> None:
         self.clock: Final = clock
         self.parent: Final = parent
-        self.enums: Final[Mapping[str, int]] = parent.enums if parent is not None else dict(enums or {})
+        self.enums: Final[Mapping[str, int]] = (
+            parent.enums if parent is not None else dict(enums or {})
+        )
         self._remapping = dict(remapping or {})
         self._autoremap = autoremap
         self._entries: dict[str, Entry] = {}
@@ -205,7 +219,9 @@ class Blackboard(MutableMapping[str, Any]):
         entries, name = self.place(key)
         if name not in entries:
             entries[name] = Entry(declared=declared)
-            if self._remapping.get(key, "").startswith("@"):  # BehaviorTree.CPP shows it under both names
+            if self._remapping.get(key, "").startswith(
+                "@"
+            ):  # BehaviorTree.CPP shows it under both names
                 entries[f"@{name}"] = entries[name]
         return entries[name]
 
@@ -279,7 +295,11 @@ def converted(text: str, wanted: Any) -> Any:  # noqa: ANN401  # of the type tha
             value = wanted(found[0])
             is_right = wanted is float or -(2**31) <= value < 2**31
     elif get_origin(wanted) is list:
-        return [converted(part, get_args(wanted)[0]) for part in text.removesuffix(";").split(";") if text]
+        return [
+            converted(part, get_args(wanted)[0])
+            for part in text.removesuffix(";").split(";")
+            if text
+        ]
     else:
         is_right, value = convert_str_to_type(text, wanted)
     if not is_right:
@@ -323,7 +343,9 @@ class Ports:
         PortError: an attribute is not a port of the node, a literal has a wrong type, or a key has another type.
     """
 
-    def __init__(self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard) -> None:
+    def __init__(
+        self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard
+    ) -> None:
         self.blackboard: Final = blackboard
         self.clock: Final = blackboard.clock
         self._declared = declared
@@ -335,13 +357,17 @@ class Ports:
                 raise PortError(f"it has no port {name!r}; {hint(name, declared, 'ports')}")
             key = key_of(text, name)
             if key is None:  # a wrong outcome raises only in the tick
-                self.literals[name] = text if self._type(name) is Status else self._converted(name, text)
+                self.literals[name] = (
+                    text if self._type(name) is Status else self._converted(name, text)
+                )
             else:
                 self.keys[name] = key
                 before, now = blackboard.make(key, self._type(name)).declared, self._type(name)
                 if None not in (before, now) and before not in (now, str):
                     before, now = (getattr(one, "__name__", str(one)) for one in (before, now))
-                    raise PortError(f"{{{key}}} is declared as {before} already, and {name!r} declares it as {now}")
+                    raise PortError(
+                        f"{{{key}}} is declared as {before} already, and {name!r} declares it as {now}"
+                    )
 
     def _type(self, name: str) -> Any:  # noqa: ANN401  # as it is declared; None for any
         wanted = self._declared[name].data_type
@@ -367,7 +393,9 @@ class Ports:
             return self._converted(name, self.blackboard[key])
         if key is None and self._declared[name].has_default:
             return self._declared[name].default_value
-        missing = f"there is no {key!r} on the blackboard (yet)" if key else "the element gives it none"
+        missing = (
+            f"there is no {key!r} on the blackboard (yet)" if key else "the element gives it none"
+        )
         raise PortError(f"the port {name!r} has no value: {missing}")
 
     def set(self, name: str, value: object) -> None:
@@ -383,13 +411,15 @@ class Ports:
 
     def connect(self, behaviour: PortsMixin) -> None:
         """Connect the py_trees ports of a behaviour to this blackboard instead of that of the process."""
-        client = SimpleNamespace(  # replaces the client of py_trees, which stores for the whole process
-            register_key=lambda **_: None,
-            is_registered=ports_of(behaviour)[0].__contains__,
-            absolute_name=lambda key: self.keys.get(key) or key,
-            exists=self.exists,
-            get=self.get,
-            set=self.set,
+        client = (
+            SimpleNamespace(  # replaces the client of py_trees, which stores for the whole process
+                register_key=lambda **_: None,
+                is_registered=ports_of(behaviour)[0].__contains__,
+                absolute_name=lambda key: self.keys.get(key) or key,
+                exists=self.exists,
+                get=self.get,
+                set=self.set,
+            )
         )
         behaviour.attach_blackboard_client = lambda **_: client  # type: ignore[method-assign,assignment]  # only here
         try:

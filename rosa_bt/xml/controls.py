@@ -50,7 +50,9 @@ class _InOrder(Control):
 
     def decide(self) -> Ticking:
         slots = self.slots
-        start = self.children.index(self.current_child) if self.current_child in self.children else 0
+        start = (
+            self.children.index(self.current_child) if self.current_child in self.children else 0
+        )
         for index in range(start, len(slots)):
             slot = slots[index]
             self.current_child = slot.node
@@ -103,7 +105,9 @@ class Together(Control):
         said: int = self.ports.get(port)
         number = said if said >= 0 else max(len(self.children) + said + 1, 0)
         if number > len(self.children):
-            raise NodeError(f"{self.name!r} has {len(self.children)} children; {port} cannot be more")
+            raise NodeError(
+                f"{self.name!r} has {len(self.children)} children; {port} cannot be more"
+            )
         return number
 
     def _ended_with(self, verdict: Status) -> int:
@@ -170,11 +174,15 @@ class _Conditional(Control):
             if verdict is SKIPPED:
                 if self.asks_always:
                     self.reset_children()
-                raise NodeError(f"the condition of {self.name!r} was skipped, so there is nothing to choose by")
+                raise NodeError(
+                    f"the condition of {self.name!r} was skipped, so there is nothing to choose by"
+                )
             chosen = 1 if verdict is SUCCESS else 2
             for other in slots[3 - chosen : 4 - chosen] if self.asks_always else ():
                 other.reset()
-            if chosen == len(slots):  # IfThenElse leaves the condition finished: an action is not started again
+            if chosen == len(
+                slots
+            ):  # IfThenElse leaves the condition finished: an action is not started again
                 return self.end(FAILURE) if self.asks_always else FAILURE
             self._chosen = chosen
         verdict = yield from slots[self._chosen].tick()
@@ -190,7 +198,9 @@ class Switch(Control):
 
     def decide(self) -> Ticking:
         *cases, default = self.slots
-        matching = (slot for number, slot in enumerate(cases, start=1) if self._is(f"case_{number}"))
+        matching = (
+            slot for number, slot in enumerate(cases, start=1) if self._is(f"case_{number}")
+        )
         chosen = next(matching, default)
         if self._running is not None and self._running is not chosen:
             self._running.reset()
@@ -205,7 +215,10 @@ class Switch(Control):
         if not (self.ports.exists("variable") and self.ports.exists(case)):
             return False
         enums = self.ports.blackboard.enums
-        one, other = (str(enums.get(text, text)) for text in (self.ports.get("variable"), self.ports.get(case)))
+        one, other = (
+            str(enums.get(text, text))
+            for text in (self.ports.get("variable"), self.ports.get(case))
+        )
         if one == other:
             return True
         for kind in (int, float):
@@ -331,7 +344,10 @@ class RoundRobin(Control):
 
 def _switch(cases: int) -> dict[str, Any]:
     names = ["variable", *(f"case_{number}" for number in range(1, cases + 1))]
-    return {"PORTS": {name: PortInformation(str, required=False) for name in names}, "CHILDREN": (cases + 1, cases + 1)}
+    return {
+        "PORTS": {name: PortInformation(str, required=False) for name in names},
+        "CHILDREN": (cases + 1, cases + 1),
+    }
 
 
 # ---------------------------------------------------------------- decorators
@@ -401,7 +417,9 @@ class Timed(OneChild):
     def prepare(self) -> None:
         (port,) = self.PORTS
         if port in self.ports.literals and self.ports.get(port) < 0:
-            raise PortError(f"the port {port!r} takes no negative number such as {self.ports.get(port)}")
+            raise PortError(
+                f"the port {port!r} takes no negative number such as {self.ports.get(port)}"
+            )
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""
@@ -444,7 +462,10 @@ class Timeout(Timed):
 class Precondition(OneChild):
     """Ticks the child if the script `if` is true; else returns `else`. Once the child runs, `if` is not asked."""
 
-    PORTS: ClassVar = {"if": PortInformation(str), "else": PortInformation(Status, default_value=FAILURE)}
+    PORTS: ClassVar = {
+        "if": PortInformation(str),
+        "else": PortInformation(Status, default_value=FAILURE),
+    }
     runs = False
     _is_begun = False
 
@@ -579,7 +600,10 @@ _LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
 
 def _loop(of: type) -> dict[str, Any]:
     ports = {"queue": PortInformation(object), "value": PortInformation(of, required=False)}
-    return {"of": of, "PORTS": {**ports, "if_empty": PortInformation(Status, default_value=SUCCESS)}}
+    return {
+        "of": of,
+        "PORTS": {**ports, "if_empty": PortInformation(Status, default_value=SUCCESS)},
+    }
 
 
 _KINDS: Final[dict[str, tuple[type[Control | OneChild], dict[str, Any]]]] = {
@@ -600,9 +624,14 @@ _KINDS: Final[dict[str, tuple[type[Control | OneChild], dict[str, Any]]]] = {
     "ForceFailure": (_Translated, {"outcomes": {SUCCESS: FAILURE}}),
     "KeepRunningUntilFailure": (_Translated, {"outcomes": {SUCCESS: RUNNING, SKIPPED: RUNNING}}),
     "Repeat": (_Again, {"once_more": SUCCESS, "PORTS": {"num_cycles": PortInformation(int)}}),
-    "RetryUntilSuccessful": (_Again, {"once_more": FAILURE, "PORTS": {"num_attempts": PortInformation(int)}}),
+    "RetryUntilSuccessful": (
+        _Again,
+        {"once_more": FAILURE, "PORTS": {"num_attempts": PortInformation(int)}},
+    ),
     **{kind.__name__: (kind, {}) for kind in (RunOnce, Delay, Timeout, Precondition)},
-    **{kind.__name__: (kind, {}) for kind in (RateController, SingleTrigger, GoalUpdatedController)},
+    **{
+        kind.__name__: (kind, {}) for kind in (RateController, SingleTrigger, GoalUpdatedController)
+    },
     "SkipUnlessUpdated": (_Updated, {"instead": SKIPPED}),
     "WaitValueUpdate": (_Updated, {"instead": RUNNING}),
     **{f"Loop{name}": (_Loop, _loop(of)) for name, of in _LOOPS.items()},

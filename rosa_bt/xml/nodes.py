@@ -142,9 +142,13 @@ class XmlNode(Behaviour):
         if self._seen != self.children:
             known = {slot.node: slot for slot in self._slots}
             is_same = len(self._slots) == len(self.children)
-            left = [slot.rules if is_same and slot.node not in self.children else None for slot in self._slots]
+            left = [
+                slot.rules if is_same and slot.node not in self.children else None
+                for slot in self._slots
+            ]
             self._slots = [
-                known.get(child) or Slot(child, is_plain(child), None, left[place] if is_same else None)
+                known.get(child)
+                or Slot(child, is_plain(child), None, left[place] if is_same else None)
                 for place, child in enumerate(self.children)
             ]
             self._seen = list(self.children)
@@ -196,7 +200,9 @@ class Control(XmlNode, Composite):
     def tip(self) -> Behaviour | None:
         """Return the node that decided the outcome: the tip of the last child that has the same outcome."""
         deciding = [child for child in self.children if child.status is self.status]
-        return deciding[-1].tip() if deciding and self.status is not SKIPPED else Behaviour.tip(self)
+        return (
+            deciding[-1].tip() if deciding and self.status is not SKIPPED else Behaviour.tip(self)
+        )
 
 
 class OneChild(XmlNode, Decorator):
@@ -220,7 +226,10 @@ class Branch(OneChild):
 def is_plain(leaf: Behaviour | type[Behaviour]) -> bool:
     """Tell whether a leaf has neither `initialise` nor `terminate`: it keeps nothing, so it is a condition."""
     kind = leaf if isinstance(leaf, type) else type(leaf)
-    begins_or_ends = (kind.initialise, kind.terminate) != (Behaviour.initialise, Behaviour.terminate)
+    begins_or_ends = (kind.initialise, kind.terminate) != (
+        Behaviour.initialise,
+        Behaviour.terminate,
+    )
     has_children = isinstance(leaf, Behaviour) and bool(leaf.children)
     return not (begins_or_ends or has_children or issubclass(kind, RosaAction))
 
@@ -270,7 +279,11 @@ class SetBlackboard(XmlLeaf):
     PORTS: ClassVar = {"value": PortInformation(object), "output_key": PortInformation(object)}
 
     def update(self) -> Status:
-        board, key, source = self.ports.blackboard, as_text(self.ports.get("output_key")), self.ports.keys.get("value")
+        board, key, source = (
+            self.ports.blackboard,
+            as_text(self.ports.get("output_key")),
+            self.ports.keys.get("value"),
+        )
         given = Entry(str(self.ports.get("value")), str) if source is None else board.entry(source)
         if given is None or given.value is EMPTY:
             board.make(key)
@@ -280,7 +293,9 @@ class SetBlackboard(XmlLeaf):
             board.make(key, given.declared).put(given.value)
         elif isinstance(given.value, str) and entry.declared is None:
             if entry.is_emptied or entry.value is EMPTY:
-                raise NodeError(f"{key!r} has no declared type, so the type of {given.value!r} is unknown")
+                raise NodeError(
+                    f"{key!r} has no declared type, so the type of {given.value!r} is unknown"
+                )
             entry.is_emptied = True
             entry.put(EMPTY)
         elif isinstance(given.value, str):
@@ -288,7 +303,9 @@ class SetBlackboard(XmlLeaf):
         elif entry.declared in (None, given.declared, type(given.value)):
             entry.put(given.value)
         else:
-            raise NodeError(f"{key!r} is declared as {entry.declared}, so {given.value!r} cannot be copied there")
+            raise NodeError(
+                f"{key!r} is declared as {entry.declared}, so {given.value!r} cannot be copied there"
+            )
         return Status.SUCCESS
 
 
@@ -324,9 +341,19 @@ class Sleep(XmlLeaf):
         return Status.SUCCESS if is_over else Status.RUNNING
 
 
-_KINDS: Final[list[type[XmlLeaf]]] = [Script, ScriptCondition, SetBlackboard, Sleep, UnsetBlackboard, WasEntryUpdated]
+_KINDS: Final[list[type[XmlLeaf]]] = [
+    Script,
+    ScriptCondition,
+    SetBlackboard,
+    Sleep,
+    UnsetBlackboard,
+    WasEntryUpdated,
+]
 _CONSTANT: Final = {"AlwaysSuccess": Status.SUCCESS, "AlwaysFailure": Status.FAILURE}
 LEAVES: Final[dict[str, type[XmlLeaf]]] = {
-    **{tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always}) for tag, always in _CONSTANT.items()},
+    **{
+        tag: type(tag, (XmlLeaf,), {"update": lambda self, always=always: always})
+        for tag, always in _CONSTANT.items()
+    },
     **{kind.__name__: kind for kind in _KINDS},
 }

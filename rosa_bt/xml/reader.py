@@ -58,7 +58,9 @@ class Element(ElementTree.Element):
 
     @property
     def ports(self) -> dict[str, str]:
-        return {key: text for key, text in self.items() if key not in ("name", "ID") and key[:1] != "_"}
+        return {
+            key: text for key, text in self.items() if key not in ("name", "ID") and key[:1] != "_"
+        }
 
     def needed(self, attribute: str) -> str:
         if not self.get(attribute):
@@ -92,10 +94,15 @@ class Document:
 
     def _open(self, text_or_path: str | Path) -> Element:
         if not isinstance(text_or_path, str | Path):
-            raise XmlError("<text>", f"a tree is given as XML text or as the path of a file, not as {text_or_path!r}")
+            raise XmlError(
+                "<text>",
+                f"a tree is given as XML text or as the path of a file, not as {text_or_path!r}",
+            )
         text = text_or_path.lstrip("\ufeff \t\r\n") if isinstance(text_or_path, str) else "a path"
         if not text:
-            raise XmlError("<text>", "the text is empty; give the XML itself, or the path of a file")
+            raise XmlError(
+                "<text>", "the text is empty; give the XML itself, or the path of a file"
+            )
         if not text.startswith("<"):
             return self._file(Path(text_or_path), str(text_or_path), [])
         return self._collect(_parse(text, "<text>"), Path.cwd(), [])
@@ -111,7 +118,9 @@ class Document:
         if len(chain) > MAX_DEPTH:
             raise XmlError(where, f"more than {MAX_DEPTH} files include each other in a row")
         if real not in self._files:
-            self._files[real] = self._collect(_parse(_read(path, where), str(path)), path.parent, [*chain, real])
+            self._files[real] = self._collect(
+                _parse(_read(path, where), str(path)), path.parent, [*chain, real]
+            )
         return self._files[real]
 
     def main(self, wanted: str | None) -> str:
@@ -141,18 +150,26 @@ class Document:
         for place, element in enumerate(root.children):
             if element.tag == "BehaviorTree":
                 if len(element) != 1:
-                    raise element.error(f"a tree has one child, not {len(element)}; put a Sequence around")
+                    raise element.error(
+                        f"a tree has one child, not {len(element)}; put a Sequence around"
+                    )
                 is_unnamed = tags.count("BehaviorTree") == 1 and "ID" not in element.attrib
                 _add(self.trees, "BehaviorTree" if is_unnamed else element.needed("ID"), element)
             elif element.tag == "TreeNodesModel":
                 if "TreeNodesModel" in tags[:place]:
-                    raise element.error("a file has one TreeNodesModel; put its elements into the first")
+                    raise element.error(
+                        "a file has one TreeNodesModel; put its elements into the first"
+                    )
                 for model in element.children:
                     self._add_model(model)
             elif element.tag == "include":
                 self._include(element, folder, chain)
             else:
-                _log.warning("%s: <%s> means nothing in <root> and is passed over", element.where, element.tag)
+                _log.warning(
+                    "%s: <%s> means nothing in <root> and is passed over",
+                    element.where,
+                    element.tag,
+                )
         return root
 
     def _add_model(self, model: Element) -> None:
@@ -166,12 +183,17 @@ class Document:
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attrib:
-            package, prefixes = element.needed("ros_pkg"), os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+            package, prefixes = (
+                element.needed("ros_pkg"),
+                os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep),
+            )
             shares = [Path(prefix) / "share" / package for prefix in prefixes if prefix]
             found = [share for share in shares if share.is_dir()]
             if not found:
                 advice = "source the workspace that has it, or write the path alone"
-                raise element.error(f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}")
+                raise element.error(
+                    f"the ROS package {package!r} is not below AMENT_PREFIX_PATH; {advice}"
+                )
             folder = found[0]
         self._file(folder / element.needed("path"), element.where, chain)
 
@@ -181,7 +203,9 @@ def wrong_id(name: str) -> str:
     wrong = _FORBIDDEN.search(name)
     if not wrong and name != "Root":
         return ""
-    what = f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
+    what = (
+        f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
+    )
     return f"{name!r}: {what}; write {_FORBIDDEN.sub('_', name) if wrong else 'Main'!r} instead"
 
 
@@ -189,19 +213,25 @@ def _add(table: dict[str, Element], name: str, element: Element) -> None:
     if problem := wrong_id(name):
         raise element.error(problem)
     if name in table:
-        raise element.error(f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID")
+        raise element.error(
+            f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID"
+        )
     table[name] = element
 
 
 def _read(path: Path, where: str) -> bytes:
-    where = where if where.isprintable() and len(where) <= 200 else "<text>"  # it may not be a path at all
+    where = (
+        where if where.isprintable() and len(where) <= 200 else "<text>"
+    )  # it may not be a path at all
     try:
         with path.open("rb") as file:
             return file.read(MAX_SIZE + 1)
     except (OSError, ValueError) as error:
         shown, problem = f"{path!s:.200}", getattr(error, "strerror", None) or error
         advice = "give the path of one, or the XML itself as text"
-        raise XmlError(where, f"there is no file {shown!r} that can be read ({problem}); {advice}") from None
+        raise XmlError(
+            where, f"there is no file {shown!r} that can be read ({problem}); {advice}"
+        ) from None
 
 
 def _parse(text: str | bytes, file: str) -> Element:
@@ -250,7 +280,11 @@ def _strictly(text: str | bytes, file: str) -> Element:
     def refuse(*declared: object) -> None:  # entities are declared in document types only
         raise XmlError(where(), "a document type or entity is not read; write values out")
 
-    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = start, end, refuse
+    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = (
+        start,
+        end,
+        refuse,
+    )
     try:
         parser.Parse(text, True)
         return builder.close()  # type: ignore[return-value]  # made by its factory
@@ -271,7 +305,9 @@ class SubTree(Branch):
         models: the elements of the TreeNodesModels of the file.
     """
 
-    def __init__(self, name: str, slot: Slot, board: Blackboard, tree: str, models: tuple[Element, ...]) -> None:
+    def __init__(
+        self, name: str, slot: Slot, board: Blackboard, tree: str, models: tuple[Element, ...]
+    ) -> None:
         super().__init__(name, [slot], Ports({}, {}, board))
         self.blackboard, self.tree, self.models = board, tree, models
 
@@ -313,18 +349,26 @@ def load_xml(
     document = Document([text_or_path] if is_one else text_or_path)  # type: ignore[list-item,arg-type]  # checked above
     for name, element in document.trees.items():
         if name in (*NODES, "SubTree") or name in registry.entries:
-            raise element.error(f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree")
+            raise element.error(
+                f"{name!r} is the name of a node, so it cannot be that of a tree, too; rename the tree"
+            )
     kb = registry.bound.get("kb")
-    board = Blackboard(clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums)
+    board = Blackboard(
+        clock or (time.monotonic if kb is None else lambda: float(kb.now)), enums=enums
+    )
     builder = _Builder(document, registry, substitutes or {})
     made = builder.tree(document.main(tree), document.root, None, board)
     for pattern in builder.unused:
-        raise document.root.error(f"no leaf matches {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}")
+        raise document.root.error(
+            f"no leaf matches {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}"
+        )
     return made
 
 
 class _Builder:
-    def __init__(self, document: Document, registry: BehaviourRegistry, substitutes: Mapping[str, Substitute]) -> None:
+    def __init__(
+        self, document: Document, registry: BehaviourRegistry, substitutes: Mapping[str, Substitute]
+    ) -> None:
         self._document = document
         self._registry = registry
         self._substitutes = substitutes
@@ -364,7 +408,9 @@ class _Builder:
         tag, name = element.node, element.get("name") or element.node
         entry = self._registry.entries.get(tag)
         if "ID" in element.attrib and element.tag not in _MODELS and (tag in NODES or entry):
-            raise element.error(f"<{element.tag}> has an ID, which only <Action ID=...> and such have; write name=...")
+            raise element.error(
+                f"<{element.tag}> has an ID, which only <Action ID=...> and such have; write name=..."
+            )
         if tag == "SubTree":
             return self._subtree(element, board), False
         if not element.children and (stand_in := self._stand_in(entry, element, name)) is not None:
@@ -384,26 +430,40 @@ class _Builder:
         node = kind(name, [self._slot(child, board) for child in element.children], ports)
         return node, is_plain(node)
 
-    def _is_condition(self, entry: Entry | None, element: Element, leaf: Behaviour | type[Behaviour]) -> bool:
+    def _is_condition(
+        self, entry: Entry | None, element: Element, leaf: Behaviour | type[Behaviour]
+    ) -> bool:
         if entry is not None and entry.kind is not None:
             return entry.kind == "condition"
         model = self._document.models.get(element.node)
         said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
         return said == "Condition" or (said != "Action" and is_plain(leaf))
 
-    def _stand_in(self, entry: Entry | None, element: Element, name: str) -> tuple[Behaviour, bool] | None:
+    def _stand_in(
+        self, entry: Entry | None, element: Element, name: str
+    ) -> tuple[Behaviour, bool] | None:
         path = "/".join([*self._trees, name])
         self.leaves[path] = None
-        fits = (one for one in self._substitutes if one in (name, element.node) or fnmatchcase(path, one))
+        fits = (
+            one
+            for one in self._substitutes
+            if one in (name, element.node) or fnmatchcase(path, one)
+        )
         pattern = next(fits, None)
         if pattern is None:
             return None
         self.unused.pop(pattern, None)
         what = self._substitutes[pattern]
         statuses = () if callable(what) else (what,) if isinstance(what, Status) else tuple(what)
-        if not callable(what) and (not statuses or not all(isinstance(one, Status) for one in statuses)):
-            raise element.error(f"{pattern!r} is replaced by statuses of py_trees or by a function, not by {what!r}")
-        leaf = what(name) if callable(what) else StatusQueue(name, list(statuses[:-1]), statuses[-1])
+        if not callable(what) and (
+            not statuses or not all(isinstance(one, Status) for one in statuses)
+        ):
+            raise element.error(
+                f"{pattern!r} is replaced by statuses of py_trees or by a function, not by {what!r}"
+            )
+        leaf = (
+            what(name) if callable(what) else StatusQueue(name, list(statuses[:-1]), statuses[-1])
+        )
         original = (entry.made if entry else None) or (leaf if callable(what) else Behaviour)
         return leaf, Status.RUNNING not in statuses and self._is_condition(entry, element, original)
 
@@ -412,13 +472,19 @@ class _Builder:
         _check_children(element, 0, 0)
         autoremap = BOOLS.get(element.get("_autoremap", "false"))
         if autoremap is None:
-            raise element.error(f"_autoremap is true or false, not {element.attrib['_autoremap']!r}")
+            raise element.error(
+                f"_autoremap is true or false, not {element.attrib['_autoremap']!r}"
+            )
         name = element.get("name")
         if name is not None and (id(around), name) in self._named:
-            raise element.error(f"two SubTrees of one tree are named {name!r}; give one of them another name")
+            raise element.error(
+                f"two SubTrees of one tree are named {name!r}; give one of them another name"
+            )
         self._named.add((id(around), name or ""))
         written = ({} if autoremap else self._defaults(element, tree)) | element.ports
-        keys = {name: key for name, text in written.items() if (key := key_of(text, name)) is not None}
+        keys = {
+            name: key for name, text in written.items() if (key := key_of(text, name)) is not None
+        }
         constants = {name: text for name, text in written.items() if name not in keys}
         board = Blackboard(around.clock, around, keys, constants, autoremap=autoremap)
         return self.tree(tree, element, name, board)
@@ -432,7 +498,9 @@ class _Builder:
                 if default := port.get("default"):
                     found[name] = default
                 elif name not in element.ports:
-                    raise element.error(f"the tree {tree!r} needs {name}=..., its model ({port.where}) says")
+                    raise element.error(
+                        f"the tree {tree!r} needs {name}=..., its model ({port.where}) says"
+                    )
         return found
 
     def _unknown(self, tag: str) -> str:
@@ -458,11 +526,19 @@ def _rules(element: Element, board: Blackboard) -> Rules | None:
 def _check_children(element: Element, least: int, most: int) -> None:
     several = [child for child in element.children if child.node == "AsyncSequence"]
     if element.node == "ReactiveSequence" and len(several) > 1:
-        raise several[1].error("a ReactiveSequence has at most one asynchronous child; use Sequence in it")
+        raise several[1].error(
+            "a ReactiveSequence has at most one asynchronous child; use Sequence in it"
+        )
     count = len(element)
     if least <= count <= most:
         return
-    wanted = f"{least}" if least == most else f"at least {least}" if most >= MAX_NODES else f"{least} to {most}"
+    wanted = (
+        f"{least}"
+        if least == most
+        else f"at least {least}"
+        if most >= MAX_NODES
+        else f"{least} to {most}"
+    )
     advice = "; put a Sequence around them" if most == 1 and count > 1 else ""
     has = "1 child" if count == 1 else f"{count} children"
     raise element.error(f"<{element.node}> has {has}; it takes {wanted}{advice}")

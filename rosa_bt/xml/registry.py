@@ -22,7 +22,14 @@ Kind = Literal["action", "condition"]
 
 _FORMS: Final = ("Action", "BehaviorTree", "Condition", "Control", "Decorator", "SubTree", "root")
 _OF_NAV2: Final = frozenset(
-    ("RecoveryNode", "PipelineSequence", "RoundRobin", "RateController", "SingleTrigger", "GoalUpdatedController")
+    (
+        "RecoveryNode",
+        "PipelineSequence",
+        "RoundRobin",
+        "RateController",
+        "SingleTrigger",
+        "GoalUpdatedController",
+    )
 )
 BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
 """Names that cannot be registered; those of Nav2 can, since its releases differ."""
@@ -45,18 +52,24 @@ class Entry:
         least = int("child" in self._parameters)
         return (1, MAX_NODES) if "children" in self._parameters else (least, least)
 
-    def make(self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard) -> Behaviour:
+    def make(
+        self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard
+    ) -> Behaviour:
         """Make the behaviour; raise PortError if an attribute is unknown, missing, or of a wrong type."""
         declared = self.arguments
         mine = {key: text for key, text in written.items() if key in declared}
-        for key in ports_of(self.made)[0]:  # a port with a key is read later, unless the constructor needs it now
+        for key in ports_of(self.made)[
+            0
+        ]:  # a port with a key is read later, unless the constructor needs it now
             if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
                 del mine[key]
         given = _values(declared, mine, board)
         behaviour = self.factory(**self._offered(name, branches, board), **given)
         known, outputs = ports_of(behaviour)
         rest = {key: text for key, text in written.items() if key not in declared or key in known}
-        ports = Ports({**declared, **known}, rest, board)  # raises if an attribute is not a port, and lists the ports
+        ports = Ports(
+            {**declared, **known}, rest, board
+        )  # raises if an attribute is not a port, and lists the ports
         if isinstance(behaviour, PortsMixin):
             ports.check_required(frozenset(outputs) | mine.keys())
             ports.connect(behaviour)
@@ -97,7 +110,12 @@ class Entry:
         }
 
     def _offered(self, name: str, branches: Sequence[Branch], board: Blackboard) -> dict[str, Any]:
-        offered: dict[str, Any] = {**self.bound, "name": name, "children": list(branches), "blackboard": board}
+        offered: dict[str, Any] = {
+            **self.bound,
+            "name": name,
+            "children": list(branches),
+            "blackboard": board,
+        }
         if branches:
             offered["child"] = branches[0]
         takes_name = any(one.kind is one.VAR_KEYWORD for one in self._parameters.values())
@@ -109,7 +127,9 @@ def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> d
     """Return the arguments of the constructor from attributes."""
     for name, port in declared.items():
         if port.required and name not in mine:
-            raise PortError(f"{name!r} is missing; write {name}=... in the element, or hand it to BehaviourRegistry")
+            raise PortError(
+                f"{name!r} is missing; write {name}=... in the element, or hand it to BehaviourRegistry"
+            )
         if name in mine and (pointed := key_of(mine[name], name)) is not None:
             raise PortError(
                 f"{name!r} is needed when the tree is made, but {{{pointed}}} is known when it is ticked; declare it "
@@ -133,9 +153,13 @@ def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) 
         leaf.kb.is_feasible(ports.get("action"))
 
 
-def _do_until_unfeasible(name: str, children: Sequence[Branch], *, memory: bool = False) -> DoUntilUnfeasible:
+def _do_until_unfeasible(
+    name: str, children: Sequence[Branch], *, memory: bool = False
+) -> DoUntilUnfeasible:
     if len(children) != 2:
-        raise RegistryError(f"it has {len(children)} children; it takes 2: the task, and what is done meanwhile")
+        raise RegistryError(
+            f"it has {len(children)} children; it takes 2: the task, and what is done meanwhile"
+        )
     return DoUntilUnfeasible(name, *children, memory=memory)
 
 
@@ -144,12 +168,19 @@ def _safe_switch(
 ) -> SafeSwitch:
     *steps, task = children
     if len(steps) != len(after):
-        raise RegistryError(f"it has {len(children)} children; it takes one for each action in `after`, and the task")
-    return SafeSwitch(name, task, dict(zip(after, steps, strict=True)), blackboard, action, "@posture")
+        raise RegistryError(
+            f"it has {len(children)} children; it takes one for each action in `after`, and the task"
+        )
+    return SafeSwitch(
+        name, task, dict(zip(after, steps, strict=True)), blackboard, action, "@posture"
+    )
 
 
 _OURS: Final[Mapping[str, Factory]] = {
-    **{kind.__name__: kind for kind in (HasStatus, IsActionFeasible, Measurement, ForAction, UntilSuccess)},
+    **{
+        kind.__name__: kind
+        for kind in (HasStatus, IsActionFeasible, Measurement, ForAction, UntilSuccess)
+    },
     **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
 }
 
@@ -176,7 +207,9 @@ class BehaviourRegistry:
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
         self.bound: Final = dict(bound)
         own = _OURS if "kb" in bound else {}
-        self.entries: Final = {name: Entry(factory, None, self.bound) for name, factory in own.items()}
+        self.entries: Final = {
+            name: Entry(factory, None, self.bound) for name, factory in own.items()
+        }
 
     @overload
     def register(self, name: F) -> F: ...
@@ -187,7 +220,9 @@ class BehaviourRegistry:
     @overload
     def register(self, name: str, factory: F, *, kind: Kind | None = None) -> F: ...
 
-    def register(self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None) -> object:
+    def register(
+        self, name: str | Factory, factory: Factory | None = None, *, kind: Kind | None = None
+    ) -> object:
         """Register a class of behaviours, or a function that makes a behaviour; also a decorator.
 
         The parameters `name`, `child` and `children` are set from the file, `blackboard` to that of the tree. Every
@@ -208,11 +243,17 @@ class BehaviourRegistry:
         if factory is None:
             return lambda given: self.register(name, given, kind=kind)
         if name in BUILT_IN:
-            raise RegistryError(f"{name!r} is a node of BehaviorTree.CPP itself; choose another name")
+            raise RegistryError(
+                f"{name!r} is a node of BehaviorTree.CPP itself; choose another name"
+            )
         if name in self.entries and self.entries[name].factory is not _OURS.get(name):
-            raise RegistryError(f"{name!r} is registered already; choose another name, or make another registry")
+            raise RegistryError(
+                f"{name!r} is registered already; choose another name, or make another registry"
+            )
         if not callable(factory):
-            raise RegistryError(f"{name!r} is a class of behaviours or a function that makes one, not {factory!r}")
+            raise RegistryError(
+                f"{name!r} is a class of behaviours or a function that makes one, not {factory!r}"
+            )
         if kind not in (None, "action", "condition"):
             raise RegistryError(f"a leaf is an 'action' or a 'condition', not {kind!r}")
         self.entries[name] = Entry(factory, kind, self.bound)

@@ -37,7 +37,11 @@ _MAX_NESTED: Final = 50
 def _quotient(one: float, other: float) -> float:
     if other:
         return one / other
-    return math.nan if one == 0 or math.isnan(one) else math.copysign(math.inf, one) * math.copysign(1, other)
+    return (
+        math.nan
+        if one == 0 or math.isnan(one)
+        else math.copysign(math.inf, one) * math.copysign(1, other)
+    )
 
 
 def _equal(one: Any, other: Any) -> bool:  # noqa: ANN401  # two texts or two numbers
@@ -73,7 +77,9 @@ def _joined(sign: str, one: Any, other: Any) -> Any:  # noqa: ANN401  # values o
     if all(numbers) and sign in ("&&", "||"):
         left, right = truth(one), truth(other)
         return float(left and right if sign == "&&" else left or right)
-    if (all(texts) and sign == "+") or (sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2):
+    if (all(texts) and sign == "+") or (
+        sign == ".." and texts != (False, False) and sum(numbers) + sum(texts) == 2
+    ):
         return as_text(one) + as_text(other)
     raise ScriptError(f"{sign!r} does not work with {one!r} and {other!r}")
 
@@ -99,10 +105,18 @@ def _assign(parts: _Parts, board: Blackboard) -> Any:  # noqa: ANN401  # of any 
         raise ScriptError(f"the value that is assigned to {name!r} is empty")
     held = entry.value
     if sign in ("+=", "-=", "*=", "/="):
-        if held is EMPTY or isinstance(held, str) != isinstance(given, str) or (isinstance(held, str) and sign != "+="):
+        if (
+            held is EMPTY
+            or isinstance(held, str) != isinstance(given, str)
+            or (isinstance(held, str) and sign != "+=")
+        ):
             raise ScriptError(f"{sign!r} does not work with {held!r} and {given!r}")
         new = fit(entry, _joined(sign[0], held, given))
-    elif isinstance(given, str) and not isinstance(held, str) and not (held is EMPTY and entry.declared is None):
+    elif (
+        isinstance(given, str)
+        and not isinstance(held, str)
+        and not (held is EMPTY and entry.declared is None)
+    ):
         new = number_in(given, board) if entry.declared is None else entry.read(given)
     else:
         new = fit(entry, given)
@@ -182,7 +196,11 @@ def parse_script(code: str) -> ParsedScript:
     try:
         statements = [_made(one, 0) for one in _parser().parse(code).children]
     except (UnexpectedCharacters, UnexpectedToken) as error:
-        there = code[error.pos_in_stream or 0] if isinstance(error, UnexpectedCharacters) else error.token
+        there = (
+            code[error.pos_in_stream or 0]
+            if isinstance(error, UnexpectedCharacters)
+            else error.token
+        )
         problem = f"cannot be read at {str(there) or 'the end'!r}; texts stand in single quotes"
         raise ScriptError(f"the script {code!r} {problem}") from None
     return lambda board: [statement(board) for statement in statements][-1]
@@ -193,13 +211,21 @@ def _made(part: Any, depth: int) -> Any:  # noqa: ANN401  # a tree or a token of
     if depth > _MAX_NESTED:
         raise ScriptError(f"a script has at most {_MAX_NESTED} nested operators")
     if not isinstance(part, str):
-        return partial(_DOES.get(part.data, _fold), [_made(one, depth + 1) for one in part.children])
+        return partial(
+            _DOES.get(part.data, _fold), [_made(one, depth + 1) for one in part.children]
+        )
     kind, text = getattr(part, "type", ""), str(part)
     if kind == "NAME" and text not in ("true", "false"):
         return _Name(text)
     if kind not in ("NUMBER", "TEXT", "NAME"):
         return text
-    constant = text[1:-1] if kind == "TEXT" else _number(text) if kind == "NUMBER" else float(text == "true")
+    constant = (
+        text[1:-1]
+        if kind == "TEXT"
+        else _number(text)
+        if kind == "NUMBER"
+        else float(text == "true")
+    )
     return lambda board: constant
 
 

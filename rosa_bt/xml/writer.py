@@ -23,7 +23,9 @@ from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
-_SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {  # of composites: the tag without memory, and with it
+_SAME: Final[
+    Mapping[type[Behaviour], tuple[str, ...]]
+] = {  # of composites: the tag without memory, and with it
     Inverter: ("Inverter",),
     FailureIsSuccess: ("ForceSuccess",),
     SuccessIsFailure: ("ForceFailure",),
@@ -38,7 +40,16 @@ MOST_NODES: Final = 2**16 - 1
 """Most nodes of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
-_NAMES: Final = ("action", "preference", "wait", "timeout", "even_if_unfeasible", "during", "memory", "after")
+_NAMES: Final = (
+    "action",
+    "preference",
+    "wait",
+    "timeout",
+    "even_if_unfeasible",
+    "during",
+    "memory",
+    "after",
+)
 """Parameters of our behaviours that are written as attributes; the behaviours have attributes of these names."""
 _UNSAID: Final = (None, False, inf)
 
@@ -51,10 +62,16 @@ def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
         names = ("action", *(name for name in _NAMES[1:] if name in taken))
     said = {name: getattr(node, name, None) for name in names}
     said = {name: ";".join(one) if isinstance(one, tuple) else one for name, one in said.items()}
-    return {name: "true" if one is True else str(one) for name, one in said.items() if one not in _UNSAID}
+    return {
+        name: "true" if one is True else str(one)
+        for name, one in said.items()
+        if one not in _UNSAID
+    }
 
 
-def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, *, models: bool = False) -> str:
+def export_xml(
+    behaviour: Behaviour, registry: BehaviourRegistry | None = None, *, models: bool = False
+) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
     It writes trees from `load_xml`, also changed ones, and trees of those behaviours of py_trees that mean exactly the
@@ -86,7 +103,9 @@ def export_xml(behaviour: Behaviour, registry: BehaviourRegistry | None = None, 
     try:
         Document([text])
     except XmlError as error:
-        raise ExportError(f"{behaviour.name!r} cannot be written so that it can be read again: {error}") from error
+        raise ExportError(
+            f"{behaviour.name!r} cannot be written so that it can be read again: {error}"
+        ) from error
     return text
 
 
@@ -121,7 +140,9 @@ class _Writer:
             return self.element(node.child)
         tag, attributes = slot.source or self._of_py_trees(slot)
         element = Element(tag, dict(attributes))
-        self.conditions[attributes.get("ID", tag)] = slot.is_condition if slot.source else is_plain(node)
+        self.conditions[attributes.get("ID", tag)] = (
+            slot.is_condition if slot.source else is_plain(node)
+        )
         if isinstance(node, SubTree):
             if tag == "SubTree":
                 element.set("ID", self.tree(node, slot))
@@ -140,7 +161,9 @@ class _Writer:
         if not is_same and (node.children or is_empty or isinstance(node, XmlNode)):
             known = ", ".join(sorted(one.__name__ for one in _SAME))
             what = f"{maker.__name__} {node.name!r}{'' if node.children else ' without children'}"
-            raise ExportError(f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}")
+            raise ExportError(
+                f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}"
+            )
         tag, said = (_tag_of(node), _said(node, maker)) if is_same else self._leaf(node)
         return tag, {"name": node.name, **said, **(slot.rules.written if slot.rules else {})}
 
@@ -148,11 +171,17 @@ class _Writer:
         kind = type(leaf)
         tag = kind.__name__ if self._registry is None else self._registry.name_of(leaf)
         if tag is None:
-            raise ExportError(f"{kind.__name__} {leaf.name!r} is not registered; register its class")
+            raise ExportError(
+                f"{kind.__name__} {leaf.name!r} is not registered; register its class"
+            )
         if problem := wrong_id(tag):
-            raise ExportError(f"{leaf.name!r} is registered under a name that is refused: {problem}")
+            raise ExportError(
+                f"{leaf.name!r} is registered under a name that is refused: {problem}"
+            )
         if tag in BUILT_IN:
-            raise ExportError(f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name")
+            raise ExportError(
+                f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name"
+            )
         if isinstance(leaf, ActionBehaviour) and leaf.given is None:
             raise ExportError(f"{leaf.name!r} names no action; make it with one")
         maker = kind if self._registry is None else self._registry.entries[tag].factory
@@ -162,12 +191,24 @@ class _Writer:
 
     def _check_arguments(self, leaf: Behaviour) -> None:
         """Raise if the constructor has parameters that are neither written nor bound in the registry."""
-        known = {"name", "behaviour_class_name", *({"kb"} if self._registry is None else self._registry.bound)}
-        known |= {name for name in _NAMES if hasattr(leaf, name)} if isinstance(leaf, ActionBehaviour) else set()
+        known = {
+            "name",
+            "behaviour_class_name",
+            *({"kb"} if self._registry is None else self._registry.bound),
+        }
+        known |= (
+            {name for name in _NAMES if hasattr(leaf, name)}
+            if isinstance(leaf, ActionBehaviour)
+            else set()
+        )
         if not ports_of(leaf)[0].keys() <= known:
-            raise ExportError(f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written")
+            raise ExportError(
+                f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written"
+            )
         parameters = inspect.signature(type(leaf)).parameters.values()
-        unknown = ", ".join(one.name for one in parameters if one.name not in known and one.kind not in (2, 4))
+        unknown = ", ".join(
+            one.name for one in parameters if one.name not in known and one.kind not in (2, 4)
+        )
         if unknown:
             raise ExportError(
                 f"{type(leaf).__name__} {leaf.name!r} was made with {unknown}, which cannot be written; "
@@ -197,13 +238,24 @@ def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
     most = entry.children()[1]
     if is_condition is None and entry.made is not None:
         is_condition = is_plain(entry.made)
-    leaf = "Condition" if entry.kind == "condition" or (is_condition and entry.kind is None) else "Action"
+    leaf = (
+        "Condition"
+        if entry.kind == "condition" or (is_condition and entry.kind is None)
+        else "Action"
+    )
     element = Element(leaf if most == 0 else "Decorator" if most == 1 else "Control", ID=tag)
     known, outputs = ports_of(entry.made)
     for name, port in {**known, **entry.arguments}.items():
         direction = "output_port" if name in outputs else "input_port"
-        said = {"type": _TYPES.get(port.data_type), "default": port.default_value if port.has_default else None}
-        SubElement(element, direction, {"name": name, **{key: str(one) for key, one in said.items() if one}})
+        said = {
+            "type": _TYPES.get(port.data_type),
+            "default": port.default_value if port.has_default else None,
+        }
+        SubElement(
+            element,
+            direction,
+            {"name": name, **{key: str(one) for key, one in said.items() if one}},
+        )
     return element
 
 
@@ -240,11 +292,17 @@ class NumberedTree:
 
     def shows(self, root: Behaviour) -> bool:
         """Tell whether it still shows the tree below `root`: no child was added, removed or moved."""
-        return root is self._root and all(node.children == children for node, children in self._children)
+        return root is self._root and all(
+            node.children == children for node, children in self._children
+        )
 
     def _tree(self, tree: str, path: str, slot: Slot, subtree: SubTree | None) -> None:
-        self.subtrees[next(one for one in _names(path or tree) if one not in self.subtrees)] = subtree
-        SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path).append(self._element(slot, path))
+        self.subtrees[next(one for one in _names(path or tree) if one not in self.subtrees)] = (
+            subtree
+        )
+        SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path).append(
+            self._element(slot, path)
+        )
 
     def _element(self, slot: Slot, path: str) -> Element:
         node = slot.node
@@ -253,7 +311,9 @@ class NumberedTree:
         tag, attributes = slot.source or (_tag_of(node), _said(node, type(node)))
         number = self.numbers.setdefault(node, len(self.numbers) + 1)
         if number > MOST_NODES:
-            raise ExportError(f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits")
+            raise ExportError(
+                f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits"
+            )
         element = Element(tag, {**attributes, "name": node.name, "_uid": str(number)})
         if isinstance(node, SubTree):
             element.set("ID", node.tree)

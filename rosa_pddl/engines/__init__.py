@@ -56,21 +56,35 @@ _NEVER_UNSOLVABLE = (
 )
 
 
-def fast_downward(text: str, strategy: str, process: ProcessHandle, *, limit_s: float) -> tuple[int, ...] | Outcome:
+def fast_downward(
+    text: str, strategy: str, process: ProcessHandle, *, limit_s: float
+) -> tuple[int, ...] | Outcome:
     """Search for a plan with Fast Downward within `limit_s` of wall-clock time [s]; raises Trouble or Cancelled.
 
     Returns the names of the plan's operators, which must be numbers, or an outcome if there is no plan.
     """
-    command = [str(fast_downward_program()), "--search", strategy, "--internal-plan-file", "/dev/null"]
+    command = [
+        str(fast_downward_program()),
+        "--search",
+        strategy,
+        "--internal-plan-file",
+        "/dev/null",
+    ]
     ended = process.ask(command, given=text.encode(), limit_s=limit_s)
     if ended.code in (0, 1, 2, 3):
         if b"Plan length:" not in ended.output:
-            raise Trouble(Outcome.ENGINE_CRASHED, f"the search promised a plan but showed none: {ended.last_words}")
+            raise Trouble(
+                Outcome.ENGINE_CRASHED,
+                f"the search promised a plan but showed none: {ended.last_words}",
+            )
         return tuple(int(number) for number in _STEP.findall(ended.output))
     outcome = _EXIT_CODES.get(ended.code, Outcome.ENGINE_CRASHED)
     if not outcome.is_trouble:
         return outcome
-    raise Trouble(outcome, f"it ended with exit code {ended.code}; {INSTALL_ADVICE}. It said: {ended.last_words}")
+    raise Trouble(
+        outcome,
+        f"it ended with exit code {ended.code}; {INSTALL_ADVICE}. It said: {ended.last_words}",
+    )
 
 
 @cache
@@ -135,7 +149,9 @@ def register_engine(environment: UpThing = None) -> None:
 
 def missing(engine: str, domain: Domain) -> str | None:
     """Return what to install if an engine is missing, else None."""
-    environment = domain.up_problem.environment  # its factory is slow to make, so it is made only if needed
+    environment = (
+        domain.up_problem.environment
+    )  # its factory is slow to make, so it is made only if needed
     if engine in TRANSLATED:
         return None if fast_downward_program() else _missing(engine)
     if engine == NUMERIC and which("java") is None:
@@ -182,7 +198,9 @@ def asked(
         answer = json.loads(ended.output)
         outcome = OUTCOMES.get(answer["status"], Outcome.ENGINE_CRASHED)
         if (engine == NUMERIC or known.until) and outcome is Outcome.UNSOLVABLE_PROVEN:
-            outcome = Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN  # not proven: ENHSP errs, and times are rounded
+            outcome = (
+                Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN
+            )  # not proven: ENHSP errs, and times are rounded
         schedule = tuple(_timed_step(problem, *written) for written in answer.get("plan") or ())
     except (ValueError, KeyError, TypeError) as error:
         message = f"it ended with exit code {ended.code} and no answer. It said: {ended.last_words}"

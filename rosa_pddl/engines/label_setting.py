@@ -19,11 +19,23 @@ from rosa_pddl.problem import Problem, initial_state
 from rosa_pddl.syntax import NAME
 
 _FEATURES = (
-    *("ACTION_BASED", "SIMPLE_NUMERIC_PLANNING", "GENERAL_NUMERIC_PLANNING", "FLAT_TYPING", "HIERARCHICAL_TYPING"),
+    *(
+        "ACTION_BASED",
+        "SIMPLE_NUMERIC_PLANNING",
+        "GENERAL_NUMERIC_PLANNING",
+        "FLAT_TYPING",
+        "HIERARCHICAL_TYPING",
+    ),
     *("NEGATIVE_CONDITIONS", "DISJUNCTIVE_CONDITIONS", "EQUALITIES", "EXISTENTIAL_CONDITIONS"),
     *("UNIVERSAL_CONDITIONS", "CONDITIONAL_EFFECTS", "FORALL_EFFECTS", "INCREASE_EFFECTS"),
     *("STATIC_FLUENTS_IN_NUMERIC_ASSIGNMENTS", "FLUENTS_IN_NUMERIC_ASSIGNMENTS"),
-    *("INT_FLUENTS", "REAL_FLUENTS", "ACTIONS_COST", "PLAN_LENGTH", "STATIC_FLUENTS_IN_ACTIONS_COST"),
+    *(
+        "INT_FLUENTS",
+        "REAL_FLUENTS",
+        "ACTIONS_COST",
+        "PLAN_LENGTH",
+        "STATIC_FLUENTS_IN_ACTIONS_COST",
+    ),
     *("FLUENTS_IN_ACTIONS_COST", "INT_NUMBERS_IN_ACTIONS_COST", "REAL_NUMBERS_IN_ACTIONS_COST"),
 )
 _STATUS = {outcome: engines.PlanGenerationResultStatus[name] for name, outcome in OUTCOMES.items()}
@@ -60,10 +72,14 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         timeout: float | None = None,
         output_stream: IO[str] | None = None,
     ) -> engines.PlanGenerationResult:
-        planner = Planner(LABEL_SETTING, _LONG_S if timeout is None else timeout, warm=False, cached=0)
+        planner = Planner(
+            LABEL_SETTING, _LONG_S if timeout is None else timeout, warm=False, cached=0
+        )
         try:
             # unified-planning itself may only warn
-            unsupported = ", ".join(sorted(problem.kind.features - self.supported_kind().features)).lower()
+            unsupported = ", ".join(
+                sorted(problem.kind.features - self.supported_kind().features)
+            ).lower()
             if unsupported:
                 raise UPException(f"{LABEL_SETTING} does not support {unsupported}")
             domain = _domain_of(problem)
@@ -71,7 +87,9 @@ class LabelSetting(engines.Engine, OneshotPlannerMixin):  # type: ignore[misc]  
         except (PddlError, UPException) as error:
             result = PlanningResult(Outcome.UNSUPPORTED, message=str(error))
         status = _STATUS.get(result.outcome, engines.PlanGenerationResultStatus.INTERNAL_ERROR)
-        steps = [problem.action(one.schema)(*map(problem.object, one.arguments)) for one in result.steps]
+        steps = [
+            problem.action(one.schema)(*map(problem.object, one.arguments)) for one in result.steps
+        ]
         plan = SequentialPlan(steps, problem.environment) if result.outcome.is_solved else None
         level = engines.LogLevel.ERROR if result.outcome.is_trouble else engines.LogLevel.INFO
         logs = [engines.LogMessage(level, result.message)] if result.message else []
@@ -96,7 +114,9 @@ def _domain_of(problem: UpThing) -> Domain:
     for one in problem.actions:
         parameters = tuple((each.name, each.type.name) for each in one.parameters)
         needs, cost = tuple(conjuncts(one.preconditions)), costs and costs.get_action_cost(one)
-        schemas[one.name] = Schema(one.name, parameters, needs, (), (), (), tuple(one.effects), None, cost=cost)
+        schemas[one.name] = Schema(
+            one.name, parameters, needs, (), (), (), tuple(one.effects), None, cost=cost
+        )
     outside = {"object": "object", **{name: name for _, name in names}}
     return Domain(
         name="d",

@@ -93,20 +93,27 @@ class ProcessHandle:
                 )
                 try:
                     _limit(process.pid, limit_s, self._memory_bytes)
-                    verdict = _verdict(process.pid, limit_s, (output, complaints), self._is_cancelled.done)
+                    verdict = _verdict(
+                        process.pid, limit_s, (output, complaints), self._is_cancelled.done
+                    )
                 finally:
                     # before the program is reaped, as until then no other group can have its number
                     with suppress(ProcessLookupError):
                         os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
             except OSError as error:
-                raise Trouble(Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}") from error
+                raise Trouble(
+                    Outcome.ENGINE_MISSING, f"it cannot be started ({error}); {INSTALL_ADVICE}"
+                ) from error
             finally:
                 self.is_running = False
             self.check()
             ended = Ended(process.returncode, _content(output), _content(complaints))
         if verdict == "late":
-            raise Trouble(Outcome.OUT_OF_TIME, f"no answer after {limit_s:.3g} s; allow more time or ask for less")
+            raise Trouble(
+                Outcome.OUT_OF_TIME,
+                f"no answer after {limit_s:.3g} s; allow more time or ask for less",
+            )
         if verdict == "endless":
             raise Trouble(Outcome.ENGINE_CRASHED, f"it printed without end: {ended.last_words}")
         return ended
@@ -137,7 +144,9 @@ def _limit(pid: int, limit_s: float, memory_bytes: int | None) -> None:
             resource.prlimit(pid, resource.RLIMIT_DATA, (memory_bytes, memory_bytes))
 
 
-def _verdict(pid: int, limit_s: float, written: Sequence[BinaryIO], is_cancelled: Callable[[], bool]) -> str:
+def _verdict(
+    pid: int, limit_s: float, written: Sequence[BinaryIO], is_cancelled: Callable[[], bool]
+) -> str:
     """Wait for a program; return why the waiting ended: `itself`, `late`, `endless` or `cancelled`."""
     deadline, file = time.monotonic() + limit_s, os.pidfd_open(pid)
     try:

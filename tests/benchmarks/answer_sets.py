@@ -98,7 +98,12 @@ CHANGEABLE = """
 #external selected(G) : configures(G,_).
 """
 OPERATORS = {">=": "ge", ">": "gt", "<=": "le", "<": "lt"}
-KIND_OF = {"failed": "component", "active": "component", "requested": "action", "measured": "attribute"}
+KIND_OF = {
+    "failed": "component",
+    "active": "component",
+    "requested": "action",
+    "measured": "attribute",
+}
 
 
 class _Program:
@@ -119,7 +124,11 @@ class _Program:
     def _structure(self) -> Iterator[str]:
         model, number = self.model, self.number
         kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component"}
-        for kind, table in (("action", model.actions), ("function", model.functions), ("component", model.components)):
+        for kind, table in (
+            ("action", model.actions),
+            ("function", model.functions),
+            ("component", model.components),
+        ):
             yield from (f"{kind}({number[kind, name]})." for name in table)
         for name, bounds in self.bounds.items():
             yield f"bounded({number['attribute', name]},{len(bounds)})."
@@ -172,7 +181,9 @@ class MultiShot(_Program):
 
         super().__init__(model)
         self.control = Control(["--warn=none"])
-        self.control.enable_cleanup = False  # nothing is ever released; a quarter faster without looking for that
+        self.control.enable_cleanup = (
+            False  # nothing is ever released; a quarter faster without looking for that
+        )
         self.control.add("base", [], RULES + CHANGEABLE + self.structure)
         self.control.ground([("base", [])])
         self.measured: dict[str, object] = {}

@@ -24,14 +24,20 @@ def robot(seed: int) -> KnowledgeBase:
         _estimate(component, draw, worst=-1.0)
         component.estimate("power", draw.randint(0, 500) / 100)
         for number in range(3):
-            configuration = component.configuration(f"configuration {number} of {component.name}", priority=number)
+            configuration = component.configuration(
+                f"configuration {number} of {component.name}", priority=number
+            )
             _estimate(configuration, draw, worst=-0.3)
             configuration.estimate("power", draw.randint(0, 500) / 100)
     functions = [model.function(f"function {one}", always_improve=True) for one in range(20)]
     for function in functions:
         for number in range(5):
             parts = draw.sample(components, draw.choice((1, 2, 3)))
-            _estimate(function.design(f"design {number} of {function.name}", parts, priority=number), draw, worst=-1.0)
+            _estimate(
+                function.design(f"design {number} of {function.name}", parts, priority=number),
+                draw,
+                worst=-1.0,
+            )
     model.action("work", requires=functions)
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     assert kb.request_action("work", PREFERENCE)
@@ -44,21 +50,32 @@ def small_robot(seed: int) -> KnowledgeBase:
     for attribute in ("accuracy", "wear", "power"):
         model.quality_attribute(attribute)
     components = [
-        model.component(f"component {one}", kind=draw.choice(("plain", "process"))) for one in range(draw.randint(2, 4))
+        model.component(f"component {one}", kind=draw.choice(("plain", "process")))
+        for one in range(draw.randint(2, 4))
     ]
     for component in components:
         for number in range(draw.randint(0, 3)):
-            component.configuration(f"configuration {number} of {component.name}", priority=draw.choice((1, 2, None)))
-    functions = [model.function(f"function {one}", always_improve=True) for one in range(draw.randint(1, 3))]
+            component.configuration(
+                f"configuration {number} of {component.name}", priority=draw.choice((1, 2, None))
+            )
+    functions = [
+        model.function(f"function {one}", always_improve=True) for one in range(draw.randint(1, 3))
+    ]
     for function in functions:
         for number in range(draw.randint(1, 3)):
             parts = draw.sample(components, draw.randint(1, 2))
-            function.design(f"design {number} of {function.name}", parts, priority=draw.choice((1, 2, None)))
+            function.design(
+                f"design {number} of {function.name}", parts, priority=draw.choice((1, 2, None))
+            )
     for causer in (*model.designs.values(), *components, *model.configurations.values()):
         for attribute in ("accuracy", "wear", "power"):
             if draw.random() < 0.6:
                 kind = draw.choice(("positive", "positive", "negative", "absolute"))
-                causer.estimate(attribute, draw.randint(0, 30) / 10, "positive" if attribute == "power" else kind)
+                causer.estimate(
+                    attribute,
+                    draw.randint(0, 30) / 10,
+                    "positive" if attribute == "power" else kind,
+                )
     model.action("work", requires=functions)
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     assert kb.request_action("work")
@@ -77,7 +94,9 @@ def power(kb: KnowledgeBase) -> float:
     """Return how much power is used by what is active and selected."""
     used = {one.element for one in kb.components.values() if one.is_active}
     used |= {one.element for one in kb.configurations.values() if one.is_selected}
-    return sum(one.value for one in kb.model.estimations if one.attribute == "power" and one.causer in used)
+    return sum(
+        one.value for one in kb.model.estimations if one.attribute == "power" and one.causer in used
+    )
 
 
 def _estimate(causer, draw: Random, worst: float) -> None:

@@ -16,7 +16,11 @@ def shown(seconds: float) -> str:
     """Write a time with three digits that matter."""
     for unit, size in (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6)):
         if seconds >= size:
-            return f"{seconds / size:.3g} {unit}" if seconds < 1000 * size else f"{seconds / size:.0f} {unit}"
+            return (
+                f"{seconds / size:.3g} {unit}"
+                if seconds < 1000 * size
+                else f"{seconds / size:.0f} {unit}"
+            )
     return f"{seconds * 1e9:.0f} ns"
 
 

@@ -42,7 +42,11 @@ class Wiring(NamedTuple):
 
 def wiring(seed: int) -> Wiring:
     draw = Random(seed)
-    pool = [*product(("designs", "components", "configurations"), range(8)), ("actions", 0), ("actions", 1)]
+    pool = [
+        *product(("designs", "components", "configurations"), range(8)),
+        ("actions", 0),
+        ("actions", 1),
+    ]
     return Wiring(
         functions=(tuple(draw.sample((1, 2, 3), 2)), tuple(draw.sample(range(4), 3))),
         components=tuple(tuple(draw.sample(range(8), draw.choice((2, 3)))) for _ in range(8)),
@@ -67,7 +71,9 @@ def robot(size: int, wired: Wiring = WIRING) -> Model:
     for here in ring:
         for number in range(8):
             owner = model.components[f"component {number // 2 * 2} of {here}"]
-            owner.configuration(f"configuration {number} of {here}", {"gain": number / 8}, priority=number % 2)
+            owner.configuration(
+                f"configuration {number} of {here}", {"gain": number / 8}, priority=number % 2
+            )
     for here in ring:
         for number in range(4):
             model.function(f"function {number} of {here}")
@@ -98,7 +104,9 @@ def _add_actions(model: Model, wired: Wiring, here: int, beyond: int) -> None:
 
 
 def _add_constraints(model: Model, wired: Wiring, here: int) -> None:
-    for number, (operator, constrained) in enumerate(zip(wired.operators, wired.constrained, strict=True)):
+    for number, (operator, constrained) in enumerate(
+        zip(wired.operators, wired.constrained, strict=True)
+    ):
         attribute = model.attributes[f"attribute {number // 4} of {here}"]
         bound = BANDS[number % 4][0]
         compare = {
@@ -107,7 +115,9 @@ def _add_constraints(model: Model, wired: Wiring, here: int) -> None:
             "<=": attribute.__le__,
             "<": attribute.__lt__,
         }
-        elements = [getattr(model, table)[f"{table[:-1]} {one} of {here}"] for table, one in constrained]
+        elements = [
+            getattr(model, table)[f"{table[:-1]} {one} of {here}"] for table, one in constrained
+        ]
         model.constrain(elements, compare[operator](bound))
 
 
@@ -126,12 +136,20 @@ def at_work(model: Model) -> KnowledgeBase:
     return kb
 
 
-def disturbance(kind: str, subsystem: int, draw: Random, wired: Wiring = WIRING) -> tuple[Happening, Happening]:
+def disturbance(
+    kind: str, subsystem: int, draw: Random, wired: Wiring = WIRING
+) -> tuple[Happening, Happening]:
     """Draw a thing that happens to a subsystem of a robot at work, and the end of it."""
     chosen = [2 * function for function in wired.functions[1]]
-    used = [component for design in chosen for component in wired.components[design][: 1 if design == 2 else 3]]
+    used = [
+        component
+        for design in chosen
+        for component in wired.components[design][: 1 if design == 2 else 3]
+    ]
 
-    def both(what: str, name: str, first: float | bool, then: float | bool) -> tuple[Happening, Happening]:
+    def both(
+        what: str, name: str, first: float | bool, then: float | bool
+    ) -> tuple[Happening, Happening]:
         name = f"{name} of {subsystem}"
         return Happening(what, name, first), Happening(what, name, then)
 
@@ -141,11 +159,20 @@ def disturbance(kind: str, subsystem: int, draw: Random, wired: Wiring = WIRING)
         return both(kind, "action 1", False, True)
     if kind == "selected":
         return both(kind, f"design {draw.choice(chosen)}", False, True)
-    return both(kind, f"component {draw.choice(used)}", *((True, False) if kind == "failed" else (False, True)))
+    return both(
+        kind,
+        f"component {draw.choice(used)}",
+        *((True, False) if kind == "failed" else (False, True)),
+    )
 
 
 def story(
-    kinds: tuple[str, ...], size: int, count: int, seed: int, overlap: int = 1, wired: Wiring = WIRING
+    kinds: tuple[str, ...],
+    size: int,
+    count: int,
+    seed: int,
+    overlap: int = 1,
+    wired: Wiring = WIRING,
 ) -> Iterator[Happening]:
     """Yield `count` happenings all over the robot; as many disturbances as `overlap` go on at the same time.
 

@@ -48,7 +48,12 @@ def grown(folder: Path) -> dict[str, Points]:
                 axioms.append(timed(by_axioms, Robot(building, MODEL, ()), question, folder)[0])
             if answer.is_solved:
                 budget = {"energy": 1.1 * answer.takes.in_units["energy"]}
-                within.append(timed(planner.plan, Question(question.start, question.goal, question.weights, budget))[0])
+                within.append(
+                    timed(
+                        planner.plan,
+                        Question(question.start, question.goal, question.weights, budget),
+                    )[0]
+                )
         for way, some in zip(WAYS, (joint_cold, warm, within, tested, axioms), strict=True):
             times[way][places] = some
     return {
@@ -69,9 +74,21 @@ def drawn(measured: dict[str, Points], path: Path, published_s: float) -> None:
         axes.fill_between(sizes, medians, ninety, color=colour, alpha=0.15, linewidth=0)
     axes.plot([58], [published_s], "k*", markersize=11)
     words = f"published: {published_s} s on average,\non another machine"
-    axes.annotate(words, (58, published_s), xytext=(10, -4), textcoords="offset points", va="center", fontsize=9)
+    axes.annotate(
+        words,
+        (58, published_s),
+        xytext=(10, -4),
+        textcoords="offset points",
+        va="center",
+        fontsize=9,
+    )
     axes.set(
-        xscale="log", yscale="log", xlabel="places", ylabel="time for a plan [s]", xlim=(50, 1150), ylim=(5e-4, 50)
+        xscale="log",
+        yscale="log",
+        xlabel="places",
+        ylabel="time for a plan [s]",
+        xlim=(50, 1150),
+        ylim=(5e-4, 50),
     )
     axes.set_xticks([places for places, _ in SIZES])
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

@@ -48,11 +48,16 @@ class Robot(NamedTuple):
         ]
 
     def possible(self, corridor: Corridor) -> list[Setup]:
-        forbidden = {each.name for one in self.violated(corridor) for each in self.model.constraints[one].constrained}
+        forbidden = {
+            each.name
+            for one in self.violated(corridor)
+            for each in self.model.constraints[one].constrained
+        }
         return [
             (design, setting)
             for design, setting in self.setups
-            if not forbidden & {design, setting, *self.parts(design)} and not self.parts(design) & set(self.failed)
+            if not forbidden & {design, setting, *self.parts(design)}
+            and not self.parts(design) & set(self.failed)
         ]
 
     def parts(self, design: str) -> set[str]:
@@ -61,22 +66,35 @@ class Robot(NamedTuple):
     def taken(self, setup: Setup, attribute: str) -> float:
         names = {*setup, *self.parts(setup[0])}
         return sum(
-            one.value for one in self.model.estimations if one.attribute == attribute and one.causer.name in names
+            one.value
+            for one in self.model.estimations
+            if one.attribute == attribute and one.causer.name in names
         )
 
     def crossing(self, corridor: Corridor, setup: Setup) -> dict[str, int]:
         collisions = corridor.obstacles * corridor.length_m * self.taken(setup, "safety")
-        time_s = corridor.length_m / self.model.configurations[setup[1]].parameters["speed"] + collisions * 30.0
-        amounts = {"time": time_s, "energy": time_s * self.taken(setup, "energy"), "collisions": collisions}
+        time_s = (
+            corridor.length_m / self.model.configurations[setup[1]].parameters["speed"]
+            + collisions * 30.0
+        )
+        amounts = {
+            "time": time_s,
+            "energy": time_s * self.taken(setup, "energy"),
+            "collisions": collisions,
+        }
         return {name: round(amount * GOALS[name]) for name, amount in amounts.items()}
 
     def switching(self, before: Setup, after: Setup) -> dict[str, int]:
-        time_s = 0.5 * len(self.parts(before[0]) ^ self.parts(after[0])) + 0.1 * (before[1] != after[1])
+        time_s = 0.5 * len(self.parts(before[0]) ^ self.parts(after[0])) + 0.1 * (
+            before[1] != after[1]
+        )
         return {"time": round(time_s * 1e3), "energy": round(time_s * 10.0 * 1e3), "collisions": 0}
 
 
 def cost_of(amounts: Mapping[str, int], weights: Mapping[str, float]) -> int:
-    return round(sum(weights.get(name, 0.0) * WORTH[name] * amount for name, amount in amounts.items()))
+    return round(
+        sum(weights.get(name, 0.0) * WORTH[name] * amount for name, amount in amounts.items())
+    )
 
 
 def simple_ways(building: Building, start: str, goal: str) -> Iterator[tuple[Corridor, ...]]:
@@ -99,17 +117,28 @@ def by_exhaustion(robot: Robot, question: Question, most: int = 20_000) -> tuple
     if sum(prod(len(possible[one.name]) for one in way) for way in ways) > most:
         return False, None
     crossing = {
-        (name, one): robot.crossing(robot.building.corridors[name], one) for name in possible for one in possible[name]
+        (name, one): robot.crossing(robot.building.corridors[name], one)
+        for name in possible
+        for one in possible[name]
     }
-    switching = {pair: robot.switching(*pair) for pair in product([OFF, *robot.setups], robot.setups)}
+    switching = {
+        pair: robot.switching(*pair) for pair in product([OFF, *robot.setups], robot.setups)
+    }
     best: int | None = None
     for way in ways:
         for chosen in product(*(possible[one.name] for one in way)):
             parts = []
             for before, setup, one in zip((OFF, *chosen), chosen, way, strict=False):
                 there = crossing[one.name, setup]
-                parts.append({name: amount + there[name] for name, amount in switching[before, setup].items()})
-            used = {name: sum(part[name] for part in parts) / scale for name, scale in GOALS.items()}
+                parts.append(
+                    {
+                        name: amount + there[name]
+                        for name, amount in switching[before, setup].items()
+                    }
+                )
+            used = {
+                name: sum(part[name] for part in parts) / scale for name, scale in GOALS.items()
+            }
             if any(used[name] > limit for name, limit in question.limits.items()):
                 continue
             cost = sum(
@@ -144,11 +173,23 @@ DOMAIN = """(define (domain joint)
 def problem_pddl(robot: Robot, question: Question) -> str:
     """Return a question without limits as PDDL, in which what is possible has to be derived."""
     model, corridors = robot.model, robot.building.corridors
-    objects = {"place": robot.building.places, "way": corridors, "component": model.components, "design": model.designs}
+    objects = {
+        "place": robot.building.places,
+        "way": corridors,
+        "component": model.components,
+        "design": model.designs,
+    }
     objects |= {"setting": model.configurations, "state": ["none"], "level": ["unset"]}
     objects["constraint"] = [f"r{number}" for number in range(len(model.constraints))]
-    facts = [f"(at {question.start.name})", "(runs none)", "(set unset)", *(f"(failed {one})" for one in robot.failed)]
-    facts += [f"(part {part} {one})" for one in model.designs for part in model.designs[one].components]
+    facts = [
+        f"(at {question.start.name})",
+        "(runs none)",
+        "(set unset)",
+        *(f"(failed {one})" for one in robot.failed),
+    ]
+    facts += [
+        f"(part {part} {one})" for one in model.designs for part in model.designs[one].components
+    ]
     for number, one in enumerate(model.constraints):
         facts += [f"(constrains r{number} {each.name})" for each in one.constrained]
     for name, one in corridors.items():
@@ -173,17 +214,29 @@ def by_axioms(robot: Robot, question: Question, folder: Path) -> int | None:
     """Have Fast Downward prove the least cost by A*; None if there is no plan. No planner of ours has a part in it."""
     (folder / "domain.pddl").write_text(DOMAIN)
     (folder / "problem.pddl").write_text(problem_pddl(robot, question))
-    command = [sys.executable, "-m", "fast_downward.translate", "domain.pddl", "problem.pddl", "--sas-file", "task.sas"]
+    command = [
+        sys.executable,
+        "-m",
+        "fast_downward.translate",
+        "domain.pddl",
+        "problem.pddl",
+        "--sas-file",
+        "task.sas",
+    ]
     subprocess.run(command, cwd=folder, capture_output=True, check=True)
     search = [str(fast_downward_program()), "--search", "astar(blind())"]
     task = (folder / "task.sas").read_text()
-    done = subprocess.run(search, cwd=folder, input=task, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        search, cwd=folder, input=task, capture_output=True, text=True, check=False
+    )
     costs = [int(line.split(": ")[1]) for line in done.stdout.splitlines() if "Plan cost: " in line]
     assert costs or "no plan exists" in done.stdout, done.stdout
     return costs[0] if costs else None
 
 
-def shortest_ways(building: Building, start: str, goal: str, count: int) -> Iterator[tuple[Corridor, ...]]:
+def shortest_ways(
+    building: Building, start: str, goal: str, count: int
+) -> Iterator[tuple[Corridor, ...]]:
     """Yield the shortest ways by length that visit no place twice; fewer if that takes too many trials."""
     arcs = [(one.ends[0], one.ends[1], one.length_m) for one in building.corridors.values()]
     left = distances(arcs + [(b, a, length) for a, b, length in arcs], [goal])
@@ -215,7 +268,9 @@ def generate_and_test(task: Task, count: int = 10) -> int | None:
             after = {}
             for leg, cost in task.crossings(place):
                 if leg.corridor == one.name:
-                    switched = min(spent + task.switching(was, leg.mode)[1] for was, spent in front.items())
+                    switched = min(
+                        spent + task.switching(was, leg.mode)[1] for was, spent in front.items()
+                    )
                     after[leg.mode] = cost + switched
             front, place = after, Place(one.other(place.name))
             if not front:
@@ -232,5 +287,11 @@ def part_of(building: Building, centre: str, count: int) -> Building:
         if len(near) >= count:
             break
     kept = dict.fromkeys(near[:count])
-    inside = {name: one for name, one in building.corridors.items() if all(end in kept for end in one.ends)}
-    return Building("part", {place: building.places[place] for place in kept}, inside, near[0], near[count - 1])
+    inside = {
+        name: one
+        for name, one in building.corridors.items()
+        if all(end in kept for end in one.ends)
+    }
+    return Building(
+        "part", {place: building.places[place] for place in kept}, inside, near[0], near[count - 1]
+    )

@@ -34,7 +34,12 @@ def keys(model: Model) -> Iterator[Key]:
 def views(kb: KnowledgeBase) -> dict[Key, object]:
     """Return what to ask for each status."""
     model, found, seen = kb.model, {}, defaultdict(int)
-    kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component", "Configuration": "configuration"}
+    kinds = {
+        "Action": "action",
+        "FunctionDesign": "design",
+        "Component": "component",
+        "Configuration": "configuration",
+    }
     own = {}
     for number, constraint in enumerate(model.constraints):
         for element in constraint.constrained:
@@ -80,7 +85,12 @@ class NaivePeer(Naive):
             self.value[name] = value
             return
         chosen = self.designs if name in self.model.designs else self.configurations
-        marked = {"failed": self.failed, "active": self.active, "requested": self.open_actions, "selected": chosen}
+        marked = {
+            "failed": self.failed,
+            "active": self.active,
+            "requested": self.open_actions,
+            "selected": chosen,
+        }
         (marked[what].add if value else marked[what].discard)(name)
 
     def tell(self, happening: Happening) -> None:
@@ -98,7 +108,10 @@ class IndexedPeer(NaivePeer):
         super().__init__(model, told)
         self.known = {}
         self.constraints_by_element, self.designs_by_function = defaultdict(list), defaultdict(list)
-        self.configurations_by_component, self.designs_by_component = defaultdict(list), defaultdict(list)
+        self.configurations_by_component, self.designs_by_component = (
+            defaultdict(list),
+            defaultdict(list),
+        )
         self.actions_by_function = defaultdict(list)
         for number, constraint in enumerate(model.constraints):
             for element in constraint.constrained:

@@ -41,7 +41,9 @@ def time_of(call: Callable[..., object], *arguments: object) -> float:
 def peak_memory() -> int:
     """Return the most memory that this process ever had [bytes]."""
     status = Path("/proc/self/status")
-    if status.exists():  # what Linux gives as resource usage begins with that of the process which started this one
+    if (
+        status.exists()
+    ):  # what Linux gives as resource usage begins with that of the process which started this one
         line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1024
     unit = 1 if sys.platform == "darwin" else 1024
@@ -116,7 +118,9 @@ def one_round(kb: KnowledgeBase, size: int, number: int) -> tuple[Times, dict[st
 
 
 def medians(rounds: list[Times]) -> dict[str, float]:
-    return {name: median(chain.from_iterable(times[name] for times in rounds)) for name in rounds[0]}
+    return {
+        name: median(chain.from_iterable(times[name] for times in rounds)) for name in rounds[0]
+    }
 
 
 def main(size: int) -> None:
@@ -127,11 +131,23 @@ def main(size: int) -> None:
     built, memory = perf_counter(), peak_memory()
     del kb
     here, small = at_work(model), at_work(robot(SMALLEST))
-    rounds = [(one_round(small, SMALLEST, number)[0], one_round(here, size, number)) for number in range(ROUNDS)]
-    visited = {kind: sum(found[1][kind] for _, found in rounds) / (ROUNDS * TOLD) for kind in EVENTS}
+    rounds = [
+        (one_round(small, SMALLEST, number)[0], one_round(here, size, number))
+        for number in range(ROUNDS)
+    ]
+    visited = {
+        kind: sum(found[1][kind] for _, found in rounds) / (ROUNDS * TOLD) for kind in EVENTS
+    }
     p50, base = medians([found[0] for _, found in rounds]), medians([found for found, _ in rounds])
-    found = {"model_s": declared - start, "build_s": built - start, "memory": memory, "visited": visited}
-    print(json.dumps({**found, "p50": p50, "ratio": {name: p50[name] / base[name] for name in p50}}))
+    found = {
+        "model_s": declared - start,
+        "build_s": built - start,
+        "memory": memory,
+        "visited": visited,
+    }
+    print(
+        json.dumps({**found, "p50": p50, "ratio": {name: p50[name] / base[name] for name in p50}})
+    )
 
 
 if __name__ == "__main__":

@@ -15,7 +15,9 @@ __all__ = ["Ontology", "SparqlPeer"]
 
 PREFIX = "PREFIX : <http://robot/#>\n"
 COMPLEMENT = {">=": "<", ">": "<=", "<=": ">", "<": ">="}
-COMPARED = "?x :operator '{}' . ?x :compares ?a . ?a :measured ?v . ?x :threshold ?t . FILTER(?v {} ?t)"
+COMPARED = (
+    "?x :operator '{}' . ?x :compares ?a . ?a :measured ?v . ?x :threshold ?t . FILTER(?v {} ?t)"
+)
 PREVENTED = "?c :constrains ?x . ?c :status 'violated'"
 CONFIGURABLE = "FILTER EXISTS { ?o :configures ?x }"
 
@@ -28,18 +30,29 @@ TABLES: Mapping[str, tuple[tuple[str, str], ...]] = {
     "constraint": (
         ("not evaluated", "?x :compares ?a . FILTER NOT EXISTS { ?a :measured ?v }"),
         *(("satisfied", COMPARED.format(operator, operator)) for operator in COMPLEMENT),
-        *(("violated", COMPARED.format(operator, complement)) for operator, complement in COMPLEMENT.items()),
+        *(
+            ("violated", COMPARED.format(operator, complement))
+            for operator, complement in COMPLEMENT.items()
+        ),
     ),
     "configuration": (("unfeasible", PREVENTED), ("feasible", "")),
     "component": (
         ("failure", "?x :failed true"),
-        ("unfeasible", CONFIGURABLE + " FILTER NOT EXISTS { ?g :configures ?x . ?g :status 'feasible' }"),
+        (
+            "unfeasible",
+            CONFIGURABLE + " FILTER NOT EXISTS { ?g :configures ?x . ?g :status 'feasible' }",
+        ),
         ("unfeasible", PREVENTED),
-        ("configuration error", "?x :required true . ?g :configures ?x . ?g :selected true . ?g :status 'unfeasible'"),
+        (
+            "configuration error",
+            "?x :required true . ?g :configures ?x . ?g :selected true . ?g :status 'unfeasible'",
+        ),
         ("unsolved", "?x :required true . FILTER NOT EXISTS { ?x :active true }"),
         (
             "unsolved",
-            "?x :required true . " + CONFIGURABLE + " FILTER NOT EXISTS { ?g :configures ?x . ?g :selected true }",
+            "?x :required true . "
+            + CONFIGURABLE
+            + " FILTER NOT EXISTS { ?g :configures ?x . ?g :selected true }",
         ),
         ("solved", "?x :required true"),
         ("feasible", ""),
@@ -48,15 +61,27 @@ TABLES: Mapping[str, tuple[tuple[str, str], ...]] = {
         ("unfeasible", PREVENTED),
         ("unfeasible", "?x :uses ?p . ?p :status 'failure'"),
         ("unfeasible", "?x :uses ?p . ?p :status 'unfeasible'"),
-        ("implicit configuration error", "?x :selected true . ?x :uses ?p . ?p :status 'configuration error'"),
+        (
+            "implicit configuration error",
+            "?x :selected true . ?x :uses ?p . ?p :status 'configuration error'",
+        ),
         ("unsolved", "?x :selected true . ?x :uses ?p . ?p :status ?s . FILTER(?s != 'solved')"),
         ("solved", "?x :selected true"),
         ("feasible", ""),
     ),
     "function": (
-        ("unfeasible", "FILTER NOT EXISTS { ?d :realises ?x . ?d :status ?s . FILTER(?s != 'unfeasible') }"),
-        ("configuration error", "?x :required true . ?d :realises ?x . ?d :selected true . ?d :status 'unfeasible'"),
-        ("implicit configuration error", "?x :required true . ?d :realises ?x . ?d :status '{status}'"),
+        (
+            "unfeasible",
+            "FILTER NOT EXISTS { ?d :realises ?x . ?d :status ?s . FILTER(?s != 'unfeasible') }",
+        ),
+        (
+            "configuration error",
+            "?x :required true . ?d :realises ?x . ?d :selected true . ?d :status 'unfeasible'",
+        ),
+        (
+            "implicit configuration error",
+            "?x :required true . ?d :realises ?x . ?d :status '{status}'",
+        ),
         ("solved", "?x :required true . ?d :realises ?x . ?d :status 'solved'"),
         ("unsolved", "?x :required true"),
         ("feasible", ""),
@@ -64,16 +89,40 @@ TABLES: Mapping[str, tuple[tuple[str, str], ...]] = {
     "action": (
         ("unfeasible", PREVENTED),
         ("unfeasible", "?x :requires ?f . ?f :status 'unfeasible'"),
-        ("implicit configuration error", "?x :required true . ?x :requires ?f . ?f :status 'configuration error'"),
-        ("implicit configuration error", "?x :required true . ?x :requires ?f . ?f :status '{status}'"),
-        ("unsolved", "?x :required true . ?x :requires ?f . ?f :status ?s . FILTER(?s != 'solved')"),
+        (
+            "implicit configuration error",
+            "?x :required true . ?x :requires ?f . ?f :status 'configuration error'",
+        ),
+        (
+            "implicit configuration error",
+            "?x :required true . ?x :requires ?f . ?f :status '{status}'",
+        ),
+        (
+            "unsolved",
+            "?x :required true . ?x :requires ?f . ?f :status ?s . FILTER(?s != 'solved')",
+        ),
         ("solved", "?x :required true"),
         ("feasible", ""),
     ),
 }
 RELATIONS = ("compares", "constrains", "configures", "uses", "realises", "requires")
-DATA = ("operator", "threshold", "measured", "failed", "active", "requested", "selected", "required", "status")
-KIND_OF = {"failed": "component", "active": "component", "requested": "action", "measured": "attribute"}
+DATA = (
+    "operator",
+    "threshold",
+    "measured",
+    "failed",
+    "active",
+    "requested",
+    "selected",
+    "required",
+    "status",
+)
+KIND_OF = {
+    "failed": "component",
+    "active": "component",
+    "requested": "action",
+    "measured": "attribute",
+}
 
 
 def queries() -> Iterator[str]:
@@ -106,14 +155,18 @@ class Ontology:
             for name in DATA:
                 types.new_class(name, (DataProperty, FunctionalProperty))
             kinds = {kind: types.new_class(kind, (Thing,)) for kind in dict(self.keys)}
-            self.individuals = {key: kinds[key[0]](f"n{number}") for number, key in enumerate(self.keys)}
+            self.individuals = {
+                key: kinds[key[0]](f"n{number}") for number, key in enumerate(self.keys)
+            }
         self._relate()
 
     def _relate(self) -> None:
         model, one = self.model, self.individuals
         kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component"}
         for action in model.actions.values():
-            one["action", action.name].requires = [one["function", name] for name in action.functions]
+            one["action", action.name].requires = [
+                one["function", name] for name in action.functions
+            ]
         for design in model.designs.values():
             this = one["design", design.name]
             this.realises = [one["function", design.function]]
@@ -145,7 +198,11 @@ class SparqlPeer(Ontology):
         self.queries = [self.world.prepare_sparql(PREFIX + text) for text in queries()]
 
     def note(self, happening: Happening) -> None:
-        setattr(self.individual(happening), happening.what, None if happening.value is False else happening.value)
+        setattr(
+            self.individual(happening),
+            happening.what,
+            None if happening.value is False else happening.value,
+        )
 
     def tell(self, happening: Happening) -> None:
         self.note(happening)

@@ -47,11 +47,21 @@ class Reasoned(Ontology):
             "Unfeasible_configuration": lambda: one.configuration & prevented(),
             "Unfeasible_component": lambda: (
                 one.component
-                & (one.Failed | prevented() | (one.Configurable & one.configured_by.only(one.Unfeasible_configuration)))
+                & (
+                    one.Failed
+                    | prevented()
+                    | (one.Configurable & one.configured_by.only(one.Unfeasible_configuration))
+                )
             ),
-            "Unfeasible_design": lambda: one.design & (prevented() | one.uses.some(one.Unfeasible_component)),
-            "Unfeasible_function": lambda: one.function & one.realised_by.only(one.Unfeasible_design),
-            "Unfeasible_action": lambda: one.action & (prevented() | one.requires.some(one.Unfeasible_function)),
+            "Unfeasible_design": lambda: (
+                one.design & (prevented() | one.uses.some(one.Unfeasible_component))
+            ),
+            "Unfeasible_function": lambda: (
+                one.function & one.realised_by.only(one.Unfeasible_design)
+            ),
+            "Unfeasible_action": lambda: (
+                one.action & (prevented() | one.requires.some(one.Unfeasible_function))
+            ),
         }
         for name, definition in definitions.items():
             types.new_class(name, (Thing,)).equivalent_to = [definition()]
@@ -59,7 +69,9 @@ class Reasoned(Ontology):
     def _close(self, kind: str, relation: str, inverse: str) -> None:
         from owlready2 import OneOf
 
-        parts: dict[Any, list[Any]] = {one: [] for key, one in self.individuals.items() if key[0] == kind}
+        parts: dict[Any, list[Any]] = {
+            one: [] for key, one in self.individuals.items() if key[0] == kind
+        }
         for one in self.individuals.values():
             for whole in getattr(one, inverse):
                 parts[whole].append(one)

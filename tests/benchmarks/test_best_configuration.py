@@ -94,7 +94,10 @@ def test_best_configuration_of_1000_small_robots_is_the_one_found_by_trying_all(
         weights = {name: draw.choice((1.0, 0.5, -0.5, -1.0)) for name in ("accuracy", "wear")}
         budgets = {"power": draw.randint(0, 100) / 10} if draw.random() < 0.5 else {}
         criterion = Criterion(weights, draw.choice((0.0, 0.1, 0.5)), budgets)
-        found, expected = Problem(state_of(kb), criterion).solve(), best_by_trying(state_of(kb), criterion)
+        found, expected = (
+            Problem(state_of(kb), criterion).solve(),
+            best_by_trying(state_of(kb), criterion),
+        )
         assert found.is_proven
         if expected is None:
             nothing += 1
@@ -107,7 +110,15 @@ def test_best_configuration_of_1000_small_robots_is_the_one_found_by_trying_all(
 
 
 def written(found):
-    head = ("20 functions, 30 components, 100 robots", "p50", "p95", "most", "processor, p50", "p95", "most")
+    head = (
+        "20 functions, 30 components, 100 robots",
+        "p50",
+        "p95",
+        "most",
+        "processor, p50",
+        "p95",
+        "most",
+    )
     rows = []
     for kind, times in found.items():
         row = [kind]

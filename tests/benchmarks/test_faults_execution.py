@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from figures import table
 
-sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the faulty system and its twin are those of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "kb")
+)  # the faulty system and its twin are those of the tests there
 
 from faulty import Interrupted, Life, interrupted_at, lived
 
@@ -32,7 +34,9 @@ def live(first, most, **options):
     while totals["plans"] < most:
         life = lived(next(lives), 400, **options)
         results = Counter(one.result for one in life.kb.history.attempts)
-        totals += Counter(plans=len(life.kb.plans), interrupts=life.interrupted, lies=len(life.lies), **results)
+        totals += Counter(
+            plans=len(life.kb.plans), interrupts=life.interrupted, lies=len(life.lies), **results
+        )
     return totals
 
 
@@ -41,7 +45,9 @@ def live(first, most, **options):
 def test_faults_are_survived_for_long(rows, faults, interrupts):
     totals = live(int(faults * 1e6), PLANS // 4, faults=faults, interrupts=interrupts)
     names = ("plans", "completed", "failed", "abandoned", "interrupts", "lies")
-    rows.append((f"{faults:.0%} faults, {interrupts:.0%} interrupts", *(totals[name] for name in names)))
+    rows.append(
+        (f"{faults:.0%} faults, {interrupts:.0%} interrupts", *(totals[name] for name in names))
+    )
     assert totals["plans"] >= PLANS // 4
     assert totals["lies"] == 0
 
@@ -60,7 +66,9 @@ def test_every_instruction_of_a_turn_is_interrupted(rows):
         life.look()
         assert [plan.result for plan in life.kb.plans] == ["completed"], step
         assert (
-            life.system.running == {"eye", "arm"} == {one.name for one in life.kb.components.values() if one.is_active}
+            life.system.running
+            == {"eye", "arm"}
+            == {one.name for one in life.kb.components.values() if one.is_active}
         )
         assert all(one.end is not None for one in life.kb.history.attempts)
     rows.append(("each instruction of a turn interrupted", passed[0], 0, 0, 0, passed[0], 0))

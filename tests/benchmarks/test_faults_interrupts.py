@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from figures import table
 
-sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the lives and their twins are those of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "kb")
+)  # the lives and their twins are those of the tests there
 
 from interrupted_lives import Interrupted, spent
 
@@ -26,7 +28,9 @@ def rows(tables):
     return found
 
 
-@pytest.mark.parametrize(("where", "harsher", "most"), [("as by a signal", False, 10), ("anywhere", True, 1)])
+@pytest.mark.parametrize(
+    ("where", "harsher", "most"), [("as by a signal", False, 10), ("anywhere", True, 1)]
+)
 def test_interrupted_lives_are_those_of_their_twins_for_long(rows, where, harsher, most):
     totals, first = Counter(), None
     for seed in count(1000):

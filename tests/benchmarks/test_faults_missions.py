@@ -13,7 +13,9 @@ from random import Random
 import pytest
 from figures import table
 
-sys.path.append(str(Path(__file__).parents[1] / "missions"))  # what is run, and its twins, are those of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "missions")
+)  # what is run, and its twins, are those of the tests there
 
 from faulty_runs import CAMPAIGN, beset, campaign, gone_on_with, interrupted, opened, tables, told
 
@@ -24,14 +26,17 @@ pytestmark = [
 ]
 
 MISSIONS, KILLS, FULL = (
-    int(os.environ.get(name, most)) for name, most in (("MISSIONS", 400), ("KILLS", 30), ("FULL", 10))
+    int(os.environ.get(name, most))
+    for name, most in (("MISSIONS", 400), ("KILLS", 30), ("FULL", 10))
 )
 
 
 @pytest.fixture(scope="module")
 def rows(tables):
     found = []
-    tables["faults of missions"] = lambda: table("Faults of missions", ("what", "tried", "faults", "lies"), found)
+    tables["faults of missions"] = lambda: table(
+        "Faults of missions", ("what", "tried", "faults", "lies"), found
+    )
     return found
 
 
@@ -42,9 +47,13 @@ def test_missions_are_interrupted_at_random(rows, name, task):
     started = time.process_time()
     run.run()
     took, whole, chance = time.process_time() - started, told(run), Random(f"{name} {task}")
-    found = [interrupted(name, task, chance.uniform(0.002, took), whole) for _ in range(MISSIONS // 6)]
+    found = [
+        interrupted(name, task, chance.uniform(0.002, took), whole) for _ in range(MISSIONS // 6)
+    ]
     lies = [lie for told_lies, _ in found for lie in told_lies]
-    rows.append((f"{name} ({task}) interrupted", len(found), sum(was for _, was in found), len(lies)))
+    rows.append(
+        (f"{name} ({task}) interrupted", len(found), sum(was for _, was in found), len(lies))
+    )
     assert lies == []
 
 
@@ -82,7 +91,9 @@ def test_campaigns_run_out_of_room_and_are_gone_on_with(rows, whole, tmp_path):
     file, of_whole = whole
     chance, lies, full = Random(2), [], 0
     for number in range(FULL):
-        running = campaign(tmp_path / str(number), file, "--workers", 2, most_bytes=chance.randint(700, 12_000))
+        running = campaign(
+            tmp_path / str(number), file, "--workers", 2, most_bytes=chance.randint(700, 12_000)
+        )
         said, _ = running.communicate(timeout=300)
         full += running.returncode == 2
         lies += [said] if "Traceback" in said else []

@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 from numpy.random import default_rng
 
-sys.path.append(str(Path(__file__).parents[1] / "rosa_pddl"))  # the worlds are those of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "rosa_pddl")
+)  # the worlds are those of the tests there
 
 import whole_worlds
 from faulty_worlds import Ground, episode
@@ -71,7 +73,9 @@ def test_a_thousand_worlds_that_grow_end_where_brute_force_says():
     planner = Planner()
     ended = [whole_worlds.episode(default_rng(seed), planner) for seed in range(1000)]
     missed = [seed for seed, (reached, could, _) in enumerate(ended) if reached != could]
-    print(f"\n{sum(one[0] for one in ended)} of 1000 goals reached, {sum(one[2] for one in ended)} with steps at once")
+    print(
+        f"\n{sum(one[0] for one in ended)} of 1000 goals reached, {sum(one[2] for one in ended)} with steps at once"
+    )
     assert missed == []
 
 

@@ -23,7 +23,9 @@ def test_many_kills(tmp_path, tables):
         folder = tmp_path / str(number)
         folder.mkdir()
         survives_a_kill(folder, number)
-    tables["kills"] = lambda: table("Kills", ("what", "how often"), [("killed under load, nothing is missing", KILLS)])
+    tables["kills"] = lambda: table(
+        "Kills", ("what", "how often"), [("killed under load, nothing is missing", KILLS)]
+    )
 
 
 def test_many_damages(tmp_path, tables):
@@ -31,5 +33,7 @@ def test_many_damages(tmp_path, tables):
     for number in range(DAMAGES):
         damages.one(number)
     found = [(f"{how}: {answer}", count) for (how, answer), count in sorted(damages.kinds.items())]
-    tables["damages"] = lambda: table("Damaged stores, and what was answered", ("what", "how often"), found)
+    tables["damages"] = lambda: table(
+        "Damaged stores, and what was answered", ("what", "how often"), found
+    )
     assert sum(count for (how, _), count in damages.kinds.items() if how != "repair") == DAMAGES

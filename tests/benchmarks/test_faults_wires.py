@@ -17,7 +17,9 @@ import pytest
 from figures import table
 from websockets.sync.client import connect
 
-sys.path.append(str(Path(__file__).parents[1] / "missions"))  # what is cut and asked is that of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "missions")
+)  # what is cut and asked is that of the tests there
 
 from cut_wires import requests_through_cuts
 from test_assistant import asked
@@ -36,7 +38,12 @@ pytestmark = pytest.mark.benchmark(group="faults")
 
 CUTS, NONSENSE, HOSTILE, PREFIXES = (
     int(os.environ.get(name, most))
-    for name, most in (("CUTS", 100), ("NONSENSE", 100_000), ("HOSTILE", 10_000), ("PREFIXES", 1_000))
+    for name, most in (
+        ("CUTS", 100),
+        ("NONSENSE", 100_000),
+        ("HOSTILE", 10_000),
+        ("PREFIXES", 1_000),
+    )
 )
 
 
@@ -69,17 +76,29 @@ def test_nonsense_is_counted_and_memory_is_flat(rows):
             held = []
             for part in range(5):
                 for number in range(NONSENSE // 10):
-                    peer.send(rng.choice(SPECIMENS) if number % 2 else json.dumps({"op": f"fly {rng.random()}"}))
-                    robot.server.publish("/battery_state", "", {"percentage": f"much {rng.random()}"})
+                    peer.send(
+                        rng.choice(SPECIMENS)
+                        if number % 2
+                        else json.dumps({"op": f"fly {rng.random()}"})
+                    )
+                    robot.server.publish(
+                        "/battery_state", "", {"percentage": f"much {rng.random()}"}
+                    )
                 sent = (part + 1) * (NONSENSE // 10)
-                until(lambda sent=sent: sum(robot.server.refused.values()) >= sent * 0.9, seconds=300)
+                until(
+                    lambda sent=sent: sum(robot.server.refused.values()) >= sent * 0.9, seconds=300
+                )
                 gc.collect()
                 held.append(tracemalloc.get_traced_memory()[0])
             robot.measure(0.7)
             until(lambda: kb.attributes["energy"].value == 0.7)
             refused = sum(robot.server.refused.values()) + sum(bridge.refused.values())
             rows.append(
-                ("nonsense", NONSENSE, f"{refused} refused, memory {held[1] / 1e6:.2f} to {held[-1] / 1e6:.2f} MB")
+                (
+                    "nonsense",
+                    NONSENSE,
+                    f"{refused} refused, memory {held[1] / 1e6:.2f} to {held[-1] / 1e6:.2f} MB",
+                )
             )
             assert len(robot.server.refused) + len(bridge.refused) < 300
             assert held[-1] < held[1] + 2e6
@@ -93,13 +112,24 @@ def test_hostile_requests_of_assistants(rows):
     kb.measure("water_visibility", 3.0)
     kb.measure("battery_level", 0.2)
     rng = random.Random(2)
-    values = [None, 3, [], {}, "inspect_pipeline", ["inspect_pipeline"], {"name": "inspect_pipeline"}, "x" * 5000]
+    values = [
+        None,
+        3,
+        [],
+        {},
+        "inspect_pipeline",
+        ["inspect_pipeline"],
+        {"name": "inspect_pipeline"},
+        "x" * 5000,
+    ]
     keys = ["action", "element", "preference", "measured", "x"]
     before, calls = len(list(kb.log)), []
     for _ in range(HOSTILE):
         tool = rng.choice(["request_action", "cancel_action", "what_if", "why", "plan"])
         given = {key: rng.choice(values) for key in rng.sample(keys, rng.randint(0, 3))}
-        calls.append((tool, given | {"action": "inspect_pipeline"} if rng.random() < 0.5 else given))
+        calls.append(
+            (tool, given | {"action": "inspect_pipeline"} if rng.random() < 0.5 else given)
+        )
     _, answers = asked(kb, calls, allow_actions=True)
     rows.append(("hostile requests", len(answers), f"{len(kb.required_actions)} got through"))
     assert len(answers) == HOSTILE
@@ -121,7 +151,9 @@ def test_every_prefix_of_a_recording_replays(rows, tmp_path):
         if bag.events:
             assert "decided as recorded" in rosa("replay", cut)
             replayed += 1
-    rows.append(("recording cut", PREFIXES, f"all read up to there, {replayed} decided again, alike"))
+    rows.append(
+        ("recording cut", PREFIXES, f"all read up to there, {replayed} decided again, alike")
+    )
 
 
 def test_a_thousand_diagnostics_a_second(rows):
@@ -130,15 +162,33 @@ def test_a_thousand_diagnostics_a_second(rows):
         with bridged(robot) as (_, bridge), connect(robot.url) as peer:
             until(lambda: bridge.heard, turn=lambda: robot.diagnose(energy=0.5))
             pairs = [{"key": "energy", "value": "0.5"}]
-            status = {"level": 0, "name": "robot", "message": "QA status", "hardware_id": "", "values": pairs}
-            text = json.dumps({"op": "publish", "topic": "/diagnostics", "msg": {"header": {}, "status": [status]}})
+            status = {
+                "level": 0,
+                "name": "robot",
+                "message": "QA status",
+                "hardware_id": "",
+                "values": pairs,
+            }
+            text = json.dumps(
+                {
+                    "op": "publish",
+                    "topic": "/diagnostics",
+                    "msg": {"header": {}, "status": [status]},
+                }
+            )
             before, used, began = bridge.heard, time.process_time(), time.monotonic()
             for number in range(1000 * seconds):
                 peer.send(text)
                 time.sleep(max(0.0, began + number / 1000 - time.monotonic()))
             until(lambda: bridge.heard >= before + 1000 * seconds)
             share = (time.process_time() - used) / (time.monotonic() - began)
-            rows.append(("1,000 diagnostics/s", 1000 * seconds, f"{share:.0%} of a core, sender and server included"))
+            rows.append(
+                (
+                    "1,000 diagnostics/s",
+                    1000 * seconds,
+                    f"{share:.0%} of a core, sender and server included",
+                )
+            )
     finally:
         robot.server.close()
 
@@ -157,6 +207,8 @@ def test_an_hour_of_diagnostics_is_decided_again(rows, tmp_path):
             writer.write(topic, 10**18 + number * 10**7, kept.encode(ros.DIAGNOSTICS, heard))
     used = time.process_time()
     done = CliRunner().invoke(cli.app, ["replay", str(folder), "--mission", "suave_extended"])
-    rows.append(("one hour replayed", 360_000, f"{time.process_time() - used:.1f} s of processor time"))
+    rows.append(
+        ("one hour replayed", 360_000, f"{time.process_time() - used:.1f} s of processor time")
+    )
     assert done.exit_code == 0
     assert "heard" not in done.output

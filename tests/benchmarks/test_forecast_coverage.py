@@ -34,7 +34,10 @@ WAYS = {
 def events_of(kb, attribute):
     """Return what was measured of an attribute and done in a run, in the order in which it became known."""
     told = [event for event in kb.log if event.verb in ("request_action", "cancel_action")]
-    return [*told, *(event for event in kb.log if event.verb == "measure" and event.arguments[0] == attribute)]
+    return [
+        *told,
+        *(event for event in kb.log if event.verb == "measure" and event.arguments[0] == attribute),
+    ]
 
 
 def robot(actions, attribute, way):
@@ -53,7 +56,10 @@ def forecasts(kb, attribute, way):
     """Go through a run again, and yield each forecast with what came and whether what was done stayed the same."""
     events = sorted(events_of(kb, attribute), key=lambda event: event.number)
     measured = [(event.time, event.arguments[1]) for event in events if event.verb == "measure"]
-    times, turns = [time for time, _ in measured], [event.time for event in events if event.verb != "measure"]
+    times, turns = (
+        [time for time, _ in measured],
+        [event.time for event in events if event.verb != "measure"],
+    )
     gaps = sorted(two - one for one, two in pairwise(times))
     now = [0.0]
     again = KnowledgeBase(robot(kb.actions, attribute, way), clock=lambda: now[0])
@@ -78,24 +84,53 @@ def test_intervals_hold_what_came_as_often_as_they_say(tables):
     rows, total = [], [0, 0, 0, 0]
     for mission in ("suave", "suave_extended", "agv", "uav"):
         runs = [run_mission(mission, seed=seed)[0].kb for seed in SEEDS]
-        for attribute in [name for name in runs[0].attributes if len(runs[0].attributes[name].history) > 3]:
+        for attribute in [
+            name for name in runs[0].attributes if len(runs[0].attributes[name].history) > 3
+        ]:
             found = [one for kb in runs for one in forecasts(kb, attribute, WAYS[attribute])]
             known = [(one, came, stayed) for one, came, stayed in found if one.low is not None]
-            held = [(one.low - 1e-9 <= came <= one.high + 1e-9, stayed) for one, came, stayed in known]
+            held = [
+                (one.low - 1e-9 <= came <= one.high + 1e-9, stayed) for one, came, stayed in known
+            ]
             alike = [is_held for is_held, stayed in held if stayed]
             exact = [abs(one.value - came) < 1e-9 for one, came, stayed in known if stayed]
             every = [is_held for is_held, _ in held]
-            total = [a + b for a, b in zip(total, (sum(every), len(every), sum(alike), len(alike)), strict=True)]
+            total = [
+                a + b
+                for a, b in zip(
+                    total, (sum(every), len(every), sum(alike), len(alike)), strict=True
+                )
+            ]
             share = [f"{sum(one) / len(one):.0%}" if one else "-" for one in (every, alike, exact)]
-            rows.append((mission, attribute, WAYS[attribute], len(found), len(found) - len(known), *share))
-    rows.append(("all", "", "", "", "", f"{total[0] / total[1]:.1%}", f"{total[2] / total[3]:.1%}", ""))
-    heads = ("mission", "attribute", "forecast by", "asked", "do not know", "held", "as assumed", "of these exact")
+            rows.append(
+                (mission, attribute, WAYS[attribute], len(found), len(found) - len(known), *share)
+            )
+    rows.append(
+        ("all", "", "", "", "", f"{total[0] / total[1]:.1%}", f"{total[2] / total[3]:.1%}", "")
+    )
+    heads = (
+        "mission",
+        "attribute",
+        "forecast by",
+        "asked",
+        "do not know",
+        "held",
+        "as assumed",
+        "of these exact",
+    )
     table = [heads, tuple("---" for _ in heads), *rows]
     tables["forecasts"] = lambda: "\n".join(f"| {' | '.join(map(str, row))} |" for row in table)
-    claimed = [(row[:2], *(int(one.removesuffix("%")) for one in row[-3:])) for row in rows[:-1] if row[-3] != "-"]
+    claimed = [
+        (row[:2], *(int(one.removesuffix("%")) for one in row[-3:]))
+        for row in rows[:-1]
+        if row[-3] != "-"
+    ]
     assert len(claimed) > 6
     assert [row for row in claimed if not 85 <= row[1] <= 95] == []
-    most = {True: 100, False: 95}  # whatever its width, an interval holds what is exactly as forecast
+    most = {
+        True: 100,
+        False: 95,
+    }  # whatever its width, an interval holds what is exactly as forecast
     assert [row for row in claimed if not 85 <= row[2] <= most[row[3] > 90]] == []
 
 
@@ -106,10 +141,16 @@ def wave(time, period, level, swing):
 def changed(way, chance):
     """Return what is measured in two regimes, and how long a period of the second is [s]."""
     if way == "periodic":
-        one, two = ((chance.uniform(40, 90), chance.uniform(1, 3), chance.uniform(0.5, 2)) for _ in range(2))
-        return lambda time: wave(time, *(one if time < CHANGE_S else two)) + chance.gauss(0, 0.02), two[0]
+        one, two = (
+            (chance.uniform(40, 90), chance.uniform(1, 3), chance.uniform(0.5, 2)) for _ in range(2)
+        )
+        return (
+            lambda time: wave(time, *(one if time < CHANGE_S else two)) + chance.gauss(0, 0.02),
+            two[0],
+        )
     slopes, spreads = (
-        (chance.uniform(low, high), chance.uniform(low, high)) for low, high in ((-0.1, 0.1), (0.01, 0.2))
+        (chance.uniform(low, high), chance.uniform(low, high))
+        for low, high in ((-0.1, 0.1), (0.01, 0.2))
     )
     if way == "constant":
         slopes = 0.0, 0.0
@@ -129,7 +170,10 @@ def test_intervals_hold_as_often_within_a_period_after_a_change_of_regime(way, t
     held, now = {"the period after it": [], "the next one": []}, [0.0]
     for case in range(20):
         value, period = changed(way, Random(case))
-        seen = [(float(second), value(float(second))) for second in range(int(CHANGE_S + 2 * period) + 11)]
+        seen = [
+            (float(second), value(float(second)))
+            for second in range(int(CHANGE_S + 2 * period) + 11)
+        ]
         kb = KnowledgeBase(robot((), "seen", way), clock=lambda: now[0])
         for place, (now[0], what) in enumerate(seen[:-11]):
             kb.measure("seen", what)
@@ -142,5 +186,7 @@ def test_intervals_hold_as_often_within_a_period_after_a_change_of_regime(way, t
                             one.low <= seen[place + ahead][1] <= one.high
                         )
     shares = {when: sum(found) / len(found) for when, found in held.items()}
-    tables[f"regime {way}"] = lambda: f"| {way} | " + " | ".join(f"{one:.0%}" for one in shares.values()) + " |"
+    tables[f"regime {way}"] = lambda: (
+        f"| {way} | " + " | ".join(f"{one:.0%}" for one in shares.values()) + " |"
+    )
     assert min(shares.values()) >= 0.85

@@ -30,7 +30,9 @@ def limited(question, **limits):
 
 def tight(planner, question, answer):
     """Return the question with half of the energy that the best plan takes beyond what is needed at least."""
-    least = planner.plan(Question(question.start, question.goal, {"energy": 1.0})).takes.in_units["energy"]
+    least = planner.plan(Question(question.start, question.goal, {"energy": 1.0})).takes.in_units[
+        "energy"
+    ]
     return limited(question, energy=(least + answer.takes.in_units["energy"]) / 2)
 
 
@@ -40,7 +42,12 @@ def test_joint_plan_in_a_building_as_large_as_the_published_one(tables, tmp_path
     planners = {failed: JointPlanner(building, known(*failed)) for failed in FAILURES}
     for planner in planners.values():
         planner.plan(Question())
-    times = {"warm": [], "warm, within ample limits": [], "warm, within half of what is spare": [], "cold": []}
+    times = {
+        "warm": [],
+        "warm, within ample limits": [],
+        "warm, within half of what is spare": [],
+        "cold": [],
+    }
     judged, least = 0, {}
     for number in range(100):
         failed = FAILURES[rng.integers(len(FAILURES))]
@@ -55,14 +62,22 @@ def test_joint_plan_in_a_building_as_large_as_the_published_one(tables, tmp_path
             assert cost == (answer.cost if answer.is_solved else None)
             judged += 1
         if answer.is_solved:
-            energy_j, collisions = 1.1 * answer.takes.in_units["energy"], answer.takes.in_units["collisions"] + 0.05
-            took, within = timed(planner.plan, limited(question, energy=energy_j, collisions=collisions))
+            energy_j, collisions = (
+                1.1 * answer.takes.in_units["energy"],
+                answer.takes.in_units["collisions"] + 0.05,
+            )
+            took, within = timed(
+                planner.plan, limited(question, energy=energy_j, collisions=collisions)
+            )
             times["warm, within ample limits"].append(took)
             assert within.cost == answer.cost
             within_half = tight(planner, question, answer)
             took, within = timed(planner.plan, within_half)
             times["warm, within half of what is spare"].append(took)
-            assert not within.is_solved or within.takes.in_units["energy"] <= within_half.limits["energy"]
+            assert (
+                not within.is_solved
+                or within.takes.in_units["energy"] <= within_half.limits["energy"]
+            )
             assert not within.is_solved or within.cost >= answer.cost
             least[number] = answer.cost
     assert judged >= 10
@@ -94,7 +109,9 @@ def test_from_the_failure_of_the_kinect_to_a_new_plan_and_architecture(tables):
             leg = answer.legs[0]
             for attribute, value in leg.conditions.items():
                 kb.measure(attribute, value)
-            return answer, kb.select(leg.mode.choice.designs, leg.mode.choice.configurations, leg.why)
+            return answer, kb.select(
+                leg.mode.choice.designs, leg.mode.choice.configurations, leg.why
+            )
 
         told, _ = timed(kb.component_failed, "kinect")
         anew = JointPlanner(building, kb).plan(question)
@@ -169,7 +186,10 @@ def test_beside_axioms_and_generate_and_test(tables, tmp_path):
         f"58 places: times as long as the joint plan, question by question; generate and test, over the 10 shortest "
         f"ways, missed the optimum in {missed} of {asked_for}",
         ["", "median", "least", "most"],
-        [[way, *(f"{one:.3g}" for one in (median(some), min(some), max(some)))] for way, some in ratios.items()],
+        [
+            [way, *(f"{one:.3g}" for one in (median(some), min(some), max(some)))]
+            for way, some in ratios.items()
+        ],
     )
     assert median(ratios["PDDL axioms"]) > 1.0
 

@@ -51,7 +51,11 @@ def acknowledgements(kb, done):
 
 def test_cost_of_a_call_and_time_until_it_is_acknowledged(tmp_path, rows):
     plain, _ = at_a_steady_rate(KnowledgeBase(suave_extended_model()))
-    kb, done, seen = KnowledgeBase(suave_extended_model(), store=tmp_path / "m.sqlite3"), threading.Event(), []
+    kb, done, seen = (
+        KnowledgeBase(suave_extended_model(), store=tmp_path / "m.sqlite3"),
+        threading.Event(),
+        [],
+    )
     watcher = threading.Thread(target=lambda: seen.extend(acknowledgements(kb, done)))
     watcher.start()
     calls, told = at_a_steady_rate(kb)
@@ -91,7 +95,9 @@ def test_a_day_of_measurements_stays_below_the_limit(tmp_path, rows):
     assert kb.query("SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }")[0][0] >= 10_000
     asked = time.perf_counter() - begin
     kb.close()
-    rows.append((f"24 h at 10 a second, told in {took:.0f} s: {megabytes:.1f} MB", None, None, None))
+    rows.append(
+        (f"24 h at 10 a second, told in {took:.0f} s: {megabytes:.1f} MB", None, None, None)
+    )
     rows.append(("opened again with 10,000 measurements", shown(opened), None, None))
     rows.append(("a query over them", shown(asked), None, None))
 
@@ -99,7 +105,9 @@ def test_a_day_of_measurements_stays_below_the_limit(tmp_path, rows):
 def test_ten_thousand_facts_of_eight_threads(tmp_path, rows):
     kb, each = KnowledgeBase(suave_extended_model(), store=tmp_path / "m.sqlite3"), 1250
     tellers = [
-        threading.Thread(target=lambda: [kb.measure("water_visibility", turn % 5) for turn in range(each)])
+        threading.Thread(
+            target=lambda: [kb.measure("water_visibility", turn % 5) for turn in range(each)]
+        )
         for _ in range(8)
     ]
     start = time.perf_counter()

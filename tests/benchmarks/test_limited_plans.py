@@ -28,7 +28,9 @@ def timed(act, *arguments):
 
 def limits_between(planner, ends):
     """Return limits in the middle between what the quickest plan takes and the least that any does."""
-    plans = [planner.plan(Question(weights={name: 1.0}, **ends)).takes for name in ("time", *LIMITED)]
+    plans = [
+        planner.plan(Question(weights={name: 1.0}, **ends)).takes for name in ("time", *LIMITED)
+    ]
     amounts = [one.in_units for one in plans]
     return {name: (amounts[0][name] + min(one[name] for one in amounts)) / 2 for name in LIMITED}
 
@@ -48,7 +50,9 @@ class Asked:
     def __init__(self, planner, question):
         self._planner = planner
         declared = declarations_of_task(planner.task(question))
-        self.domain = Declarations("joint", declared.schemas, replace(declared.problem, facts=(), numbers={})).load()
+        self.domain = Declarations(
+            "joint", declared.schemas, replace(declared.problem, facts=(), numbers={})
+        ).load()
 
     def problem(self, question):
         told = declarations_of_task(self._planner.task(question)).problem
@@ -64,7 +68,10 @@ def test_plans_within_limits(size, tables):
     limited, free = (Asked(planner, one) for one in (asked[0], replace(asked[0], limits={})))
     engines = {
         "within limits, warm": (Planner("label-setting", cached=0, timeout_s=120.0), limited),
-        "within limits, cold": (Planner("label-setting", cached=0, timeout_s=120.0, warm=False), limited),
+        "within limits, cold": (
+            Planner("label-setting", cached=0, timeout_s=120.0, warm=False),
+            limited,
+        ),
         "no limits, warm": (Planner("label-setting", cached=0, timeout_s=120.0), free),
         "no limits, Fast Downward warm": (Planner(cached=0, timeout_s=120.0), free),
     }
@@ -76,12 +83,16 @@ def test_plans_within_limits(size, tables):
         for name, (engine, domain) in engines.items():
             if name.endswith("cold") and number % 5:
                 continue
-            problem = domain.problem(question if domain is limited else replace(question, limits={}))
+            problem = domain.problem(
+                question if domain is limited else replace(question, limits={})
+            )
             if number == 0:
                 engine.plan(problem)
             took, result = timed(engine.plan, problem)
             times[name].append(took)
-            assert [attempt.way for attempt in result.attempts] == ["cold" if name.endswith("cold") else "warm"]
+            assert [attempt.way for attempt in result.attempts] == [
+                "cold" if name.endswith("cold") else "warm"
+            ]
             if domain is limited:
                 outcomes.add(result.outcome)
                 assert result.outcome.is_solved == answer.is_solved

@@ -36,14 +36,21 @@ def flown(pages):
     looking = None
     if pages:
         url = view.url.replace("http", "ws") + "ws"
-        looking = subprocess.Popen([sys.executable, HERE / "pages.py", url], stdout=subprocess.PIPE, text=True)
+        looking = subprocess.Popen(
+            [sys.executable, HERE / "pages.py", url], stdout=subprocess.PIPE, text=True
+        )
         assert [looking.stdout.readline() for _ in range(pages)] == ["looking\n"] * pages
     started = time.thread_time()
     run.run()
     took_s = time.thread_time() - started
     view.close()
     found = json.loads(looking.communicate(timeout=30)[0]) if looking else []
-    return took_s / (SIMULATED_S * 10), sum(run.compute_s.values()), recorder.recorder.rows.next, found
+    return (
+        took_s / (SIMULATED_S * 10),
+        sum(run.compute_s.values()),
+        recorder.recorder.rows.next,
+        found,
+    )
 
 
 def test_twenty_pages_cost_a_tick_five_percent_at_most_and_all_but_the_frozen_one_get_every_row():
@@ -81,7 +88,10 @@ def test_memory_of_the_view_is_flat_over_a_day():
                 rover.kb.measure("energy", 0.9 if second % 600 < 500 else 0.1)
                 rover.manager.update()
                 rover.runner.tick()
-            only = [tracemalloc.Filter(True, "*/missions/views/*"), tracemalloc.Filter(True, "*/websockets/*")]
+            only = [
+                tracemalloc.Filter(True, "*/missions/views/*"),
+                tracemalloc.Filter(True, "*/websockets/*"),
+            ]
             taken = tracemalloc.take_snapshot().filter_traces(only)
             held.append(sum(one.size for one in taken.statistics("filename")) / 2**20)
         tracemalloc.stop()

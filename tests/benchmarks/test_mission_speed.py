@@ -78,10 +78,15 @@ OPERATIONS = {
     "measure across a threshold, selection, plan": Operation(adapt, None, (2.5, 3.5)),
     "component fails or recovers, selection, plan": Operation(repair, None, (True, False)),
     "is_feasible": Operation(
-        lambda kb, _: kb.is_feasible(SEARCH), lambda twin, _: twin.status("action", SEARCH) != "unfeasible", (0,), 100
+        lambda kb, _: kb.is_feasible(SEARCH),
+        lambda twin, _: twin.status("action", SEARCH) != "unfeasible",
+        (0,),
+        100,
     ),
     "situation of two values, selectable_actions": Operation(
-        lambda kb, _: set(kb.situation(water_visibility=1.5, battery_level=0.1).selectable_actions()),
+        lambda kb, _: set(
+            kb.situation(water_visibility=1.5, battery_level=0.1).selectable_actions()
+        ),
         suppose_naively,
         (0,),
     ),
@@ -94,7 +99,9 @@ OPERATIONS = {
 def rows(tables):
     found = {}
     head = ("extended SUAVE, in memory", "p50", "p90", "p99", "naive twin, p50", "ratio")
-    tables["1"] = lambda: table("A mission", head, [found[name] for name in OPERATIONS if name in found])
+    tables["1"] = lambda: table(
+        "A mission", head, [found[name] for name in OPERATIONS if name in found]
+    )
     return found
 
 
@@ -160,7 +167,13 @@ WHOLE = {
 @pytest.fixture(scope="module")
 def wholes(tables):
     found = {}
-    head = ("extended SUAVE, 300 s", "processor time", "times real time", "of it the sea", "where the rest goes")
+    head = (
+        "extended SUAVE, 300 s",
+        "processor time",
+        "times real time",
+        "of it the sea",
+        "where the rest goes",
+    )
     tables["0"] = lambda: table("A whole mission", head, found.values())
     return found
 
@@ -171,7 +184,9 @@ def test_speed_of_a_whole_mission(label, wholes):
     took, parts = min(runs, key=lambda run: run[0])
     sea = parts.pop("world", None)
     total = sum(parts.values()) + (sea or 0.0)
-    rest = ", ".join(f"{name} {part / total:.0%}" for name, part in parts.items() if part > 0.01 * total)
+    rest = ", ".join(
+        f"{name} {part / total:.0%}" for name, part in parts.items() if part > 0.01 * total
+    )
     share = f"{sea / total:.0%}" if sea else None
     wholes[label] = (label, shown(took), f"{MISSION_S / took:,.0f}", share, rest or None)
 

@@ -47,7 +47,11 @@ class Ours:
 def told(size):
     """Return what happens; what the knowledge base refuses does not happen to the others either."""
     kb = at_work(robot(size))
-    return [happening for happening in story(KINDS, size, EVENTS, seed=4, overlap=3) if tell(kb, happening)]
+    return [
+        happening
+        for happening in story(KINDS, size, EVENTS, seed=4, overlap=3)
+        if tell(kb, happening)
+    ]
 
 
 def peer(name, size):
@@ -73,10 +77,17 @@ def written(found):
     def cell(size, name):
         if (size, name) not in found:
             return None
-        ratio = f" ({found[size, name] / found[size, OURS]:.0f}x)" if (size, OURS) in found and name != OURS else ""
+        ratio = (
+            f" ({found[size, name] / found[size, OURS]:.0f}x)"
+            if (size, OURS) in found and name != OURS
+            else ""
+        )
         return shown(found[size, name]) + ratio
 
-    head = ("one event, all statuses known again; p50 (ratio to ours)", *(f"{size:,} elements" for size in sizes))
+    head = (
+        "one event, all statuses known again; p50 (ratio to ours)",
+        *(f"{size:,} elements" for size in sizes),
+    )
     names = [name for name in PEERS if any((size, name) in found for size in sizes)]
     return table("Peers", head, [(name, *(cell(size, name) for size in sizes)) for name in names])
 
@@ -89,7 +100,10 @@ def test_peer_agrees_after_every_event(size, name, benchmark, medians):
     one, left = peer(name, size), iter(happenings)
     benchmark.pedantic(one.tell, setup=lambda: ((next(left),), {}), rounds=len(happenings))
     medians[size, name] = median(benchmark.stats.stats.data)
-    ours, one = peer(OURS, size), peer(name, size)  # reading all statuses empties the caches: not while it is timed
+    ours, one = (
+        peer(OURS, size),
+        peer(name, size),
+    )  # reading all statuses empties the caches: not while it is timed
     for happening in happenings:
         ours.tell(happening)
         one.tell(happening)
@@ -115,7 +129,9 @@ def test_reasoner_finds_the_same_unfeasible(tables):
         start = perf_counter()
         reasoned.classify()
         times.append(perf_counter() - start)
-        unfeasible = {key for key, status in statuses.items() if status in ("unfeasible", "failure")}
+        unfeasible = {
+            key for key, status in statuses.items() if status in ("unfeasible", "failure")
+        }
         assert reasoned.unfeasible() == unfeasible
         met |= unfeasible
     assert met

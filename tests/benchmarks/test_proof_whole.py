@@ -43,11 +43,15 @@ def test_twin_agrees(seed):
     assert agree(seed) > 20
 
 
-@pytest.mark.parametrize(("name", "slow"), [("suave_extended", False), ("suave_extended", True), ("uav", False)])
+@pytest.mark.parametrize(
+    ("name", "slow"), [("suave_extended", False), ("suave_extended", True), ("uav", False)]
+)
 def test_mission_is_explored_at_a_rate(name, slow):
     found = Exploration(setup_of(find_mission(name), slow=slow))
     begun = process_time()
     found.explore(seconds=300.0)
     took = process_time() - begun
-    print(f"{name}: {len(found.situations)} situations, {found.transitions} transitions in {took:.1f} s of a processor")
+    print(
+        f"{name}: {len(found.situations)} situations, {found.transitions} transitions in {took:.1f} s of a processor"
+    )
     assert found.is_finished

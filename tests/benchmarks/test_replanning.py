@@ -16,7 +16,9 @@ from rosa_pddl import Outcome, Planner, Problem, initial_state, load_domain
 from rosa_pddl.engines import fast_downward_program
 from rosa_pddl.validate import flaw
 
-sys.path.append(str(Path(__file__).parents[1] / "rosa_pddl"))  # the generated worlds are those of the tests there
+sys.path.append(
+    str(Path(__file__).parents[1] / "rosa_pddl")
+)  # the generated worlds are those of the tests there
 
 from waypoints import Waypoints
 
@@ -61,7 +63,13 @@ def test_replanning_after_the_battery_drop(tables, monkeypatch, tmp_path):
     by_unified_planning(up_problem)
     first = warm.plan(problem)
     assert [step.schema for step in first.steps] == ["recharge", "inspect_pipeline"]
-    times = {"warm": [], "cold": [], "unified-planning": [], "judging the plan": [], "the search's start alone": []}
+    times = {
+        "warm": [],
+        "cold": [],
+        "unified-planning": [],
+        "judging the plan": [],
+        "the search's start alone": [],
+    }
     for number in range(200):
         took, result = timed(warm.plan, problem)
         assert (result.attempts[0].way, result.steps) == ("warm", first.steps)
@@ -91,7 +99,10 @@ def test_replanning_among_waypoints(tables, tmp_path):
         folder = tmp_path / str(size)
         folder.mkdir()
         world = Waypoints(folder, size, default_rng(size))
-        warm, cold = Planner(cached=0, timeout_s=120.0), Planner(warm=False, cached=0, timeout_s=120.0)
+        warm, cold = (
+            Planner(cached=0, timeout_s=120.0),
+            Planner(warm=False, cached=0, timeout_s=120.0),
+        )
         state, costs = world.situation()
         warm.prepare(Problem(world.domain, state, costs=costs), world.changing)
         prepared, _ = timed(warm.plan, Problem(world.domain, state, costs=costs))
@@ -107,7 +118,9 @@ def test_replanning_among_waypoints(tables, tmp_path):
             assert result.outcome is anew.outcome is Outcome.SOLVED_OPTIMALLY
             assert result.cost == anew.cost
         median[size] = {way: percentiles(some)[0] for way, some in times.items()}
-        rows.append([size, *(shown(median[size][way]) for way in ("warm", "cold")), shown(prepared)])
+        rows.append(
+            [size, *(shown(median[size][way]) for way in ("warm", "cold")), shown(prepared)]
+        )
     tables["replanning 2"] = lambda: table(
         "Waypoints with six configurations, optimal, all costs and passages new each time",
         ["waypoints", "warm (median)", "cold (median)", "translated once"],
@@ -125,14 +138,19 @@ def held_kb():
 
 
 def open_files():
-    return sorted(str(link.readlink()) for link in Path("/proc/self/fd").iterdir() if link.is_symlink())
+    return sorted(
+        str(link.readlink()) for link in Path("/proc/self/fd").iterdir() if link.is_symlink()
+    )
 
 
 def test_ten_thousand_replans_leave_nothing_behind(tables, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     domain, rng = extended(), default_rng(1)
-    atoms = sorted({f"(action_feasible {action})" for action in domain.rosa_actions} | {"(pipeline_found pipeline)"})
+    atoms = sorted(
+        {f"(action_feasible {action})" for action in domain.rosa_actions}
+        | {"(pipeline_found pipeline)"}
+    )
     planner, static = Planner(cached=0), initial_state(domain)
     outcomes = {}
     for number in range(SOAK):
@@ -151,6 +169,8 @@ def test_ten_thousand_replans_leave_nothing_behind(tables, monkeypatch, tmp_path
     pids = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split()
     assert [pid for pid in pids if "downward" in str(Path(f"/proc/{pid}/exe").readlink())] == []
     tables["replanning 3"] = lambda: table(
-        f"{SOAK} replans of random states", ["outcome", "number"], [*outcomes.items(), ["memory grown [kB]", grown]]
+        f"{SOAK} replans of random states",
+        ["outcome", "number"],
+        [*outcomes.items(), ["memory grown [kB]", grown]],
     )
     assert grown < 4096

@@ -33,7 +33,9 @@ def inspected(seed, altitudes, *, obeys_water=True, until=END_S, follows=True, *
             nodes.deactivate("spiral_search")
             nodes.activate("follow_pipeline")
         elif wanted := altitudes[int(env.now + 1e-6)]:
-            allowed = min(wanted, expected_altitude(seen.water_visibility)) if obeys_water else wanted
+            allowed = (
+                min(wanted, expected_altitude(seen.water_visibility)) if obeys_water else wanted
+            )
             nodes.set_parameters("spiral_search", {"spiral_altitude": allowed})
             nodes.activate("spiral_search")
         else:
@@ -86,7 +88,10 @@ def test_what_the_search_may_gain_at_most(tables):
         **{
             f"{name} {how}": row(f"{name}, {how}", SEEDS[:40], lambda seed, one=one: one, **how)
             for how in turned
-            for name, one in (("as high as the water allows", HIGHEST), ("tuned to this place", tuned))
+            for name, one in (
+                ("as high as the water allows", HIGHEST),
+                ("tuned to this place", tuned),
+            )
         },
         "omniscient": row("the best that was found for each seed", SEEDS, known.__getitem__),
         "blind": row("always at 3 m", SEEDS, lambda seed: HIGHEST, obeys_water=False),

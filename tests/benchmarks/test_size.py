@@ -49,14 +49,23 @@ def written(found):
         [
             ("model", *(shown(one["model_s"]) for one in found.values())),
             ("model and knowledge base", *(shown(one["build_s"]) for one in found.values())),
-            ("peak memory of the process [MB]", *(round(one["memory"] / 1e6) for one in found.values())),
+            (
+                "peak memory of the process [MB]",
+                *(round(one["memory"] / 1e6) for one in found.values()),
+            ),
         ],
     )
     yield table(
         "p50, and its ratio to that of 100 elements measured in turn with it",
         head,
         [
-            (words, *(f"{shown(one['p50'][name])} ({one['ratio'][name]:.2f})" for one in found.values()))
+            (
+                words,
+                *(
+                    f"{shown(one['p50'][name])} ({one['ratio'][name]:.2f})"
+                    for one in found.values()
+                ),
+            )
             for name, words in NAMES.items()
         ],
     )

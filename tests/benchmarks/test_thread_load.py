@@ -32,7 +32,10 @@ def pairs():
         see = model.function(f"see {number}")
         for eye in ("left", "right"):
             light = model.environmental_attribute(f"{eye} light {number}")
-            see.design(f"by {eye} {number}", [model.component(f"{eye} eye {number}", constraints=[light >= 0.5])])
+            see.design(
+                f"by {eye} {number}",
+                [model.component(f"{eye} eye {number}", constraints=[light >= 0.5])],
+            )
         model.action(f"look {number}", requires=[see])
     return model
 
@@ -68,9 +71,13 @@ def run(kb, events):
 
     each = events // TELLERS
     tellers = [
-        threading.Thread(target=guarded, args=(tell, kb, number, each), daemon=True) for number in range(TELLERS)
+        threading.Thread(target=guarded, args=(tell, kb, number, each), daemon=True)
+        for number in range(TELLERS)
     ]
-    askers = [threading.Thread(target=guarded, args=(ask, kb, done, asked), daemon=True) for _ in range(ASKERS)]
+    askers = [
+        threading.Thread(target=guarded, args=(ask, kb, done, asked), daemon=True)
+        for _ in range(ASKERS)
+    ]
     start = time.perf_counter()
     for thread in (*tellers, *askers):
         thread.start()
@@ -92,16 +99,22 @@ def check_all_told(kb, events):
     for number in range(TELLERS):
         left, right = (kb.attributes[f"{eye} light {number}"].history for eye in ("left", "right"))
         assert (
-            [abs(value) for _, value in left] == [abs(value) for _, value in right] == [1.0 + t for t in range(turns)]
+            [abs(value) for _, value in left]
+            == [abs(value) for _, value in right]
+            == [1.0 + t for t in range(turns)]
         )
-        assert all((one > 0) != (other > 0) for (_, one), (_, other) in zip(left, right, strict=True))
+        assert all(
+            (one > 0) != (other > 0) for (_, one), (_, other) in zip(left, right, strict=True)
+        )
 
 
 def test_a_million_facts_in_memory(rows):
     kb = KnowledgeBase(pairs())
     took, questions = run(kb, IN_MEMORY)
     check_all_told(kb, IN_MEMORY)
-    rows.append(("in memory", f"{IN_MEMORY:,}", f"{took:.1f}", f"{IN_MEMORY / took:,.0f}", f"{questions:,}"))
+    rows.append(
+        ("in memory", f"{IN_MEMORY:,}", f"{took:.1f}", f"{IN_MEMORY / took:,.0f}", f"{questions:,}")
+    )
 
 
 def test_ten_thousand_facts_with_the_store(rows, tmp_path):
@@ -115,4 +128,6 @@ def test_ten_thousand_facts_with_the_store(rows, tmp_path):
     count = "SELECT (COUNT(?m) AS ?n) { ?m a :Measurement }"
     assert again.query(count) == [(STORED,)]
     again.close()
-    rows.append(("with the store", f"{STORED:,}", f"{took:.1f}", f"{STORED / took:,.0f}", f"{questions:,}"))
+    rows.append(
+        ("with the store", f"{STORED:,}", f"{took:.1f}", f"{STORED / took:,.0f}", f"{questions:,}")
+    )

@@ -35,7 +35,9 @@ def searching() -> tuple[KnowledgeBase, Percepts]:
 def inspecting() -> tuple[KnowledgeBase, Percepts]:
     """Return the same when the pipeline is found."""
     kb, percepts = searching()
-    percepts.receive({"status": [{"message": "mission status", "values": {"pipeline_found": "true"}}]})
+    percepts.receive(
+        {"status": [{"message": "mission status", "values": {"pipeline_found": "true"}}]}
+    )
     return kb, percepts
 
 
@@ -108,7 +110,9 @@ def big(conditions: int, condition: Callable[[int], Behaviour]) -> Behaviour:
         for place in range(8):
             leaf = condition(number) if place == 7 and number < conditions else None
             number += place == 7
-            selector.add_child(leaf or (Success if place == 7 else Failure)(f"leaf {group} {place}"))
+            selector.add_child(
+                leaf or (Success if place == 7 else Failure)(f"leaf {group} {place}")
+            )
         root.add_child(selector)
     return root
 
@@ -120,7 +124,11 @@ def test_thousand_nodes_with_a_hundred_conditions_tick_nearly_as_fast_as_plain_o
         model.action(f"action_{number}", constraints=[level >= number / 1000])
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     kb.measure("level", 1.0)
-    asking = big(100, lambda number: IsActionFeasible(f"feasible {number}?", kb, f"action_{number}"))
+    asking = big(
+        100, lambda number: IsActionFeasible(f"feasible {number}?", kb, f"action_{number}")
+    )
     plain = BehaviourTree(big(100, lambda number: Success(f"feasible {number}?")))
     assert len(list(asking.iterate())) == 1000
-    report("1,000 nodes", ratio(TreeRunner(asking, clock=lambda: 0.0).tick, plain.tick, ticks=10), 1.3)
+    report(
+        "1,000 nodes", ratio(TreeRunner(asking, clock=lambda: 0.0).tick, plain.tick, ticks=10), 1.3
+    )

@@ -54,7 +54,9 @@ def test_a_week_takes_no_more_memory_and_no_more_time_at_its_end(tables):
 
     def look(part):
         tell = quickest(lambda: kb.measure("water_visibility", 3.5))
-        ask = quickest(lambda: (kb.is_feasible("search_pipeline"), kb.revision, kb.adaptable_functions()))
+        ask = quickest(
+            lambda: (kb.is_feasible("search_pipeline"), kb.revision, kb.adaptable_functions())
+        )
         story = quickest(lambda: str(kb.explain("search_pipeline")), 50)
         figures = (len(kb.log), len(kb.plans), len(kb.history.actions))
         found.append((part, kb.log.last, *figures, resident(), tell, ask, story))
@@ -62,7 +64,10 @@ def test_a_week_takes_no_more_memory_and_no_more_time_at_its_end(tables):
     marks = {MEASUREMENTS * parts // 8: f"{parts}/8" for parts in (1, 2, 4, 8)}
     for number in range(1, MEASUREMENTS + 1):
         now += 0.1
-        kb.measure("water_visibility", 3.5 - number % 7 / 2.0 if number % EVERY < 3 else 3.25 + number % 11 / 100)
+        kb.measure(
+            "water_visibility",
+            3.5 - number % 7 / 2.0 if number % EVERY < 3 else 3.25 + number % 11 / 100,
+        )
         if number % EVERY == 0:
             kb.measure("battery_level", 1.0 - number % 1000 / 2000)
             action = ("search_pipeline", "inspect_pipeline")[number // EVERY % 2]

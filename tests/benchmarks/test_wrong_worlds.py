@@ -14,6 +14,8 @@ pytestmark = pytest.mark.benchmark
 def test_wrong_forecasts_cost_worth_and_never_safety(tables):
     found = {case: wrong_case(case) for case in range(1000)}
     waited = [put_off for _, put_off in found.values() if put_off]
-    tables["wrong"] = lambda: f"{len(waited)} of 1000 cases put work off, {sum(waited)} times in 20,000 steps"
+    tables["wrong"] = lambda: (
+        f"{len(waited)} of 1000 cases put work off, {sum(waited)} times in 20,000 steps"
+    )
     assert {case: only for case, (only, _) in found.items() if only} == {}
     assert len(waited) > 100

@@ -44,7 +44,9 @@ def run_python(path):
 
 def shell_lines(path):
     """Return the commands of a document as this interpreter's programs."""
-    lines = [line for language, text in blocks(path) if language == "sh" for line in text.splitlines()]
+    lines = [
+        line for language, text in blocks(path) if language == "sh" for line in text.splitlines()
+    ]
     return [line.removeprefix("python3 launch.py ") for line in lines if "pytest" not in line]
 
 
@@ -70,7 +72,10 @@ def test_document_does_what_it_says(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("missions.commands.experiments.paper_table", few_runs)
     shutil.copy(ROOT / "tests" / "missions" / "battery_drop.jsonl", tmp_path)
-    if path.name not in ("tutorial.md", "replay_tests.md"):  # parts of files, see below; and of tests, see there
+    if path.name not in (
+        "tutorial.md",
+        "replay_tests.md",
+    ):  # parts of files, see below; and of tests, see there
         run_python(path)
     monkeypatch.syspath_prepend(tmp_path)
     said = ""
@@ -107,7 +112,9 @@ def test_tutorial_shows_what_rosa_new_writes_and_what_that_prints(tmp_path, monk
     for part in parts:
         assert any(part in text for text in written), part
     command = [sys.executable, "-m", "missions", "run", "my_robot:MISSION"]
-    printed = subprocess.run(command, cwd=tmp_path / "my_robot", capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run(
+        command, cwd=tmp_path / "my_robot", capture_output=True, text=True, check=True
+    ).stdout
     (shown,) = (text for language, text in tutorial if language == "text")
     for line in shown.splitlines():
         assert line in printed.splitlines()
@@ -137,14 +144,21 @@ def test_notebook_prints_what_stands_in_it():
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             exec(text, namespace)
-        assert printed.getvalue() == "".join(text for output in cell["outputs"] for text in output["text"])
+        assert printed.getvalue() == "".join(
+            text for output in cell["outputs"] for text in output["text"]
+        )
         if last.startswith("kb") and "=" not in last:
             shown += "<" in eval(last, namespace)._repr_html_()
     assert shown == 2
 
 
 def test_ci_runs_exactly_the_test_command_of_the_readme():
-    lines = [line for language, text in blocks(ROOT / "README.md") if language == "sh" for line in text.splitlines()]
+    lines = [
+        line
+        for language, text in blocks(ROOT / "README.md")
+        if language == "sh"
+        for line in text.splitlines()
+    ]
     (command,) = (line for line in lines if "pytest" in line)
     assert command == "python3 launch.py pytest"
     assert command in (ROOT / ".ci" / "run").read_text().splitlines()

@@ -26,7 +26,10 @@ ASKED = {  # lines of Python, by what they are for: the house itself, and what w
     "proof": 800,
     "adoption": 300,
 }
-BEYOND = {"product": 5_672, "kb": 2_410}  # what there is more of than was asked; only a mend of a fault may raise it
+BEYOND = {
+    "product": 5_672,
+    "kb": 2_410,
+}  # what there is more of than was asked; only a mend of a fault may raise it
 MOST_LINES = {"product": sum(ASKED.values()) + BEYOND["product"], "kb": 10_000 + BEYOND["kb"]}
 MOST_FILES = {"product": 166, "kb": 38}
 MOST_IN_A_FOLDER = 25
@@ -37,7 +40,11 @@ MOST_FILES_OF_A_MEASUREMENT, MOST_HOPS_OF_A_MEASUREMENT = 14, 103
 @cache
 def files():
     """Return every file of the product, parsed."""
-    return {path: ast.parse(path.read_text()) for one in PACKAGES for path in sorted((ROOT / one).rglob("*.py"))}
+    return {
+        path: ast.parse(path.read_text())
+        for one in PACKAGES
+        for path in sorted((ROOT / one).rglob("*.py"))
+    }
 
 
 def dotted(path):
@@ -76,7 +83,9 @@ def test_folders_explain_themselves():
 def test_no_module_reaches_itself_by_imports():
     modules = {dotted(path) for path in files()}
     graph = {
-        dotted(path): {one for one in imported(path, tree, modules) if one in modules and one != dotted(path)}
+        dotted(path): {
+            one for one in imported(path, tree, modules) if one in modules and one != dotted(path)
+        }
         for path, tree in files().items()
     }
     try:
@@ -101,7 +110,9 @@ def test_nobody_reaches_into_anothers_underscore_names():
 
 
 def test_knowledge_base_is_one_class_with_few_names():
-    assert [one for one in KnowledgeBase.__mro__ if one.__module__.startswith("kb.")] == [KnowledgeBase]
+    assert [one for one in KnowledgeBase.__mro__ if one.__module__.startswith("kb.")] == [
+        KnowledgeBase
+    ]
     names = [name for name in dir(KnowledgeBase) if not name.startswith("_")]
     assert 0 < len(names) <= MOST_PUBLIC_NAMES, names
 
@@ -163,7 +174,9 @@ def test_every_public_class_says_what_its_methods_do():
             if not inspect.isclass(what) or issubclass(what, BaseException | tuple):
                 continue
             for method, value in vars(what).items():
-                own = inspect.isfunction(value) or isinstance(value, property | classmethod | staticmethod)
+                own = inspect.isfunction(value) or isinstance(
+                    value, property | classmethod | staticmethod
+                )
                 if own and not method.startswith("_") and not inspect.getdoc(getattr(what, method)):
                     silent.append(f"{package}.{name}.{method}")
     assert not silent, silent

@@ -17,7 +17,17 @@ from missions import cli
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions")
 GENERIC = ("kb", "rosa_bt", "rosa_pddl")
-MISSION_WORDS = ("suave", "pipeline", "thruster", "spiral", "recharge", "battery", "bluerov", "agv", "uav")
+MISSION_WORDS = (
+    "suave",
+    "pipeline",
+    "thruster",
+    "spiral",
+    "recharge",
+    "battery",
+    "bluerov",
+    "agv",
+    "uav",
+)
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
@@ -33,7 +43,11 @@ def written():
     files = [path for path in ROOT.rglob("*") if path.is_file()]
     unwritten = {".git", ".venv", "__pycache__", "build", "dist", "node_modules"}
     own = [path for path in files if not unwritten & set(path.relative_to(ROOT).parts)]
-    return [path for path in own if not any("cache" in part or part == ".hypothesis" for part in path.parts)]
+    return [
+        path
+        for path in own
+        if not any("cache" in part or part == ".hypothesis" for part in path.parts)
+    ]
 
 
 @pytest.mark.parametrize(
@@ -47,7 +61,9 @@ def written():
 )
 def test_check_passes(command):
     program = Path(sys.executable).with_name(command[0])
-    done = subprocess.run([str(program), *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [str(program), *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -101,10 +117,19 @@ def normalised(name):
 
 
 def declared():
-    groups = [PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"].values()]
-    names = [normalised(re.match(r"[A-Za-z0-9_.\-]+", text).group()) for group in groups for text in group]
+    groups = [
+        PROJECT["project"]["dependencies"],
+        *PROJECT["project"]["optional-dependencies"].values(),
+    ]
+    names = [
+        normalised(re.match(r"[A-Za-z0-9_.\-]+", text).group())
+        for group in groups
+        for text in group
+    ]
     assert names
-    return [name for name in names if name != PROJECT["project"]["name"]]  # an extra may be made of others
+    return [
+        name for name in names if name != PROJECT["project"]["name"]
+    ]  # an extra may be made of others
 
 
 def test_every_dependency_is_pinned_and_installed_as_pinned():
@@ -113,7 +138,9 @@ def test_every_dependency_is_pinned_and_installed_as_pinned():
     installed = {normalised(one.metadata["Name"]): one.version for one in distributions()}
     for name in declared():
         assert name in pinned, f"pin {name} in constraints.txt"
-    wrong = {name: version for name, version in pinned.items() if installed.get(name, version) != version}
+    wrong = {
+        name: version for name, version in pinned.items() if installed.get(name, version) != version
+    }
     assert not wrong
 
 
@@ -124,8 +151,14 @@ def test_every_dependency_has_its_reason():
 
 
 def test_nothing_names_a_machine_or_a_registry():
-    pattern = re.compile(r"/(?:work|root|home|opt|tmp)/[a-z.]|\.\./shared|files\.pythonhosted|pypi\.org")
-    files = [path for path in written() if path.suffix in {"", ".md", ".py", ".toml", ".txt", ".pddl", ".xml"}]
+    pattern = re.compile(
+        r"/(?:work|root|home|opt|tmp)/[a-z.]|\.\./shared|files\.pythonhosted|pypi\.org"
+    )
+    files = [
+        path
+        for path in written()
+        if path.suffix in {"", ".md", ".py", ".toml", ".txt", ".pddl", ".xml"}
+    ]
     assert len(files) > 100
     for path in files:
         if path == Path(__file__):
@@ -136,14 +169,14 @@ def test_nothing_names_a_machine_or_a_registry():
 def test_exceptions_to_the_rules_carry_their_reason():
     for path in (*sources(*PACKAGES), *sources("tests")):
         for number, line in enumerate(path.read_text().splitlines(), start=1):
-            marker = re.search(r"#\s*(?:noqa(?::\s*[A-Z0-9, ]+)?|type:\s*ignore(?:\[[a-z\-, ]+\])?)(.*)$", line)
+            marker = re.search(
+                r"#\s*(?:noqa(?::\s*[A-Z0-9, ]+)?|type:\s*ignore(?:\[[a-z\-, ]+\])?)(.*)$", line
+            )
             if marker and path != Path(__file__):
                 assert len(marker.group(1).strip(" #")) > 8, f"{path}:{number}: say why"
 
 
 def test_modules_of_the_late_imports_stay_out_until_they_are_needed():
-    code = (
-        "import sys, missions.cli; print([m for m in ('mujoco', 'unified_planning', 'matplotlib') if m in sys.modules])"
-    )
+    code = "import sys, missions.cli; print([m for m in ('mujoco', 'unified_planning', 'matplotlib') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

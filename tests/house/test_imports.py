@@ -111,7 +111,9 @@ def test_package_imports_only_what_is_allowed(package):
     assert files
     for path in files:
         for name, _ in imports(path):
-            assert name in ALLOWED[package] or name in sys.stdlib_module_names, f"{path} imports {name}"
+            assert name in ALLOWED[package] or name in sys.stdlib_module_names, (
+                f"{path} imports {name}"
+            )
 
 
 @pytest.mark.parametrize("package", ALLOWED)

@@ -22,15 +22,25 @@ def every_choice(state):
     network = state.network
     required = [node for node in network.functions.values() if state.required[node.index]]
     free = [node for node in required if ranked(state, node)]
-    kept = [part for node in required if node not in free for part in node.parts if state.selected[part.index]]
+    kept = [
+        part
+        for node in required
+        if node not in free
+        for part in node.parts
+        if state.selected[part.index]
+    ]
     served = [part for node in required for design in node.parts for part in design.parts]
     for ranks in product(*(range(len(ranked(state, node))) for node in free)):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
         needed = [part for design in (*designs, *kept) for part in design.parts]
         needed += [part for part in served if state.asserted_required[part.index]]
-        components = [node for node in network.components.values() if node in needed and ranked(state, node)]
+        components = [
+            node for node in network.components.values() if node in needed and ranked(state, node)
+        ]
         for more in product(*(range(len(ranked(state, node))) for node in components)):
-            chosen = [ranked(state, node)[rank] for node, rank in zip(components, more, strict=True)]
+            chosen = [
+                ranked(state, node)[rank] for node, rank in zip(components, more, strict=True)
+            ]
             yield (ranks, more), designs, chosen
 
 
@@ -54,10 +64,17 @@ def outcome(state, designs, configurations, criterion):
         levels = [exact(weight) * exact(one.value) for one in mine if one.kind == "absolute"]
         worth += min(levels, default=Fraction(0))
         worth += exact(weight) * sum(signed(one) for one in mine if one.kind != "absolute")
-    switched = [name for name in (*selection.activate, *selection.deactivate) if kind(network, name) != "plain"]
+    switched = [
+        name
+        for name in (*selection.activate, *selection.deactivate)
+        if kind(network, name) != "plain"
+    ]
     switched += [network.configurations[name].element.component for name in selection.parameters]
     worth -= sum(exact(criterion.cost_of(name)) for name in switched)
-    loads = {name: sum(signed(one) for one in estimations if one.attribute == name) for name in criterion.budgets}
+    loads = {
+        name: sum(signed(one) for one in estimations if one.attribute == name)
+        for name in criterion.budgets
+    }
     return worth, loads
 
 

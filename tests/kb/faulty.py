@@ -10,7 +10,18 @@ from models import Clock
 
 from kb import ConfigurationManager, KnowledgeBase, Model, OptimalPlanner, StagedExecutor, Status
 
-FAULTS = ("at once", "slow", "late", "never", "lie", "raise", "fail", "interrupt before", "interrupt after", "mumble")
+FAULTS = (
+    "at once",
+    "slow",
+    "late",
+    "never",
+    "lie",
+    "raise",
+    "fail",
+    "interrupt before",
+    "interrupt after",
+    "mumble",
+)
 TIMEOUT, ATTEMPTS = 4.0, 3
 
 
@@ -95,7 +106,9 @@ class Faulty:
 
     def set_parameters(self, component, parameters):
         given = dict(parameters)
-        return self._command("configure", component, lambda: self.parameters.__setitem__(component, given))
+        return self._command(
+            "configure", component, lambda: self.parameters.__setitem__(component, given)
+        )
 
     def is_active(self, component):
         self.confuse("is_active")
@@ -107,7 +120,9 @@ def robot():
     model = Model("robot")
     light, charge = model.environmental_attribute("light"), model.quality_attribute("charge")
     for name in ("eye", "ear", "nose", "arm"):
-        part = model.component(name, kind="lifecycle", stops_to_configure=name == "ear", always_improve=name == "eye")
+        part = model.component(
+            name, kind="lifecycle", stops_to_configure=name == "ear", always_improve=name == "eye"
+        )
         part.configuration(f"{name} fast", {"rate": 9.0}, priority=1, constraints=[light >= 0.5])
         part.configuration(f"{name} slow", {"rate": 1.0}, priority=2)
         for configuration, watts in ((f"{name} fast", 4.0), (f"{name} slow", 1.0)):
@@ -136,7 +151,9 @@ class Life:
         self.system = Faulty(self.clock, self.chance, faults, interrupts)
         planner = OptimalPlanner(budgets={"charge": 20.0}) if optimal else None
         executor = StagedExecutor(self.system, attempts=ATTEMPTS, timeout=TIMEOUT, hold=20.0)
-        self.manager = ConfigurationManager(self.kb, self.system, planner=planner, executor=executor)
+        self.manager = ConfigurationManager(
+            self.kb, self.system, planner=planner, executor=executor
+        )
         self.lies, self.ends, self.interrupted, self._seen = [], Counter(), 0, 0
         self.kb.subscribe(self._heard)
 
@@ -212,9 +229,15 @@ class Life:
         assert {one.name for one in kb.components.values() if one.is_active} == system.running
         assert kb.actions["take"].status is Status.SOLVED, kb.explain("take")
         for one in kb.components.values():
-            if one.is_active and one.is_required:  # one that could not be stopped may run on, and is known to
+            if (
+                one.is_active and one.is_required
+            ):  # one that could not be stopped may run on, and is known to
                 chosen = kb.configurations[one.selected_configuration]
-                assert dict(one.parameters_in_force) == dict(chosen.parameters) == system.parameters[one.name]
+                assert (
+                    dict(one.parameters_in_force)
+                    == dict(chosen.parameters)
+                    == system.parameters[one.name]
+                )
 
 
 def interrupted_at(step, call, count=None):

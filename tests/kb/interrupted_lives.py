@@ -78,7 +78,9 @@ class Interrupted(Life):
             self.told = event.number
         self.twin_clock.now = self.clock.now
         mine, others = answers(self.kb), answers(self.twin)
-        self.lies += [f"{key}: {mine[key]} is {others[key]}" for key in mine if mine[key] != others[key]]
+        self.lies += [
+            f"{key}: {mine[key]} is {others[key]}" for key in mine if mine[key] != others[key]
+        ]
 
 
 def spent(life, turns):

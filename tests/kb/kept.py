@@ -24,17 +24,26 @@ def answers(kb, *, ended=False):
     constraints = [one for element in elements for one in getattr(element, "constraints", ())]
     return {
         "statuses": [(repr(one), one.status) for one in (*elements, *constraints)],
-        "required": [(repr(one), one.is_required) for one in elements if hasattr(one, "is_required")],
-        "active": [(one.name, one.is_active, dict(one.parameters_in_force)) for one in kb.components.values()],
+        "required": [
+            (repr(one), one.is_required) for one in elements if hasattr(one, "is_required")
+        ],
+        "active": [
+            (one.name, one.is_active, dict(one.parameters_in_force))
+            for one in kb.components.values()
+        ],
         "selected": [repr(one) for one in elements if getattr(one, "is_selected", False)],
         "measured": [
-            (one.name, one.value, one.time, one.is_stale, one.history[-KEPT:]) for one in kb.attributes.values()
+            (one.name, one.value, one.time, one.is_stale, one.history[-KEPT:])
+            for one in kb.attributes.values()
         ],
         "plans": [plan(one, ended) for one in kb.plans],
         "requests": [request(one) for one in kb.history.actions],
         "open": [one.action for one in kb.required_actions],
         "attempts": [attempt(one, ended) for one in kb.history.attempts],
-        "answers": [(kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason) for one in kb.history.answers],
+        "answers": [
+            (kb.plans.index(one.plan), one.time, one.is_vetoed, one.reason)
+            for one in kb.history.answers
+        ],
         "reasons": [one.reason for one in (*kb.designs.values(), *kb.configurations.values())],
         "processes": [(one.component, one.pid, one.start, one.end) for one in kb.processes],
         "adaptable": (kb.adaptable_functions(), kb.adaptable_components(), kb.obsolete()),
@@ -47,8 +56,19 @@ def plan(one, ended):
 
 
 def attempt(one, ended):
-    told = (str(one.plan), one.component, one.operation, one.configuration, dict(one.parameters), one.number, one.start)
-    return (*told, *(("abandoned", LOST) if ended and one.end is None else (one.result, one.reason)))
+    told = (
+        str(one.plan),
+        one.component,
+        one.operation,
+        one.configuration,
+        dict(one.parameters),
+        one.number,
+        one.start,
+    )
+    return (
+        *told,
+        *(("abandoned", LOST) if ended and one.end is None else (one.result, one.reason)),
+    )
 
 
 def request(one):
@@ -64,7 +84,9 @@ def robot():
     camera = model.component("camera", kind="lifecycle", always_improve=True)
     camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= 0.5])
     camera.configuration("night", {"exposure": 0.2}, priority=2, constraints=[light >= 0.1])
-    lidar = model.component("lidar", kind="process", constraints=[(energy >= 0.2).steady(hysteresis=0.1, dwell=3.0)])
+    lidar = model.component(
+        "lidar", kind="process", constraints=[(energy >= 0.2).steady(hysteresis=0.1, dwell=3.0)]
+    )
     see = model.function("see", always_improve=True)
     see.design("by camera", [camera], priority=1)
     see.design("by lidar", [lidar], priority=2)
@@ -94,7 +116,11 @@ class Life:
         if what < 5:
             yield kb.measure, chance.choice(("light", "energy", "load")), chance.random()
         elif what == 5 and chance.random() < 0.5:
-            yield kb.component_failed, chance.choice(("camera", "lidar")), chance.choice(("", "no 'luck'", "rain"))
+            yield (
+                kb.component_failed,
+                chance.choice(("camera", "lidar")),
+                chance.choice(("", "no 'luck'", "rain")),
+            )
         elif what == 5:
             yield kb.component_recovered, chance.choice(("camera", "lidar"))
         elif what == 6:
@@ -125,14 +151,22 @@ class Life:
         elif what == 11:
             lidar, status = kb.components["lidar"], chance.choice(("failure", "solved", None))
             until = chance.choice((None, self.clock.now + 5.0))
-            yield (kb.assert_status, lidar, status, "seen", until) if status else (kb.retract_status, lidar)
+            yield (
+                (kb.assert_status, lidar, status, "seen", until)
+                if status
+                else (kb.retract_status, lidar)
+            )
             yield kb.assert_required, kb.functions["see"], chance.choice((True, None))
             yield kb.assert_selected, kb.designs["by lidar"], chance.choice((True, False))
 
     def carrying_out(self, plan):
         kb, chance = self.kb, self.chance
         is_vetoed = chance.random() < 0.2
-        yield (partial(kb.record_answer, plan, is_vetoed=is_vetoed, reason="not now" if is_vetoed else ""),)
+        yield (
+            partial(
+                kb.record_answer, plan, is_vetoed=is_vetoed, reason="not now" if is_vetoed else ""
+            ),
+        )
         for name in () if is_vetoed else (*plan.deactivate, *plan.activate):
             operation = "activate" if name in plan.activate else "deactivate"
             yield (partial(kb.record_attempt, plan, name, operation, parameters={"speed": 0.5}),)

@@ -50,7 +50,11 @@ class Scripted:
         self.started_with = {}
 
     def _do(self, verb, component, effect, parameters=None):
-        self.log.append(f"{verb} {component}" if parameters is None else f"{verb} {component} {dict(parameters)}")
+        self.log.append(
+            f"{verb} {component}"
+            if parameters is None
+            else f"{verb} {component} {dict(parameters)}"
+        )
         steps = self.script.get(f"{verb} {component}", [self.default])
         step = steps.pop(0) if len(steps) > 1 else steps[0]
         if isinstance(step, Exception):
@@ -75,7 +79,10 @@ class Scripted:
 
     def set_parameters(self, component, parameters):
         return self._do(
-            "configure", component, lambda: self.parameters.__setitem__(component, dict(parameters)), parameters
+            "configure",
+            component,
+            lambda: self.parameters.__setitem__(component, dict(parameters)),
+            parameters,
         )
 
 

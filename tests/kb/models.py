@@ -97,7 +97,9 @@ def model_by(chance, *, aging=False):
     ages, priorities = (1.0, 3.0, 6.0, math.inf) if aging else (math.inf,), (None, 0, 1, 2, -1)
     attributes = [
         model.quality_attribute(
-            f"x{i}", max_age=chance.choice(ages), when_stale=chance.choice(("not evaluated", "violated"))
+            f"x{i}",
+            max_age=chance.choice(ages),
+            when_stale=chance.choice(("not evaluated", "violated")),
         )
         for i in range(chance.randint(1, 2))
     ]
@@ -112,24 +114,35 @@ def model_by(chance, *, aging=False):
     ]
     configurations = [
         component.configuration(
-            f"x{number} {component.name}", {"gain": float(number)}, priority=chance.choice(priorities)
+            f"x{number} {component.name}",
+            {"gain": float(number)},
+            priority=chance.choice(priorities),
         )
         for component in components
         for number in range(amount(chance, 2))
     ]
-    functions = [model.function(f"x{i}", always_improve=is_so(chance)) for i in range(amount(chance, 2))]
+    functions = [
+        model.function(f"x{i}", always_improve=is_so(chance)) for i in range(amount(chance, 2))
+    ]
     designs = [
         function.design(
-            f"x{number} {function.name}", mostly_some(chance, model.components), priority=chance.choice(priorities)
+            f"x{number} {function.name}",
+            mostly_some(chance, model.components),
+            priority=chance.choice(priorities),
         )
         for function in functions
         for number in range(amount(chance, 3))
     ]
-    actions = [model.action(f"x{i}", requires=mostly_some(chance, model.functions)) for i in range(amount(chance, 2))]
+    actions = [
+        model.action(f"x{i}", requires=mostly_some(chance, model.functions))
+        for i in range(amount(chance, 2))
+    ]
     constrainable = [*actions, *designs, *components, *configurations]
     for _ in range(amount(chance, 5) if constrainable else 0):
         positions = some_of(chance, range(len(constrainable)), 1, 4)
-        expression = compare(chance.choice(attributes), chance.choice(OPERATORS), chance.choice(NUMBERS))
+        expression = compare(
+            chance.choice(attributes), chance.choice(OPERATORS), chance.choice(NUMBERS)
+        )
         model.constrain([constrainable[position] for position in positions], expression)
     return model
 
@@ -147,7 +160,9 @@ def names(model):
 def events(model, *, asserting=True, selecting=True):
     """One thing that happens to a robot of this model, as a tuple of its name and arguments."""
     named = names(model)
-    options = [lambda chance: ("measure", chance.choice(list(model.attributes)), chance.choice(NUMBERS))]
+    options = [
+        lambda chance: ("measure", chance.choice(list(model.attributes)), chance.choice(NUMBERS))
+    ]
     if components := named["component"]:
         options += [
             lambda chance: ("failed", chance.choice(components)),
@@ -161,7 +176,9 @@ def events(model, *, asserting=True, selecting=True):
         options.append(lambda chance: ("select", choice_by(chance, model)))
         options += [lambda chance: ("adapt", chance.randint(0, 5))] * 4
         options += [lambda chance: ("carry_out_pending",)] * 3
-        options.append(lambda chance: ("finish", chance.choice(("completed", "failed", "abandoned"))))
+        options.append(
+            lambda chance: ("finish", chance.choice(("completed", "failed", "abandoned")))
+        )
     if asserting:
         options += [assertions(model)] * 2
     return RANDOMS.map(lambda chance: chance.choice(options)(chance))
@@ -175,7 +192,10 @@ def choices(model):
 def choice_by(chance, model):
     return (
         {model.designs[name].function: name for name in some_of(chance, model.designs)},
-        {model.configurations[name].component: name for name in some_of(chance, model.configurations)},
+        {
+            model.configurations[name].component: name
+            for name in some_of(chance, model.configurations)
+        },
     )
 
 
@@ -196,11 +216,27 @@ def assertions(model):
         element = one_of(chance, list(listed))
         return "assert_status", element, chance.choice(KINDS[element[0]])
 
-    options = [assert_status, lambda chance: ("retract_status", one_of(chance, list(listed)))] if listed else []
+    options = (
+        [assert_status, lambda chance: ("retract_status", one_of(chance, list(listed)))]
+        if listed
+        else []
+    )
     if required:
-        options.append(lambda chance: ("assert_required", one_of(chance, required), chance.choice((True, False, None))))
+        options.append(
+            lambda chance: (
+                "assert_required",
+                one_of(chance, required),
+                chance.choice((True, False, None)),
+            )
+        )
     if selected:
-        options.append(lambda chance: ("assert_selected", one_of(chance, selected), chance.choice((True, False, None))))
+        options.append(
+            lambda chance: (
+                "assert_selected",
+                one_of(chance, selected),
+                chance.choice((True, False, None)),
+            )
+        )
     if not options:
         return lambda chance: ("measure", "x0", chance.choice(NUMBERS))
     return lambda chance: chance.choice(options)(chance)
@@ -211,7 +247,9 @@ def stories(draw, *, max_size=15, asserting=True, selecting=True, aging=False):
     """A model and a list of things that happen."""
     model = draw(models(aging=aging))
     happenings = st.lists(
-        events(model, asserting=asserting, selecting=selecting), min_size=max_size // 2, max_size=max_size
+        events(model, asserting=asserting, selecting=selecting),
+        min_size=max_size // 2,
+        max_size=max_size,
     )
     return model, draw(happenings)
 
@@ -245,14 +283,18 @@ class Twins:
             holder = constraint.constrained[0]
             kinds = {"Action": "action", "FunctionDesign": "design", "Component": "component"}
             whole = self.view(kinds.get(type(holder).__name__, "configuration"), holder.name, kb)
-            own = [one for one in self.model.constraints if any(it is holder for it in one.constrained)]
+            own = [
+                one for one in self.model.constraints if any(it is holder for it in one.constrained)
+            ]
             position = next(number for number, one in enumerate(own) if one is constraint)
             return whole.constraints[position]
         return getattr(kb or self.kb, f"{kind}s")[name]
 
     def elements(self):
         """Kind and name of every element that has a status."""
-        listed = [(kind, name) for kind, all_of_it in names(self.model).items() for name in all_of_it]
+        listed = [
+            (kind, name) for kind, all_of_it in names(self.model).items() for name in all_of_it
+        ]
         return listed + [("constraint", number) for number in range(len(self.model.constraints))]
 
     def statuses(self):
@@ -278,7 +320,9 @@ class Twins:
         (self.naive.active.add if active else self.naive.active.discard)(name)
 
     def _request(self, name):
-        accepted = name in self.naive.open_actions or self.naive.status("action", name) != "unfeasible"
+        accepted = (
+            name in self.naive.open_actions or self.naive.status("action", name) != "unfeasible"
+        )
         reply = self.kb.request_action(name)
         assert bool(reply) is accepted
         assert reply.reason
@@ -293,7 +337,11 @@ class Twins:
         """What of a choice is feasible; the base refuses the whole as long as something is not."""
         kinds = ("design", "configuration")
         possible = tuple(
-            {whole: part for whole, part in parts.items() if self.naive.status(kind, part) != "unfeasible"}
+            {
+                whole: part
+                for whole, part in parts.items()
+                if self.naive.status(kind, part) != "unfeasible"
+            }
             for kind, parts in zip(kinds, chosen, strict=True)
         )
         if possible != tuple(chosen):
@@ -350,7 +398,9 @@ class Twins:
 
     def _assert_required(self, element, required):
         self.kb.assert_required(self.view(*element), required)
-        (self.naive.asserted_required.add if required else self.naive.asserted_required.discard)(element)
+        (self.naive.asserted_required.add if required else self.naive.asserted_required.discard)(
+            element
+        )
 
     def _assert_selected(self, element, selected):
         self.kb.assert_selected(self.view(*element), selected)
@@ -371,7 +421,14 @@ class Twins:
             assert (kind, name, view.status) == (kind, name, naive.status(kind, name))
             if kind in ("action", "function", "component"):
                 assert (kind, name, view.is_required) == (kind, name, naive.required(kind, name))
-        for kind in ("actions", "functions", "designs", "components", "configurations", "attributes"):
+        for kind in (
+            "actions",
+            "functions",
+            "designs",
+            "components",
+            "configurations",
+            "attributes",
+        ):
             assert len(getattr(kb, kind)) == len(getattr(self.model, kind))
         assert set(kb.adaptable_functions()) == naive.adaptable_functions()
         assert set(kb.selectable_actions()) == naive.selectable_actions()

@@ -38,7 +38,9 @@ class Naive:
 
     def own_constraints(self, element):
         return [
-            number for number, one in enumerate(self.model.constraints) if any(it is element for it in one.constrained)
+            number
+            for number, one in enumerate(self.model.constraints)
+            if any(it is element for it in one.constrained)
         ]
 
     def designs_of(self, function):
@@ -53,7 +55,10 @@ class Naive:
         return name in self.open_actions or ("action", name) in self.asserted_required
 
     def function_required(self, name):
-        by_action = any(name in one.functions and self.action_required(one.name) for one in self.model.actions.values())
+        by_action = any(
+            name in one.functions and self.action_required(one.name)
+            for one in self.model.actions.values()
+        )
         return by_action or ("function", name) in self.asserted_required
 
     def component_required(self, name):
@@ -75,7 +80,10 @@ class Naive:
         return getattr(self, f"{kind}_status")(name)
 
     def violated(self, element):
-        return any(self.status("constraint", number) == "violated" for number in self.own_constraints(element))
+        return any(
+            self.status("constraint", number) == "violated"
+            for number in self.own_constraints(element)
+        )
 
     def constraint_status(self, number):
         constraint = self.model.constraints[number]
@@ -145,41 +153,63 @@ class Naive:
 
     def _is_adaptable(self, kind, element):
         status = self.status(kind, element.name)
-        return status in ("unsolved", "configuration error") or (element.always_improve and status == "solved")
+        return status in ("unsolved", "configuration error") or (
+            element.always_improve and status == "solved"
+        )
 
     def adaptable_functions(self):
-        return {one.name for one in self.model.functions.values() if self._is_adaptable("function", one)}
+        return {
+            one.name for one in self.model.functions.values() if self._is_adaptable("function", one)
+        }
 
     def adaptable_components(self, designs=()):
         supposed = copy.copy(self)
         supposed.designs, supposed.configurations = set(self.designs), set(self.configurations)
         supposed.mark({self.model.designs[name].function: name for name in designs}, {})
-        return {one.name for one in self.model.components.values() if supposed._is_adaptable("component", one)}
+        return {
+            one.name
+            for one in self.model.components.values()
+            if supposed._is_adaptable("component", one)
+        }
 
     def selectable_actions(self):
         return {name for name in self.model.actions if self.status("action", name) != "unfeasible"}
 
     def selectable_designs(self, function):
-        return {one.name for one in self.designs_of(function) if self.status("design", one.name) != "unfeasible"}
+        return {
+            one.name
+            for one in self.designs_of(function)
+            if self.status("design", one.name) != "unfeasible"
+        }
 
     def selectable_configurations(self, component):
         options = self.configurations_of(component)
-        return {one.name for one in options if self.status("configuration", one.name) != "unfeasible"}
+        return {
+            one.name for one in options if self.status("configuration", one.name) != "unfeasible"
+        }
 
     def usable_by(self, component):
         """Functions that could use a component: those with a design that contains it."""
         return {one.function for one in self.model.designs.values() if component in one.components}
 
     def obsolete_components(self):
-        return {one for one in self.active if not any(map(self.function_required, self.usable_by(one)))}
+        return {
+            one for one in self.active if not any(map(self.function_required, self.usable_by(one)))
+        }
 
     def obsolete_designs(self):
-        return {one for one in self.designs if not self.function_required(self.model.designs[one].function)}
+        return {
+            one
+            for one in self.designs
+            if not self.function_required(self.model.designs[one].function)
+        }
 
     def obsolete_configurations(self):
         component = {one: self.model.configurations[one].component for one in self.configurations}
         return {
-            one for one in self.configurations if not any(map(self.function_required, self.usable_by(component[one])))
+            one
+            for one in self.configurations
+            if not any(map(self.function_required, self.usable_by(component[one])))
         }
 
     # selecting
@@ -188,7 +218,9 @@ class Naive:
         """Select what is chosen, unselect its rivals and what is obsolete; return the designs replaced by rivals."""
         replaced = set()
         for function, chosen in designs.items():
-            replaced |= {one.name for one in self.designs_of(function) if one.name in self.designs} - {chosen}
+            replaced |= {
+                one.name for one in self.designs_of(function) if one.name in self.designs
+            } - {chosen}
             self.designs.add(chosen)
         self.designs -= replaced
         for component, chosen in configurations.items():
@@ -202,7 +234,12 @@ class Naive:
     def needed_components(self):
         """Components of all selected designs of required functions."""
         designs = [self.model.designs[name] for name in self.designs]
-        return {part for one in designs if self.function_required(one.function) for part in one.components}
+        return {
+            part
+            for one in designs
+            if self.function_required(one.function)
+            for part in one.components
+        }
 
     def select(self, designs, configurations):
         before = set(self.configurations)

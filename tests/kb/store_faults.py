@@ -50,7 +50,9 @@ def survives_a_kill(folder, number):
     backup(path, folder / "backup.sqlite3")
     for place in (path, folder / "backup.sqlite3"):
         again = Life(place, number)
-        abandoned = sum(one.end == 0.0 for one in (*again.kb.plans, *again.kb.history.attempts))  # as it was opened
+        abandoned = sum(
+            one.end == 0.0 for one in (*again.kb.plans, *again.kb.history.attempts)
+        )  # as it was opened
         saved = again.kb.log.last - abandoned
         assert saved >= acknowledged
         expected = lived(folder / f"expected of {place.name}", number, saved)
@@ -84,7 +86,9 @@ class Damages:
         events = life.kb.store.events()
         life.kb.close()
         copies.append(self._copied(life.kb.store.path, f"closed {seed}", life.kb.saved))
-        return [(*one, copies[0][0], {event.number: plain(event) for event in events}) for one in copies]
+        return [
+            (*one, copies[0][0], {event.number: plain(event) for event in events}) for one in copies
+        ]
 
     def _copied(self, path, name, saved):
         copy = self.folder / f"{name}.sqlite3"
@@ -99,7 +103,9 @@ class Damages:
         there = [end for end in ENDS if Path(f"{path}{end}").exists()]
         end = chance.choice(there)
         victim = Path(f"{path}{end}")
-        how = chance.choice(("flip", "flip", "flip", "cut", "missing", "page", "swapped", "older", "foreign", "shm"))
+        how = chance.choice(
+            ("flip", "flip", "flip", "cut", "missing", "page", "swapped", "older", "foreign", "shm")
+        )
         content = bytearray(victim.read_bytes())
         if how == "flip":
             content[chance.randrange(len(content))] ^= 1 << chance.randrange(8)
@@ -139,7 +145,9 @@ class Damages:
         try:
             kb = KnowledgeBase(robot(), store=path, clock=lambda: 0.0)
         except StoreError as error:
-            assert {one.name: one.read_bytes() for one in place.iterdir()} == before, f"{how}: touched"
+            assert {one.name: one.read_bytes() for one in place.iterdir()} == before, (
+                f"{how}: touched"
+            )
             word = str(error).partition(": ")[2]
             self.kinds[how.split()[0], "refused: " + " ".join(word.split(";")[0].split()[:4])] += 1
             self.repaired(path, truth, how)
@@ -152,7 +160,11 @@ class Damages:
 
     def is_true(self, kb, acknowledged, truth, how):
         told = [plain(event) for event in kb.store.events() if event.number <= max(truth)]
-        own = [one for one in told if one[1:3] != (0.0, "finish_plan") and one[1:3] != (0.0, "finish_attempt")]
+        own = [
+            one
+            for one in told
+            if one[1:3] != (0.0, "finish_plan") and one[1:3] != (0.0, "finish_attempt")
+        ]
         assert kb.log.last >= acknowledged, f"{how}: {kb.log.last} of {acknowledged}"
         for one in own:
             assert truth.get(one[0], one) == one, how

@@ -6,7 +6,18 @@ import weakref
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, OPERATORS, RANDOMS, Clock, Twins, compare, events, models, mostly_some, stories
+from models import (
+    NUMBERS,
+    OPERATORS,
+    RANDOMS,
+    Clock,
+    Twins,
+    compare,
+    events,
+    models,
+    mostly_some,
+    stories,
+)
 
 from kb import AmbiguousName, KnowledgeBase, Model, ModelError, PriorityPlanner, Status, UnknownName
 
@@ -38,7 +49,11 @@ def growth(chance, model):
 
     def expressions(least=0, most=2):
         return [
-            compare(chance.choice(list(model.attributes.values())), chance.choice(OPERATORS), chance.choice(NUMBERS))
+            compare(
+                chance.choice(list(model.attributes.values())),
+                chance.choice(OPERATORS),
+                chance.choice(NUMBERS),
+            )
             for _ in range(chance.randint(least, most))
         ]
 
@@ -53,13 +68,18 @@ def growth(chance, model):
         return lambda: model.component(fresh(model.components), constraints=own)
 
     def design():
-        of, parts = chance.choice(list(model.functions.values())), mostly_some(chance, model.components)
+        of, parts = (
+            chance.choice(list(model.functions.values())),
+            mostly_some(chance, model.components),
+        )
         own = expressions()
         return lambda: of.design(fresh(model.designs), parts, constraints=own, priority=priority)
 
     def configuration():
         of, own = chance.choice(list(model.components.values())), expressions()
-        return lambda: of.configuration(fresh(model.configurations), constraints=own, priority=priority)
+        return lambda: of.configuration(
+            fresh(model.configurations), constraints=own, priority=priority
+        )
 
     def constraint():
         of = [chance.choice(constrainable) for _ in range(chance.randint(1, 3))]
@@ -67,7 +87,12 @@ def growth(chance, model):
         return lambda: model.constrain(of, own)
 
     constrainable = constrainable_of(model)
-    options = [action, component, *[design] * bool(model.functions), *[configuration] * bool(model.components)]
+    options = [
+        action,
+        component,
+        *[design] * bool(model.functions),
+        *[configuration] * bool(model.components),
+    ]
     return chance.choice(options + [constraint] * bool(constrainable))()
 
 
@@ -90,7 +115,10 @@ def change(chance, model):
     for table in (model.designs, model.configurations):
         options.append((list(table.values()), {"priority": (None, 0, 1, 2, 3)}))
     elements, fields = chance.choice([one for one in options if one[0]])
-    one, given = chance.choice(elements), {name: chance.choice(values) for name, values in fields.items()}
+    one, given = (
+        chance.choice(elements),
+        {name: chance.choice(values) for name, values in fields.items()},
+    )
     return lambda: model.change(one, **given)
 
 
@@ -115,8 +143,12 @@ def forget(twins):
         facts.intersection_update(table)
     tables = {"action": model.actions, "function": model.functions, "component": model.components}
     tables |= {"design": model.designs, "configuration": model.configurations}
-    naive.asserted_required = {(kind, name) for kind, name in naive.asserted_required if name in tables[kind]}
-    naive.asserted = {(kind, name): one for (kind, name), one in naive.asserted.items() if name in tables[kind]}
+    naive.asserted_required = {
+        (kind, name) for kind, name in naive.asserted_required if name in tables[kind]
+    }
+    naive.asserted = {
+        (kind, name): one for (kind, name), one in naive.asserted.items() if name in tables[kind]
+    }
 
 
 def amend(twins, data):
@@ -139,7 +171,9 @@ def test_after_every_amendment_the_quick_engine_answers_as_the_naive_twin_does(m
             amend(twins, data)
         else:
             # constraints are numbered, and an assertion about one would be about another after a removal
-            twins.happen(data.draw(events(model).filter(lambda one: "constraint" not in str(one[1:2]))))
+            twins.happen(
+                data.draw(events(model).filter(lambda one: "constraint" not in str(one[1:2])))
+            )
         twins.agree()
 
 
@@ -184,7 +218,9 @@ def test_a_threshold_that_changes_is_seen_by_the_next_question(kb):
     kb.model.change(limit.element, value=0.3)
     assert not kb.is_feasible("explore")
     assert limit.status is Status.VIOLATED
-    assert str(kb.explain("explore")).startswith("explore is unfeasible because light 0.2 violates >= 0.3")
+    assert str(kb.explain("explore")).startswith(
+        "explore is unfeasible because light 0.2 violates >= 0.3"
+    )
     kb.measure("light", 0.3)
     assert kb.is_feasible("explore")
 
@@ -255,7 +291,10 @@ def test_a_shared_constraint_holds_on_for_the_others_when_one_is_removed(kb):
     ("change", "words"),
     [
         ({"priority": "high"}, "the priority of 'day' is a finite number"),
-        ({"component": "lidar"}, "'component' of configuration 'day' cannot change; what can: parameters, priority"),
+        (
+            {"component": "lidar"},
+            "'component' of configuration 'day' cannot change; what can: parameters, priority",
+        ),
         ({"priority": 3, "parameters": {"exposure": object()}}, "allowed are a boolean"),
     ],
 )
@@ -336,7 +375,9 @@ def test_elements_are_changed_and_removed_by_a_name_that_only_one_has():
     assert night.priority == 1
     model.remove("night")
     assert list(model.configurations) == []
-    with pytest.raises(AmbiguousName, match=r"an action, a function; .* model.actions\['explore'\]"):
+    with pytest.raises(
+        AmbiguousName, match=r"an action, a function; .* model.actions\['explore'\]"
+    ):
         model.remove("explore")
     with pytest.raises(UnknownName, match="did you mean 'camera'"):
         model.change("camra", always_improve=True)

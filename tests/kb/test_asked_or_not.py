@@ -15,10 +15,14 @@ VALUES = st.sampled_from((0.0, 0.4, 0.5, 0.55, 0.6, 0.9))
 
 def robot(dwell, agreement, max_age, when_stale):
     model = Model("robot")
-    light = model.environmental_attribute("light", agreement=agreement, max_age=max_age, when_stale=when_stale)
+    light = model.environmental_attribute(
+        "light", agreement=agreement, max_age=max_age, when_stale=when_stale
+    )
     heat = model.quality_attribute("heat", max_age=3.0)
     camera = model.component("camera", always_improve=True)
-    camera.configuration("day", priority=1, constraints=[(light >= 0.5).steady(hysteresis=0.1, dwell=dwell)])
+    camera.configuration(
+        "day", priority=1, constraints=[(light >= 0.5).steady(hysteresis=0.1, dwell=dwell)]
+    )
     camera.configuration("night", priority=2, constraints=[(heat <= 0.8).steady(dwell=1.0)])
     see = model.function("see")
     see.design("by camera", [camera])
@@ -51,7 +55,9 @@ QUESTIONS = (
     lambda kb: kb.attributes["light"].history,
     lambda kb: list(kb.log),
 )
-STORIES = st.lists(st.tuples(PAUSES, FACTS, st.lists(st.tuples(PAUSES, st.sampled_from(QUESTIONS)))), max_size=30)
+STORIES = st.lists(
+    st.tuples(PAUSES, FACTS, st.lists(st.tuples(PAUSES, st.sampled_from(QUESTIONS)))), max_size=30
+)
 
 
 def tell(kb, clock, fact):
@@ -68,7 +74,9 @@ def tell(kb, clock, fact):
         kb.model.change("light", max_age=arguments[0])
     elif verb == "extend":
         light = kb.model.attributes["light"]
-        kb.model.action(f"film {len(kb.actions)}", constraints=[(light >= arguments[0]).steady(dwell=1.0)])
+        kb.model.action(
+            f"film {len(kb.actions)}", constraints=[(light >= arguments[0]).steady(dwell=1.0)]
+        )
     else:
         getattr(kb, verb)(*arguments)
 
@@ -93,7 +101,9 @@ SETTINGS = st.tuples(
 @settings(max_examples=60)
 @given(SETTINGS, STORIES)
 def test_what_is_known_does_not_depend_on_who_asked_in_between(given_settings, story):
-    asked, silent = [(clock := Clock(0.0), KnowledgeBase(robot(*given_settings), clock=clock)) for _ in range(2)]
+    asked, silent = [
+        (clock := Clock(0.0), KnowledgeBase(robot(*given_settings), clock=clock)) for _ in range(2)
+    ]
     now = 0.0
     for pause, fact, questions in story:
         for wait, question in questions:

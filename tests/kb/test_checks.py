@@ -60,12 +60,18 @@ def specimen(code, element, *words):
     return keep
 
 
-@specimen("function-without-designs", "function hear", "hear has no design, so action explore_by_ear can never be")
+@specimen(
+    "function-without-designs",
+    "function hear",
+    "hear has no design, so action explore_by_ear can never be",
+)
 def function_without_designs(model):
     model.action("explore_by_ear", requires=[model.function("hear")])
 
 
-@specimen("design-without-components", "function design by magic", "of function see has no component")
+@specimen(
+    "design-without-components", "function design by magic", "of function see has no component"
+)
 def design_without_components(model):
     model.designs["by camera"].constrain(light_of(model) >= 0.2)
     model.functions["see"].design("by magic", [], priority=0, constraints=[light_of(model) >= 0.9])
@@ -76,7 +82,11 @@ def action_without_functions(model):
     model.action("wait")
 
 
-@specimen("contradictory-constraints", "action explore", "light >= 0.1 and light < 0.1, which no value satisfies both")
+@specimen(
+    "contradictory-constraints",
+    "action explore",
+    "light >= 0.1 and light < 0.1, which no value satisfies both",
+)
 def action_with_an_empty_interval(model):
     model.actions["explore"].constrain(light_of(model) < 0.1, light_of(model) < 0.9)
 
@@ -86,7 +96,11 @@ def configuration_with_an_empty_interval(model):
     model.configurations["day"].constrain(light_of(model) <= 0.4)
 
 
-@specimen("contradictory-constraints", "component sonar", "light > 1.7976931348623157e+308, which no number satisfies")
+@specimen(
+    "contradictory-constraints",
+    "component sonar",
+    "light > 1.7976931348623157e+308, which no number satisfies",
+)
 def component_with_an_impossible_bound(model):
     model.components["sonar"].constrain(light_of(model) > 1.7976931348623157e308)
 
@@ -156,31 +170,54 @@ def action_whose_functions_agree_in_pairs_only(model):
     model.action("balance", requires=["a", "b", "c"])
 
 
-@specimen("tied-priorities", "function see", "by camera and by sonar", "the same priority, 1; by camera comes first")
+@specimen(
+    "tied-priorities",
+    "function see",
+    "by camera and by sonar",
+    "the same priority, 1; by camera comes first",
+)
 def designs_of_equal_priority(model):
     model.change(model.designs["by sonar"], priority=1)
 
 
-@specimen("tied-priorities", "component camera", "day and night of component camera have no priority; day comes first")
+@specimen(
+    "tied-priorities",
+    "component camera",
+    "day and night of component camera have no priority; day comes first",
+)
 def configurations_without_priority(model):
     for name in ("day", "night"):
         model.change(model.configurations[name], priority=None)
 
 
-@specimen("never-selected", "configuration night", "whenever it is feasible, so is day, which is preferred")
+@specimen(
+    "never-selected",
+    "configuration night",
+    "whenever it is feasible, so is day, which is preferred",
+)
 def configuration_behind_one_that_is_always_feasible(model):
     model.change(model.configurations["day"], priority=3)
     model.configurations["night"].constrain(light_of(model) >= 0.6)
     model.change(model.configurations["night"], priority=4)
 
 
-@specimen("never-selected", "configuration dusk", "dusk needs light < 0.2, but its component camera light >= 0.3")
+@specimen(
+    "never-selected",
+    "configuration dusk",
+    "dusk needs light < 0.2, but its component camera light >= 0.3",
+)
 def configuration_that_its_component_excludes(model):
     camera_of(model).constrain(light_of(model) >= 0.3)
-    camera_of(model).configuration("dusk", {"exposure": 0.1}, priority=0, constraints=[light_of(model) < 0.2])
+    camera_of(model).configuration(
+        "dusk", {"exposure": 0.1}, priority=0, constraints=[light_of(model) < 0.2]
+    )
 
 
-@specimen("out-of-range", "constraint pressure <= 300", "is never violated: pressure is from 0 to 250 kPa (on sonar)")
+@specimen(
+    "out-of-range",
+    "constraint pressure <= 300",
+    "is never violated: pressure is from 0 to 250 kPa (on sonar)",
+)
 def constraint_in_another_unit_than_the_range(model):
     pressure = model.environmental_attribute("pressure", unit="kPa", low=0, high=250)
     model.components["sonar"].constrain(pressure <= 300)
@@ -191,7 +228,12 @@ def design_that_adds_to_a_preferred_one(model):
     model.functions["see"].design("by both", ["camera", "sonar"], priority=3)
 
 
-@specimen("missing-estimation", "function see", "light is estimated for some function designs", "not for by sonar")
+@specimen(
+    "missing-estimation",
+    "function see",
+    "light is estimated for some function designs",
+    "not for by sonar",
+)
 def design_without_the_estimation_of_its_rival(model):
     camera_of(model).estimate("light", 0.1, "negative")
 
@@ -267,12 +309,21 @@ LEGAL = {
     ),
     "a choice that estimations may favour": lambda model: (
         camera_of(model).configuration("dusk", {"exposure": 0.1}, priority=3),
-        *(one.estimate("light", 0.0) for one in (*model.configurations.values(), model.designs["by sonar"])),
+        *(
+            one.estimate("light", 0.0)
+            for one in (*model.configurations.values(), model.designs["by sonar"])
+        ),
     ),
     "a last resort when the measurement may be too old": lambda model: (
-        camera_of(model).constrain(model.environmental_attribute("wind", max_age=1.0, when_stale="violated") < 9.0),
-        model.functions["see"].design("a", ["lamp"], priority=3, constraints=[model.attributes["wind"] < 9.0]),
-        model.functions["see"].design("b", ["lamp"], priority=4, constraints=[model.attributes["wind"] >= 9.0]),
+        camera_of(model).constrain(
+            model.environmental_attribute("wind", max_age=1.0, when_stale="violated") < 9.0
+        ),
+        model.functions["see"].design(
+            "a", ["lamp"], priority=3, constraints=[model.attributes["wind"] < 9.0]
+        ),
+        model.functions["see"].design(
+            "b", ["lamp"], priority=4, constraints=[model.attributes["wind"] >= 9.0]
+        ),
         model.functions["see"].design("c", ["lamp"], priority=5),
     ),
     "the fact that a component has failed": lambda model: model.add_fact(
@@ -291,12 +342,19 @@ LEGAL = {
     ],
     "a component that is asserted to be required": lambda model: [
         model.add_fact(fact)
-        for fact in (RequiredFact(model.components["camera"]), SelectedFact(model.configurations["day"]))
+        for fact in (
+            RequiredFact(model.components["camera"]),
+            SelectedFact(model.configurations["day"]),
+        )
     ],
     "an idle robot of which something is active": lambda model: model.add_fact(ActiveFact("sonar")),
     "required functions and actions that use what is active": lambda model: [
         model.add_fact(fact)
-        for fact in (RequiredFact(model.functions["see"]), RequiredFact(model.actions["explore"]), ActiveFact("sonar"))
+        for fact in (
+            RequiredFact(model.functions["see"]),
+            RequiredFact(model.actions["explore"]),
+            ActiveFact("sonar"),
+        )
     ],
 }
 
@@ -337,7 +395,9 @@ def test_finding_is_one_line_that_says_what_where_and_what_to_do():
 
 def test_finding_about_an_element_from_a_file_says_where_it_stands(tmp_path):
     path = tmp_path / "rover.tql"
-    path.write_text("insert\n  $a isa Action, has action-name 'go';\n  $f isa Function, has function-name 'move';\n")
+    path.write_text(
+        "insert\n  $a isa Action, has action-name 'go';\n  $f isa Function, has function-name 'move';\n"
+    )
     places = {one.code: one.place for one in Model.load(path).check()}
     assert places["function-without-designs"].startswith(f"{path}:3:")
     assert places["action-without-functions"].startswith(f"{path}:2:")
@@ -375,7 +435,11 @@ def test_too_many_alternatives_to_look_at_are_no_finding():
         x, y = (model.quality_attribute(f"{letter}{number}") for letter in "xy")
         function = model.function(f"f{number}")
         for priority, expression in enumerate((x > 1, y > 1)):
-            function.design(f"d{number} {priority}", [model.component(f"c{number} {priority}")], priority=priority)
+            function.design(
+                f"d{number} {priority}",
+                [model.component(f"c{number} {priority}")],
+                priority=priority,
+            )
             model.designs[f"d{number} {priority}"].constrain(expression)
         functions.append(function)
     model.action("all", requires=functions)
@@ -431,9 +495,13 @@ def beneath(model, element):
     """An element and all that it is made of."""
     parts = {
         "Action": lambda one: [model.functions[name] for name in one.functions],
-        "Function": lambda one: [design for design in model.designs.values() if design.function == one.name],
+        "Function": lambda one: [
+            design for design in model.designs.values() if design.function == one.name
+        ],
         "FunctionDesign": lambda one: [model.components[name] for name in one.components],
-        "Component": lambda one: [each for each in model.configurations.values() if each.component == one.name],
+        "Component": lambda one: [
+            each for each in model.configurations.values() if each.component == one.name
+        ],
         "Configuration": lambda one: [],
     }[type(element).__name__](element)
     return [element, *(lower for part in parts for lower in beneath(model, part))]
@@ -462,7 +530,11 @@ def test_what_is_said_to_be_never_selected_is_never_the_first_choice(model, data
     for _ in range(8):
         for name in data.draw(st.sets(st.sampled_from(sorted(model.attributes)))):
             kb.measure(name, data.draw(st.sampled_from(VALUES)))
-        for name in data.draw(st.sets(st.sampled_from(sorted(model.components)))) if model.components else ():
+        for name in (
+            data.draw(st.sets(st.sampled_from(sorted(model.components))))
+            if model.components
+            else ()
+        ):
             (kb.component_recovered if data.draw(st.booleans()) else kb.component_failed)(name)
         unmeasured = [name for name, view in kb.attributes.items() if view.value is None]
         for function in kb.functions.values():
@@ -471,9 +543,13 @@ def test_what_is_said_to_be_never_selected_is_never_the_first_choice(model, data
         for component in kb.components.values():
             if component.status in ("unfeasible", "failure"):
                 continue
-            rivals = [model.configurations[name] for name in kb.selectable_configurations(component.name)]
+            rivals = [
+                model.configurations[name] for name in kb.selectable_configurations(component.name)
+            ]
             why = told.get(f"configuration {first_by_priority(rivals)}")
-            if why is not None:  # its component excludes it, but by an attribute that nothing is known of
+            if (
+                why is not None
+            ):  # its component excludes it, but by an attribute that nothing is known of
                 assert any(f" needs {name} " in why for name in unmeasured)
 
 
@@ -481,21 +557,35 @@ BOUND = st.tuples(st.sampled_from(OPERATORS), st.sampled_from((0.0, 0.5, 1.0)))
 
 
 @given(st.lists(st.lists(BOUND, max_size=2), min_size=2, max_size=5), st.lists(BOUND, max_size=1))
-def test_configurations_over_one_attribute_that_are_so_reported_are_never_selected(rivals, of_component):
+def test_configurations_over_one_attribute_that_are_so_reported_are_never_selected(
+    rivals, of_component
+):
     model = Model("one attribute")
     x = model.quality_attribute("x")
     component = model.component("c", constraints=[compare(x, *bound) for bound in of_component])
     for number, bounds in enumerate(rivals):
-        component.configuration(str(number), priority=number, constraints=[compare(x, *bound) for bound in bounds])
+        component.configuration(
+            str(number), priority=number, constraints=[compare(x, *bound) for bound in bounds]
+        )
     findings = model.check()
-    told = {one.element for one in findings if one.code in ("never-selected", "contradictory-constraints")}
+    told = {
+        one.element
+        for one in findings
+        if one.code in ("never-selected", "contradictory-constraints")
+    }
     told |= {one.element for one in findings if one.code == "never-feasible"}
     kb = KnowledgeBase(model)
-    chosen = {first_by_priority(model.configurations.values())}  # nothing measured: all are feasible
+    chosen = {
+        first_by_priority(model.configurations.values())
+    }  # nothing measured: all are feasible
     for value in VALUES:
         kb.measure("x", value)
         if kb.components["c"].status != "unfeasible":
-            chosen.add(first_by_priority(model.configurations[name] for name in kb.selectable_configurations("c")))
+            chosen.add(
+                first_by_priority(
+                    model.configurations[name] for name in kb.selectable_configurations("c")
+                )
+            )
     for number in range(1, len(rivals)):
         never = str(number) not in chosen
         if "component c" not in told:
@@ -504,5 +594,12 @@ def test_configurations_over_one_attribute_that_are_so_reported_are_never_select
 
 def test_document_has_a_row_for_each_rule_in_its_words():
     text = (Path(__file__).parents[2] / "docs" / "checks.md").read_text()
-    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| code |")]
-    assert rows == [f"| {code} | {rule.severity} | {rule.meaning} | {rule.advice} |" for code, rule in rules().items()]
+    rows = [
+        line
+        for line in text.splitlines()
+        if line.startswith("| ") and not line.startswith("| code |")
+    ]
+    assert rows == [
+        f"| {code} | {rule.severity} | {rule.meaning} | {rule.advice} |"
+        for code, rule in rules().items()
+    ]

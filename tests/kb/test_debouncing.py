@@ -47,9 +47,14 @@ class Oracle:
         margin = self.hysteresis if self.status == "violated" else 0.0
         bound = 0.5 + (margin if self.operator in (">=", ">") else -margin)
         good = sum(HOLDS[self.operator](one, bound) for one in self.values)
-        said = {good >= self.enough: "satisfied", len(self.values) - good >= self.enough: "violated"}
+        said = {
+            good >= self.enough: "satisfied",
+            len(self.values) - good >= self.enough: "violated",
+        }
         wanted = said.get(True, self.status)
-        if wanted != self.status and (self.status == "not evaluated" or now >= self.since + self.dwell):
+        if wanted != self.status and (
+            self.status == "not evaluated" or now >= self.since + self.dwell
+        ):
             self.status, self.since = wanted, now
 
 
@@ -61,7 +66,11 @@ settings_of_constraints = st.fixed_dictionaries(
         "agreement": st.sampled_from(((1, 1), (2, 2), (2, 3), (3, 5))),
     }
 )
-steps = st.lists(st.tuples(st.sampled_from((0.0, 0.25, 0.5, 1.0, 3.0)), st.none() | VALUES), min_size=1, max_size=40)
+steps = st.lists(
+    st.tuples(st.sampled_from((0.0, 0.25, 0.5, 1.0, 3.0)), st.none() | VALUES),
+    min_size=1,
+    max_size=40,
+)
 
 
 @settings(max_examples=100)
@@ -82,13 +91,20 @@ def test_a_steady_constraint_is_what_the_letter_says_after_every_step(given_sett
         assert str(status(kb)) == oracle.status
 
 
-@given(st.lists(st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 1.0)), min_size=2, max_size=60), st.floats(0.5, 5.0))
+@given(
+    st.lists(st.tuples(st.floats(0.0, 2.0), st.floats(0.0, 1.0)), min_size=2, max_size=60),
+    st.floats(0.5, 5.0),
+)
 def test_noise_of_any_kind_about_a_threshold_switches_at_most_once_a_dwell(noise, dwell):
     clock = Clock(0.0)
     kb = KnowledgeBase(rover(dwell=dwell), clock=clock)
     changes, plans = [], []
-    kb.subscribe(lambda event: changes.extend(one for one in event.changes if one.kind == "constraint"))
-    kb.subscribe(lambda event: plans.append(event) if event.kind is EventKind.RECONFIGURATION_PLAN else None)
+    kb.subscribe(
+        lambda event: changes.extend(one for one in event.changes if one.kind == "constraint")
+    )
+    kb.subscribe(
+        lambda event: plans.append(event) if event.kind is EventKind.RECONFIGURATION_PLAN else None
+    )
     planner = PriorityPlanner()
 
     def adapt():
@@ -160,8 +176,16 @@ def test_what_dwell_holds_changes_by_itself_when_the_dwell_is_over():
 @pytest.mark.parametrize(
     ("how", "values", "told"),
     [
-        ({"agreement": (2, 3)}, (0.4, 0.4, 0.9), "stays violated until 2 of the last 3 measurements say otherwise"),
-        ({"agreement": (2, 3)}, (0.9, 0.9, 0.4), "stays satisfied until 2 of the last 3 measurements say otherwise"),
+        (
+            {"agreement": (2, 3)},
+            (0.4, 0.4, 0.9),
+            "stays violated until 2 of the last 3 measurements say otherwise",
+        ),
+        (
+            {"agreement": (2, 3)},
+            (0.9, 0.9, 0.4),
+            "stays satisfied until 2 of the last 3 measurements say otherwise",
+        ),
         ({"dwell": 5.0}, (0.9, 0.4), "stays satisfied for 5 s at least"),
         ({"hysteresis": 0.1, "dwell": 5.0}, (0.4, 0.9), "stays violated for 5 s at least"),
         (
@@ -174,7 +198,11 @@ def test_what_dwell_holds_changes_by_itself_when_the_dwell_is_over():
             (0.4, 0.4, 0.55),
             "stays violated until 2 of the last 3 measurements are >= 0.6",
         ),
-        ({"agreement": (2, 3)}, (0.9,), "light 0.9 is not confirmed: 2 of the last 3 measurements have to agree"),
+        (
+            {"agreement": (2, 3)},
+            (0.9,),
+            "light 0.9 is not confirmed: 2 of the last 3 measurements have to agree",
+        ),
         ({"hysteresis": 0.1, "operator": "<="}, (0.6, 0.45), "stays violated until light <= 0.4"),
     ],
 )
@@ -255,7 +283,9 @@ def test_debouncing_can_be_changed_while_the_base_is_at_work():
     assert kb.components["camera"].constraints[0].status is Status.SATISFIED
 
 
-@pytest.mark.parametrize("wrong", [(1, 2), (0, 1), (3, 2), (2,), "2 of them", (1.0, 1), (True, True), None])
+@pytest.mark.parametrize(
+    "wrong", [(1, 2), (0, 1), (3, 2), (2,), "2 of them", (1.0, 1), (True, True), None]
+)
 def test_an_agreement_is_of_more_than_half(wrong):
     with pytest.raises(ModelError, match="agreement of 'light' is two whole numbers"):
         Model("rover").quality_attribute("light", agreement=wrong)

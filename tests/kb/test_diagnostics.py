@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 
 from kb import DiagnosticProblem, KnowledgeBase, Model, Status
 
-MEASUREMENTS = ("qa status", "qa measurement", "ea status", "ea measurement", "attribute measurement")
+MEASUREMENTS = (
+    "qa status",
+    "qa measurement",
+    "ea status",
+    "ea measurement",
+    "attribute measurement",
+)
 REPORTS = ("component status", "component")
 RECOVERED = ("recovered", "ok")
 FAILED = ("false", "failure", "error")
@@ -66,9 +72,13 @@ def test_recovery_retracts_an_asserted_failure_too(kb):
     assert kb.components["camera"].status is Status.FEASIBLE
 
 
-@pytest.mark.parametrize("message", ["", "Temperature", "qa", "ea  status", "components", "qa status ok", "attribute"])
+@pytest.mark.parametrize(
+    "message", ["", "Temperature", "qa", "ea  status", "components", "qa status ok", "attribute"]
+)
 def test_a_foreign_message_is_passed_over(kb, message):
-    assert kb.receive({"status": [status(message, light="0.5", camera="error", nonsense="?")]}) == ()
+    assert (
+        kb.receive({"status": [status(message, light="0.5", camera="error", nonsense="?")]}) == ()
+    )
     assert kb.attributes["light"].value is None
     assert kb.components["camera"].status is Status.FEASIBLE
     assert kb.history.rejected == 0
@@ -105,13 +115,18 @@ VALUES = {
         {"key": "light", "value": "0.5"},
         {"key": "battery level", "value": "0.25"},
     ],
-    "objects": [SimpleNamespace(key="light", value="0.5"), SimpleNamespace(key="battery level", value="0.25")],
+    "objects": [
+        SimpleNamespace(key="light", value="0.5"),
+        SimpleNamespace(key="battery level", value="0.25"),
+    ],
     "iterator": None,
 }
 
 
 @pytest.mark.parametrize("values", VALUES)
-@pytest.mark.parametrize("whole", ["object", "mapping", "list", "tuple", "one", "object of objects", "json"])
+@pytest.mark.parametrize(
+    "whole", ["object", "mapping", "list", "tuple", "one", "object of objects", "json"]
+)
 def test_every_shape_of_an_array_is_taken_in(kb, whole, values):
     def given_values():
         return VALUES[values] if values != "iterator" else iter(VALUES["pairs"])
@@ -125,7 +140,9 @@ def test_every_shape_of_an_array_is_taken_in(kb, whole, values):
         "list": lambda: [one],
         "tuple": lambda: (one,),
         "one": lambda: one,
-        "object of objects": lambda: SimpleNamespace(status=[SimpleNamespace(level=b"\x00", hardware_id="", **one)]),
+        "object of objects": lambda: SimpleNamespace(
+            status=[SimpleNamespace(level=b"\x00", hardware_id="", **one)]
+        ),
         "json": lambda: json.loads(json.dumps({"status": [one]})),
     }
     assert kb.receive(shapes[whole]()) == ()
@@ -133,12 +150,16 @@ def test_every_shape_of_an_array_is_taken_in(kb, whole, values):
 
 
 @pytest.mark.parametrize(
-    "value", ["nan", "inf", "-inf", "Infinity", "", "dark", "0,5", "0.5 lx", "None", "1e999", "0x10"]
+    "value",
+    ["nan", "inf", "-inf", "Infinity", "", "dark", "0,5", "0.5 lx", "None", "1e999", "0x10"],
 )
 def test_what_is_no_finite_number_is_reported_and_the_rest_is_taken_in(kb, value, caplog):
     kb.measure("light", 0.9)
     problems = kb.receive(
-        [status("ea status", **{"light": value, "battery level": "0.25"}), status("component", camera="error")]
+        [
+            status("ea status", **{"light": value, "battery level": "0.25"}),
+            status("component", camera="error"),
+        ]
     )
     assert [(one.key, one.value) for one in problems] == [("light", value)]
     assert "number" in problems[0].reason
@@ -151,7 +172,9 @@ def test_what_is_no_finite_number_is_reported_and_the_rest_is_taken_in(kb, value
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, None, object(), [1.0], b"0.5", True])
 def test_a_value_that_is_no_number_at_all_is_reported(kb, value):
-    problems = kb.receive([{"message": "qa status", "values": {"light": value, "battery level": 0.25}}])
+    problems = kb.receive(
+        [{"message": "qa status", "values": {"light": value, "battery level": 0.25}}]
+    )
     assert [one.key for one in problems] == ["light"]
     assert kb.attributes["light"].value is None
     assert kb.attributes["battery level"].value == 0.25
@@ -171,7 +194,9 @@ def test_what_only_python_takes_for_a_number_is_none(kb, value):
         ("qa status", "", "0.5", "unknown attribute ''"),
     ],
 )
-def test_an_unknown_key_is_named_with_the_nearest_and_the_rest_is_taken_in(kb, message, key, value, near):
+def test_an_unknown_key_is_named_with_the_nearest_and_the_rest_is_taken_in(
+    kb, message, key, value, near
+):
     problems = kb.receive([status(message, **{key: value}), status("qa status", light="0.25")])
     assert [one.key for one in problems] == [key]
     assert near in str(problems[0])
@@ -179,7 +204,9 @@ def test_an_unknown_key_is_named_with_the_nearest_and_the_rest_is_taken_in(kb, m
     assert kb.history.rejected == 1
 
 
-@pytest.mark.parametrize(("message", "value"), [("component", "error"), ("component", "ok"), ("qa status", "0.50")])
+@pytest.mark.parametrize(
+    ("message", "value"), [("component", "error"), ("component", "ok"), ("qa status", "0.50")]
+)
 def test_a_problem_with_an_unknown_key_shows_the_value_as_it_was_given(kb, message, value):
     (problem,) = kb.receive([status(message, nothing=value)])
     assert problem.value == value
@@ -189,7 +216,9 @@ def test_a_problem_with_an_unknown_key_shows_the_value_as_it_was_given(kb, messa
 def test_an_unknown_word_about_a_component_is_reported_and_lists_those_that_are_known(kb, value):
     (problem,) = kb.receive([status("component", camera=value, lidar="error")])
     assert isinstance(problem, DiagnosticProblem)
-    assert all(repr(word) in problem.reason or word in problem.reason for word in (*RECOVERED, *FAILED))
+    assert all(
+        repr(word) in problem.reason or word in problem.reason for word in (*RECOVERED, *FAILED)
+    )
     assert kb.components["lidar"].status is Status.FAILURE
 
 
@@ -201,14 +230,28 @@ def test_rejected_counts_every_problem_of_every_array(kb):
 
 
 @pytest.mark.parametrize(
-    "array", [None, 5, "qa status", b"", [], {}, {"status": []}, {"status": None}, [None, 3, "text", [[]]], object()]
+    "array",
+    [
+        None,
+        5,
+        "qa status",
+        b"",
+        [],
+        {},
+        {"status": []},
+        {"status": None},
+        [None, 3, "text", [[]]],
+        object(),
+    ],
 )
 def test_what_is_no_array_says_nothing_and_breaks_nothing(kb, array):
     kb.receive(array)
     assert all(one.value is None for one in kb.attributes.values())
 
 
-@pytest.mark.parametrize("values", [5, None, "text", [None], [5], [("a", "b", "c")], [{}], [{"key": "light"}]])
+@pytest.mark.parametrize(
+    "values", [5, None, "text", [None], [5], [("a", "b", "c")], [{}], [{"key": "light"}]]
+)
 def test_values_that_are_none_are_reported_or_passed_over_and_the_rest_is_taken_in(kb, values):
     kb.receive([{"message": "qa status", "values": values}, status("qa status", light="0.25")])
     assert kb.attributes["light"].value == 0.25
@@ -218,11 +261,17 @@ KEYS = st.sampled_from(("light", "battery level", "camera", "unknown", "")) | st
 JUNK = st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8)
 PAIRS = st.lists(st.tuples(KEYS, JUNK | st.sampled_from(("ok", "error", "0.5"))), max_size=4)
 ANYTHING = st.recursive(
-    JUNK, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    JUNK,
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
 )
 ARRAYS = st.lists(
     st.fixed_dictionaries(
-        {"message": st.sampled_from((*MEASUREMENTS, *REPORTS, "other")) | JUNK, "values": PAIRS | ANYTHING}
+        {
+            "message": st.sampled_from((*MEASUREMENTS, *REPORTS, "other")) | JUNK,
+            "values": PAIRS | ANYTHING,
+        }
     ),
     max_size=4,
 )
@@ -238,7 +287,12 @@ def test_no_array_whatever_raises_and_facts_stay_finite(array):
         assert attribute.value is None or math.isfinite(attribute.value)
 
 
-@given(st.lists(st.tuples(st.sampled_from(("light", "battery level")), st.floats(allow_nan=True)), max_size=6))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(("light", "battery level")), st.floats(allow_nan=True)),
+        max_size=6,
+    )
+)
 def test_every_pair_is_either_taken_in_or_reported(pairs):
     kb = knowledge()
     problems = kb.receive([{"message": "qa status", "values": pairs}])

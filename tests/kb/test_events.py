@@ -13,8 +13,14 @@ from kb import Event, EventKind, KnowledgeBase, Model
 
 def known(kb):
     """The facts and what is inferred from them; what was asked for, and planned."""
-    requests = [(one.action, one.preference, one.start, one.end, one.result, one.reason) for one in kb.history.actions]
-    plans = [(one.activate, one.deactivate, one.parameters, one.start, one.end, one.result) for one in kb.plans]
+    requests = [
+        (one.action, one.preference, one.start, one.end, one.result, one.reason)
+        for one in kb.history.actions
+    ]
+    plans = [
+        (one.activate, one.deactivate, one.parameters, one.start, one.end, one.result)
+        for one in kb.plans
+    ]
     return [list(column) for column in state_of(kb).columns.values()], requests, plans
 
 
@@ -144,7 +150,10 @@ def test_event_of_several_choices_that_need_no_plan_is_one_event(kb):
     assert kb.select(reason=ODD) is None
     (event,) = heard
     assert event.text == "day is not selected, by camera is not selected"
-    assert event.effects == (("configuration", "day", False), ("function design", "by camera", False))
+    assert event.effects == (
+        ("configuration", "day", False),
+        ("function design", "by camera", False),
+    )
     assert said([event]) == [("select", ({}, {}, ODD))]
     assert kb.select(reason=ODD) is None
     assert len(heard) == 1
@@ -153,7 +162,8 @@ def test_event_of_several_choices_that_need_no_plan_is_one_event(kb):
 def test_diagnostics_are_told_as_what_they_say(kb):
     status = [{"message": "QA status", "values": [{"key": "light", "value": "0.3"}]}]
     status += [
-        {"message": "component status", "values": [{"key": "camera", "value": word}]} for word in ("error", "ok")
+        {"message": "component status", "values": [{"key": "camera", "value": word}]}
+        for word in ("error", "ok")
     ]
     assert kb.receive({"status": status}) == ()
     assert said(kb.log) == [
@@ -205,7 +215,9 @@ class TestCauses:
         assert plan.cause == crossing
         assert [one.cause for one in kb.log][-1] == crossing
 
-    def test_plan_for_something_better_is_caused_by_what_made_that_possible_not_by_what_was_switched_before(self, kb):
+    def test_plan_for_something_better_is_caused_by_what_made_that_possible_not_by_what_was_switched_before(
+        self, kb
+    ):
         kb.measure("light", 0.3)
         kb.request_action("explore")
         kb.select({"see": "by camera"}, {"camera": "night"})
@@ -225,7 +237,9 @@ class TestCauses:
         kb.finish_plan(1, "completed")
         assert kb.select({}, {"camera": "day"}).cause == crash
 
-    def test_cancel_of_an_unfeasible_action_is_caused_by_what_made_it_so_and_the_next_request_by_the_cancel(self, kb):
+    def test_cancel_of_an_unfeasible_action_is_caused_by_what_made_it_so_and_the_next_request_by_the_cancel(
+        self, kb
+    ):
         kb.model.action("rest")
         kb.request_action("explore")
         kb.component_failed("camera")

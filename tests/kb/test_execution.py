@@ -6,7 +6,18 @@ from itertools import pairwise
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from managed_stand_ins import LIE, Broken, Candid, Operation, Scripted, base, come_to_rest, happen, rover, turn
+from managed_stand_ins import (
+    LIE,
+    Broken,
+    Candid,
+    Operation,
+    Scripted,
+    base,
+    come_to_rest,
+    happen,
+    rover,
+    turn,
+)
 from models import events, models
 
 from kb import ConfigurationManager, Model, StagedExecutor, Status, UnknownName
@@ -28,12 +39,18 @@ def told(attempts):
 
 
 def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_best_is_chosen():
-    kb, clock, managed, manager = start(script={"activate camera": [math.inf]}, timeout=5.0, attempts=2, back_off=0.0)
+    kb, clock, managed, manager = start(
+        script={"activate camera": [math.inf]}, timeout=5.0, attempts=2, back_off=0.0
+    )
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     assert managed.log.count("activate camera") == 2
     assert managed.running == {"lidar"}
-    tries = [one for one in kb.history.attempts if one.component == "camera" and one.operation == "activate"]
+    tries = [
+        one
+        for one in kb.history.attempts
+        if one.component == "camera" and one.operation == "activate"
+    ]
     assert [(one.start, one.end) for one in tries] == [(100.0, 105.0), (105.0, 110.0)]
     assert {one.reason for one in tries} == {"it was not done within 5 s"}
     assert kb.components["camera"].status is Status.FAILURE
@@ -42,16 +59,25 @@ def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_b
 def test_a_time_out_can_be_that_of_a_component():
     for of_component, lasts in ((None, 8.0), ({"camera": 3.0}, 3.0), ({"lidar": 3.0}, 8.0)):
         kb, clock, _, manager = start(
-            script={"activate camera": [math.inf]}, timeout_by_component=of_component, timeout=8.0, attempts=1
+            script={"activate camera": [math.inf]},
+            timeout_by_component=of_component,
+            timeout=8.0,
+            attempts=1,
         )
         kb.request_action("explore")
         come_to_rest(manager, kb, clock)
-        (one,) = [one for one in kb.history.attempts if (one.operation, one.component) == ("activate", "camera")]
+        (one,) = [
+            one
+            for one in kb.history.attempts
+            if (one.operation, one.component) == ("activate", "camera")
+        ]
         assert one.end - one.start == lasts
 
 
 @pytest.mark.parametrize("system", [Scripted, Candid])
-def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_required_could_use_it(system):
+def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_required_could_use_it(
+    system,
+):
     refusals = [Broken("stuck"), Broken("stuck"), None]
     script = {"deactivate camera": refusals}
     kb, clock, managed, manager = start(script=script, system=system, attempts=2, back_off=0.0)
@@ -71,13 +97,21 @@ def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_req
 
 
 @given(st.integers(1, 6), st.sampled_from((0.0, 0.5, 2.0, 3.0)))
-def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allowed(attempts, back_off):
-    kb, clock, _, manager = start(script={"activate camera": [Broken("no")]}, attempts=attempts, back_off=back_off)
+def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allowed(
+    attempts, back_off
+):
+    kb, clock, _, manager = start(
+        script={"activate camera": [Broken("no")]}, attempts=attempts, back_off=back_off
+    )
     kb.request_action("explore")
     for _ in range(1000):
         manager.update()
         clock.now += 0.25
-    tries = [one for one in kb.history.attempts if (one.operation, one.component) == ("activate", "camera")]
+    tries = [
+        one
+        for one in kb.history.attempts
+        if (one.operation, one.component) == ("activate", "camera")
+    ]
     assert [one.number for one in tries] == list(range(1, attempts + 1))
     gaps = [later.start - earlier.end for earlier, later in pairwise(tries)]
     assert gaps == [back_off * 2**number for number in range(attempts - 1)]
@@ -114,7 +148,11 @@ def test_a_system_that_says_done_when_it_is_not_or_never_answers_is_found_out(li
     assert managed.running == {"lidar"}
     assert not kb.components["camera"].is_active
     assert kb.components["camera"].status is Status.FAILURE
-    reason = "reported done, but camera was not in that state within 3 s" if lie is LIE else "not done within 3 s"
+    reason = (
+        "reported done, but camera was not in that state within 3 s"
+        if lie is LIE
+        else "not done within 3 s"
+    )
     assert reason in kb.history.attempts[1].reason
 
 
@@ -136,7 +174,10 @@ def test_what_is_done_counts_though_the_system_never_says_so():
     come_to_rest(manager, kb, clock)
     assert kb.actions["explore"].status is Status.SOLVED
     (switched,) = [one for one in kb.history.attempts if one.operation == "activate"]
-    assert (switched.result, switched.reason) == ("completed", "it was never reported done, but it is")
+    assert (switched.result, switched.reason) == (
+        "completed",
+        "it was never reported done, but it is",
+    )
 
 
 @pytest.mark.parametrize("answer", [Broken("no idea"), None])
@@ -170,7 +211,9 @@ def test_parameters_that_are_refused_rule_out_their_configuration_and_the_next_b
     assert kb.components["camera"].selected_configuration == "night"
     assert managed.parameters == {"camera": {"exposure": 0.2}}
     assert kb.configurations["day"].status is Status.UNFEASIBLE
-    assert str(kb.explain(kb.configurations["day"])).startswith("day is unfeasible because it is asserted so")
+    assert str(kb.explain(kb.configurations["day"])).startswith(
+        "day is unfeasible because it is asserted so"
+    )
 
 
 def in_quarantine(hold=50.0, always_improve=True):
@@ -184,7 +227,10 @@ def in_quarantine(hold=50.0, always_improve=True):
     kb.request_action("explore")
     turn(manager, clock, 3)
     assert kb.components["camera"].selected_configuration == "night"
-    assert "its parameters could not be set, tried once: rate too high" in kb.explain(kb.configurations["day"]).reason
+    assert (
+        "its parameters could not be set, tried once: rate too high"
+        in kb.explain(kb.configurations["day"]).reason
+    )
     return kb, clock, managed, manager
 
 
@@ -407,14 +453,22 @@ def test_a_component_that_leaves_the_model_in_the_middle_of_its_plan_troubles_no
 
 # laws
 
-OUTCOMES = st.sampled_from((None, 0.0, 1.0, math.inf, LIE, Broken("at once"), (1.0, Broken("later"))))
-in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=80)
+OUTCOMES = st.sampled_from(
+    (None, 0.0, 1.0, math.inf, LIE, Broken("at once"), (1.0, Broken("later")))
+)
+in_life = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=80
+)
 
 
 def lived(model, data):
     """Let random things happen to a random robot on a system that is scripted at random and honest in the end."""
     kb, clock = base(model)
-    lines = [f"{verb} {name}" for verb in ("activate", "deactivate", "configure") for name in model.components]
+    lines = [
+        f"{verb} {name}"
+        for verb in ("activate", "deactivate", "configure")
+        for name in model.components
+    ]
     script = {line: [*data.draw(st.lists(OUTCOMES, max_size=3)), None] for line in lines}
     managed = Candid(clock, script)
     executor = StagedExecutor(managed, attempts=2, timeout=3.0, back_off=1.0, hold=15.0)
@@ -439,7 +493,9 @@ def test_after_any_trouble_facts_and_record_are_true_and_what_is_selected_is_rea
     assert commanded(kb) == managed.running
     for one in kb.components.values():
         if one.is_active and one.selected_configuration is not None and one.status is Status.SOLVED:
-            assert one.parameters_in_force == kb.configurations[one.selected_configuration].parameters
+            assert (
+                one.parameters_in_force == kb.configurations[one.selected_configuration].parameters
+            )
     check_record(kb, managed)
     managed.script.clear()
     for name in model.components:

@@ -11,14 +11,21 @@ from models import Clock, models
 
 from kb import ConfigurationManager, KnowledgeBase, Model, StagedExecutor, Status, UnknownName
 
-in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
+in_life = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
+)
 
 
 def start(script=None, *, kb=None, system=Scripted, veto=None, **options):
     kb = kb or base(rover())[0]
     managed = system(kb._knowledge.clock, script)
     executor = StagedExecutor(managed, **{"attempts": 1, **options})
-    return kb, kb._knowledge.clock, managed, ConfigurationManager(kb, managed, executor=executor, veto=veto)
+    return (
+        kb,
+        kb._knowledge.clock,
+        managed,
+        ConfigurationManager(kb, managed, executor=executor, veto=veto),
+    )
 
 
 def opened(path, clock):
@@ -103,7 +110,9 @@ def test_a_dry_run_tells_to_activate_and_deactivate_exactly_what_is_commanded(mo
     managed = Scripted(clock)
     manager = ConfigurationManager(kb, managed)
     actions = sorted(model.actions)
-    for name in data.draw(st.lists(st.sampled_from(actions), min_size=1, max_size=6)) if actions else ():
+    for name in (
+        data.draw(st.lists(st.sampled_from(actions), min_size=1, max_size=6)) if actions else ()
+    ):
         if kb.actions[name].is_required:
             kb.cancel_action(name)
         else:
@@ -113,11 +122,21 @@ def test_a_dry_run_tells_to_activate_and_deactivate_exactly_what_is_commanded(mo
         manager.update()
         told = [] if plan is None else str(plan).split("; ")
         for verb in ("activate", "deactivate"):
-            named = [one.removeprefix(f"{verb} ").split(", ") for one in told if one.startswith(f"{verb} ")]
-            commanded = [one.removeprefix(f"{verb} ") for one in managed.log if one.startswith(f"{verb} ")]
+            named = [
+                one.removeprefix(f"{verb} ").split(", ")
+                for one in told
+                if one.startswith(f"{verb} ")
+            ]
+            commanded = [
+                one.removeprefix(f"{verb} ") for one in managed.log if one.startswith(f"{verb} ")
+            ]
             assert sorted(chain.from_iterable(named)) == sorted(commanded)
         if plan is not None:
-            booked = {name for name in (*plan.activate, *plan.deactivate) if kb.components[name].kind == "plain"}
+            booked = {
+                name
+                for name in (*plan.activate, *plan.deactivate)
+                if kb.components[name].kind == "plain"
+            }
             assert plan.plain == booked
 
 
@@ -149,7 +168,10 @@ def test_attempts_can_be_asked_for_with_their_plans():
             ?c :name ?component . ?plan :result ?planned .
             OPTIONAL { ?attempt :reason ?reason } }
     """)
-    assert sorted(rows) == [("camera", "failed", "no light", "failed"), ("lidar", "completed", None, "completed")]
+    assert sorted(rows) == [
+        ("camera", "failed", "no light", "failed"),
+        ("lidar", "completed", None, "completed"),
+    ]
 
 
 def test_parameters_of_an_attempt_that_succeeded_are_in_force_and_can_be_asked_for():
@@ -178,16 +200,26 @@ def test_a_command_to_what_left_the_model_is_abandoned():
     kb.request_action("explore")
     turn(manager, clock)
     kb.cancel_action("explore")
-    for element in (kb.model.designs["by camera"], *kb.model.configurations.values(), kb.model.components["camera"]):
+    for element in (
+        kb.model.designs["by camera"],
+        *kb.model.configurations.values(),
+        kb.model.components["camera"],
+    ):
         kb.model.remove(element)
     turn(manager, clock)
     last = kb.history.attempts[-1]
-    assert (last.component, last.result, last.reason) == ("camera", "abandoned", "it is no longer in the model")
+    assert (last.component, last.result, last.reason) == (
+        "camera",
+        "abandoned",
+        "it is no longer in the model",
+    )
     assert kb.plans[0].end is not None
 
 
 def test_parameters_of_a_configuration_that_left_the_model_are_not_tried_again():
-    kb, clock, _, manager = start({"configure camera": [Broken("busy"), None]}, attempts=9, back_off=5.0)
+    kb, clock, _, manager = start(
+        {"configure camera": [Broken("busy"), None]}, attempts=9, back_off=5.0
+    )
     kb.request_action("explore")
     turn(manager, clock)
     kb.model.remove(kb.model.configurations["day"])
@@ -198,17 +230,25 @@ def test_parameters_of_a_configuration_that_left_the_model_are_not_tried_again()
 # after the knowledge base was opened again
 
 
-def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_opened_again(tmp_path):
+def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_opened_again(
+    tmp_path,
+):
     clock = Clock(100.0)
     kb, _, _, manager = start(
-        {"configure camera": [Broken("too fast"), None]}, kb=opened(tmp_path / "store", clock), hold=50.0
+        {"configure camera": [Broken("too fast"), None]},
+        kb=opened(tmp_path / "store", clock),
+        hold=50.0,
     )
     kb.request_action("explore")
     turn(manager, clock, 3)
     kb.close()
     kb, _, _, manager = start(kb=opened(tmp_path / "store", clock))
     turn(manager, clock)
-    assert [one.operation for one in kb.history.attempts][:3] == ["configure", "configure", "activate"]
+    assert [one.operation for one in kb.history.attempts][:3] == [
+        "configure",
+        "configure",
+        "activate",
+    ]
     assert "its parameters could not be set" in kb.explain(kb.configurations["day"]).reason
     clock.now = 149.9
     turn(manager, clock, 1, 0.1)
@@ -221,7 +261,9 @@ def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_
 def test_a_hold_that_ended_while_nobody_was_there_is_over(tmp_path):
     clock = Clock(100.0)
     kb, _, _, manager = start(
-        {"configure camera": [Broken("too fast"), None]}, kb=opened(tmp_path / "store", clock), hold=50.0
+        {"configure camera": [Broken("too fast"), None]},
+        kb=opened(tmp_path / "store", clock),
+        hold=50.0,
     )
     kb.request_action("explore")
     turn(manager, clock, 3)
@@ -234,10 +276,14 @@ def test_a_hold_that_ended_while_nobody_was_there_is_over(tmp_path):
     kb.close()
 
 
-def test_a_recovery_forgives_what_was_ruled_out_before_the_knowledge_base_was_opened_again(tmp_path):
+def test_a_recovery_forgives_what_was_ruled_out_before_the_knowledge_base_was_opened_again(
+    tmp_path,
+):
     clock = Clock(100.0)
     kb, _, _, manager = start(
-        {"configure camera": [Broken("too fast"), None]}, kb=opened(tmp_path / "store", clock), hold=math.inf
+        {"configure camera": [Broken("too fast"), None]},
+        kb=opened(tmp_path / "store", clock),
+        hold=math.inf,
     )
     kb.request_action("explore")
     turn(manager, clock, 3)
@@ -327,7 +373,9 @@ def test_the_facts_are_put_right_whatever_stops_by_itself(model, data):
         if managed.running:
             managed.running -= set(data.draw(st.lists(st.sampled_from(sorted(managed.running)))))
         come_to_rest(manager, kb, clock)
-        believed = {one.name for one in kb.components.values() if one.is_active and one.kind != "plain"}
+        believed = {
+            one.name for one in kb.components.values() if one.is_active and one.kind != "plain"
+        }
         assert believed == managed.running
 
 

@@ -10,11 +10,15 @@ from models import Clock, Twins, compare, stories
 from kb import Explanation, KnowledgeBase, Model, Status, UnknownName
 from kb.explanation import shortest
 
-SPELLED_OUT = re.compile(r"(?P<shown>\S+) (?P<word>violates|satisfies) (?P<operator>[<>]=?) (?P<bound>\S+)")
+SPELLED_OUT = re.compile(
+    r"(?P<shown>\S+) (?P<word>violates|satisfies) (?P<operator>[<>]=?) (?P<bound>\S+)"
+)
 
 
 def holds(shown, operator, bound):
-    return {">=": shown >= bound, ">": shown > bound, "<=": shown <= bound, "<": shown < bound}[operator]
+    return {">=": shown >= bound, ">": shown > bound, "<=": shown <= bound, "<": shown < bound}[
+        operator
+    ]
 
 
 @pytest.fixture
@@ -89,7 +93,10 @@ def test_each_status_of_a_required_chain_reads_as_a_sentence(kb):
         == "camera is unsolved because none of its configurations is selected"
     )
     kb.select({}, {"camera": "day"})
-    assert kb.explain("look").sentence == "look is solved because it is required, and all that it needs is in place"
+    assert (
+        kb.explain("look").sentence
+        == "look is solved because it is required, and all that it needs is in place"
+    )
     kb.measure("light", 0.3)
     assert kb.explain(kb.components["camera"]).sentence == (
         "camera is in configuration error because configuration day is unfeasible because light 0.3 violates >= 0.5 "
@@ -108,21 +115,30 @@ def test_an_asserted_status_says_that_it_is_asserted(kb):
         "look is unfeasible because function see is unfeasible because it is asserted so"
     )
     kb.assert_status(kb.components["camera"], "failure")
-    assert kb.explain(kb.components["camera"]).sentence == "camera is in failure because it is asserted so"
+    assert (
+        kb.explain(kb.components["camera"]).sentence
+        == "camera is in failure because it is asserted so"
+    )
 
 
 def test_an_asserted_constraint_says_that_it_is_asserted(kb):
     kb.measure("light", 0.9)
     (constraint,) = kb.actions["explore"].constraints
     kb.assert_status(constraint, "violated")
-    assert kb.explain("explore").sentence == "explore is unfeasible because light >= 0.25 is asserted violated"
+    assert (
+        kb.explain("explore").sentence
+        == "explore is unfeasible because light >= 0.25 is asserted violated"
+    )
 
 
 def test_the_whole_text_is_the_sentence_and_what_would_help(kb):
     kb.component_failed("camera")
     for view in (kb.actions["look"], kb.components["camera"]):
         explanation = kb.explain(view)
-        assert str(explanation) == f"{explanation.sentence}; it would be feasible with camera recovered"
+        assert (
+            str(explanation)
+            == f"{explanation.sentence}; it would be feasible with camera recovered"
+        )
     for view in (kb.actions["rest"], *kb.actions["explore"].constraints):
         assert str(kb.explain(view)) == kb.explain(view).sentence
         assert kb.explain(view).remedies == ()
@@ -206,7 +222,9 @@ def test_a_feasible_function_never_claims_what_is_not_so():
     kb = KnowledgeBase(model)
     kb.component_failed("bad")
     assert kb.functions["see"].status is Status.FEASIBLE
-    assert "nothing that it needs is violated, failed or unfeasible" not in kb.explain("see").sentence
+    assert (
+        "nothing that it needs is violated, failed or unfeasible" not in kb.explain("see").sentence
+    )
 
 
 FLOATS = st.floats(allow_nan=False, allow_infinity=False)
@@ -214,7 +232,9 @@ FLOATS = st.floats(allow_nan=False, allow_infinity=False)
 
 def near(number):
     """Numbers that are hardly another one."""
-    return st.sampled_from((0.0, 1e-12, -1e-12, 1e-7, -1e-7, 4e-4, -4e-4)).map(lambda step: number + step * abs(number))
+    return st.sampled_from((0.0, 1e-12, -1e-12, 1e-7, -1e-7, 4e-4, -4e-4)).map(
+        lambda step: number + step * abs(number)
+    )
 
 
 def side(text, value, bound):
@@ -234,7 +254,11 @@ def test_a_number_is_written_on_its_side_of_every_threshold(value, thresholds):
         assert side(shown, value, bound) == (value < bound, value > bound)
 
 
-@given(FLOATS.flatmap(lambda value: st.tuples(st.just(value), st.lists(near(value), min_size=1, max_size=3))))
+@given(
+    FLOATS.flatmap(
+        lambda value: st.tuples(st.just(value), st.lists(near(value), min_size=1, max_size=3))
+    )
+)
 def test_a_number_is_written_on_its_side_of_every_threshold_near_it(case):
     value, thresholds = case
     shown = shortest(value, thresholds)
@@ -269,7 +293,9 @@ def test_the_numbers_of_a_sentence_never_contradict_it_for_short_thresholds(oper
     found, status = spelled_out(value / 7, operator, bound / 4)
     truth = holds(float(found["shown"]), operator, float(found["bound"]))
     assert (
-        found["word"] == ("satisfies" if truth else "violates") == str(status).replace("ied", "ies").replace("ed", "es")
+        found["word"]
+        == ("satisfies" if truth else "violates")
+        == str(status).replace("ied", "ies").replace("ed", "es")
     )
 
 

@@ -41,7 +41,9 @@ def nodes_of(cause, whole):
     """The nodes that a cause may mean: a constraint is known by its text only."""
     if cause.kind == "constraint":
         return [one for one in whole.constraints if one.name == cause.name]
-    return [one for one in (*whole.parts, whole) if (one.kind, one.name) == (cause.kind, cause.name)]
+    return [
+        one for one in (*whole.parts, whole) if (one.kind, one.name) == (cause.kind, cause.name)
+    ]
 
 
 def named(node, explanation):
@@ -60,7 +62,9 @@ def disturbed(data, state, chain):
     for node in network.nodes:
         if node.kind == "attribute":
             if node.name not in attributes:
-                overlay.value[node.index] = data.draw(st.sampled_from((None, -0.5, 0.25, 0.75, 1.5)))
+                overlay.value[node.index] = data.draw(
+                    st.sampled_from((None, -0.5, 0.25, 0.75, 1.5))
+                )
         elif node not in told:
             if node.kind == "component":
                 overlay.failed[node.index] = data.draw(st.booleans())
@@ -112,7 +116,9 @@ def test_without_one_cause_of_each_reason_the_status_is_better(story, number):
         for reason in explanation.reasons:
             for part in nodes_of(reason[number % len(reason)], node):
                 good = (Status.SATISFIED, Status.SOLVED, Status.FEASIBLE)
-                overlay.asserted[part.index] = next(one for one in good if one in STATUSES[part.kind])
+                overlay.asserted[part.index] = next(
+                    one for one in good if one in STATUSES[part.kind]
+                )
                 touched.append(part)
         propagate(overlay, touched)
         assert BETTER.index(overlay.status[node.index]) > BETTER.index(explanation.status)
@@ -159,7 +165,10 @@ def test_what_is_solved_is_followed_down_to_the_measurements(kb):
     kb.select({"see": "by camera"}, {"camera": "day"})
     kb.component_active("camera", True)
     explanation = kb.explain("look")
-    assert str(explanation) == "look is solved because it is required, and all that it needs is in place"
+    assert (
+        str(explanation)
+        == "look is solved because it is required, and all that it needs is in place"
+    )
     assert [end.fact for end in leaves(explanation)] == [
         "light 0.7 satisfies <= 0.9 (measured 0.0 s ago)",
         "light 0.7 satisfies >= 0.5 (measured 0.0 s ago)",
@@ -171,7 +180,10 @@ def test_what_is_feasible_is_followed_down_a_way_that_is_possible(kb):
     kb.measure("light", 0.3)
     explanation = kb.explain("look")
     (reason,) = explanation.reasons
-    assert [(cause.kind, cause.name) for cause in reason] == [("constraint", "light <= 0.9"), ("function", "see")]
+    assert [(cause.kind, cause.name) for cause in reason] == [
+        ("constraint", "light <= 0.9"),
+        ("function", "see"),
+    ]
     assert [(end.kind, end.name) for end in leaves(explanation)] == [
         ("constraint", "light <= 0.9"),
         ("configuration", "night"),
@@ -202,7 +214,10 @@ def test_reasons_that_suffice_by_themselves_are_told_apart_from_those_that_only_
     kb = KnowledgeBase(model, clock=Clock())
     kb.measure("light", 0.0)
     explanation = kb.explain("camera")
-    assert [[cause.name for cause in reason] for reason in explanation.reasons] == [["light >= 0.1"], ["day", "night"]]
+    assert [[cause.name for cause in reason] for reason in explanation.reasons] == [
+        ["light >= 0.1"],
+        ["day", "night"],
+    ]
     age = "(measured 0.0 s ago)"
     assert explanation.sentence == (
         f"camera is unfeasible because light 0 violates >= 0.1 {age}; also configuration day is unfeasible because "
@@ -284,6 +299,8 @@ def test_what_many_elements_share_is_explained_once():
     kb = KnowledgeBase(model)
     kb.component_failed("driver")
     explanation = kb.explain("all")
-    drivers = {id(design.causes[0]) for function in explanation.causes for design in function.causes}
+    drivers = {
+        id(design.causes[0]) for function in explanation.causes for design in function.causes
+    }
     assert len(drivers) == 1
     assert [str(remedy) for remedy in explanation.remedies] == ["driver recovered"]

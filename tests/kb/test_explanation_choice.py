@@ -29,7 +29,9 @@ def test_every_choice_is_the_one_selected_or_else_the_first_by_priority(story):
     assume(choices)
     for node in choices:
         explained = explain_choice(state, node, 0.0)
-        possible = [part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE]
+        possible = [
+            part for part in node.parts if state.status[part.index] is not Status.UNFEASIBLE
+        ]
         selected = [part.name for part in node.parts if state.selected[part.index]]
         first = min((part.element for part in possible), key=by_priority, default=None)
         assert explained.is_selected is bool(selected)
@@ -62,7 +64,9 @@ def test_what_is_said_to_be_selected_next_is_what_the_planner_selects(story):
         is_function = isinstance(one, FunctionView)
         options = kb.designs if is_function else kb.configurations
         names = [
-            option for option in (one.designs if is_function else one.configurations) if options[option].is_selected
+            option
+            for option in (one.designs if is_function else one.configurations)
+            if options[option].is_selected
         ]
         promised = [
             part.name
@@ -84,14 +88,18 @@ def test_a_component_is_chosen_for_after_the_designs_are():
     model.action("fetch", requires=[grasp])
     kb = KnowledgeBase(model, clock=Clock())
     before = kb.request_action("fetch") and kb.explain_choice(kb.components["arm"])
-    assert str(before).startswith("fine would be selected for component arm because priority number 1 is the lowest")
+    assert str(before).startswith(
+        "fine would be selected for component arm because priority number 1 is the lowest"
+    )
     plan = PriorityPlanner().plan(kb)
     assert plan.parameters == ("fine",)
     kb.component_failed("tool")
     kb.measure("charge", 0)
     told = kb.explain_choice(kb.components["arm"])
     assert "it was possible before" in told.reason
-    assert reasons(told) == {"coarse": "nothing new is selected for the component, whose status is configuration error"}
+    assert reasons(told) == {
+        "coarse": "nothing new is selected for the component, whose status is configuration error"
+    }
     PriorityPlanner().plan(kb)
     assert kb.components["arm"].selected_configuration != "coarse"
 
@@ -164,7 +172,10 @@ def test_what_works_is_kept_unless_it_is_to_be_improved(kb, camera, model):
     explained = choice_of(kb, camera)
     assert (explained.chosen, explained.is_selected) == ("dusk", True)
     assert explained.reason == "it was preferred before"
-    assert reasons(explained)["day"] == "nothing new is selected for the component, whose status is solved"
+    assert (
+        reasons(explained)["day"]
+        == "nothing new is selected for the component, whose status is solved"
+    )
     model.change(model.components["camera"], always_improve=True)
     assert reasons(choice_of(kb, camera))["day"] == "it is to be selected next"
 

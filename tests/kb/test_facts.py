@@ -5,7 +5,15 @@ import math
 import pytest
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, ModelError, Status, UnknownName
+from kb import (
+    InvalidValue,
+    KnowledgeBase,
+    KnowledgeBaseError,
+    Model,
+    ModelError,
+    Status,
+    UnknownName,
+)
 from kb.facts import (
     ActiveFact,
     MeasurementFact,
@@ -47,7 +55,13 @@ def test_measurements_that_are_stated_are_measured_and_remembered(model):
     light = kb.attributes["light"]
     assert (light.value, light.time, light.is_stale) == (0.4, 95.0, False)
     assert light.history == ((90.0, 0.9), (95.0, 0.4))
-    assert [light.at(time) for time in (89.0, 90.0, 94.9, 95.0, 200.0)] == [None, 0.9, 0.9, 0.4, 0.4]
+    assert [light.at(time) for time in (89.0, 90.0, 94.9, 95.0, 200.0)] == [
+        None,
+        0.9,
+        0.9,
+        0.4,
+        0.4,
+    ]
     assert (kb.attributes["energy"].value, kb.attributes["energy"].time) == (1.0, 100.0)
     assert kb.components["camera"].status is Status.UNFEASIBLE
 
@@ -71,7 +85,12 @@ def test_a_configured_robot_at_work_may_be_stated(model):
     (required,) = kb.required_actions
     assert (required.action, required.preference, required.start) == ("explore", "energy", 100.0)
     (process,) = kb.processes
-    assert (process.component, process.pid, process.start, process.end) == ("camera", 4711, 80.0, None)
+    assert (process.component, process.pid, process.start, process.end) == (
+        "camera",
+        4711,
+        80.0,
+        None,
+    )
     kb.component_ended("camera", 4711)
     assert kb.processes[0].end == 100.0
     kb.cancel_action("explore", "completed")
@@ -79,7 +98,11 @@ def test_a_configured_robot_at_work_may_be_stated(model):
 
 
 def test_stated_statuses_and_requirements_stand_until_they_are_taken_back(model):
-    kb = begun(model, StatusFact(model.functions["see"], Status.UNFEASIBLE), RequiredFact(model.components["camera"]))
+    kb = begun(
+        model,
+        StatusFact(model.functions["see"], Status.UNFEASIBLE),
+        RequiredFact(model.components["camera"]),
+    )
     assert not kb.is_feasible("explore")
     assert kb.components["camera"].status is Status.UNSOLVED
     kb.retract_status(kb.functions["see"])
@@ -93,7 +116,9 @@ def test_what_is_stated_to_have_ended_is_remembered_and_no_longer_open(model):
         model,
         RequiredActionFact("explore", None, 10.0, 20.0, "completed"),
         RequiredActionFact("explore", {"energy": 2.0, "light": 1.0}, 30.0),
-        PlanFact(activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"),
+        PlanFact(
+            activate=("camera",), parameters=("day",), start=10.0, end=11.0, result="completed"
+        ),
         PlanFact(deactivate=("camera",), start=20.0),
     )
     past, present = kb.history.actions
@@ -188,7 +213,10 @@ def test_processes_are_told_by_component_and_number(model):
     kb.component_ended("camera", 10)
     clock.now = 4.0
     kb.component_ended("camera")
-    assert [(one.pid, one.start, one.end) for one in kb.processes] == [(10, 1.0, 3.0), (11, 2.0, 4.0)]
+    assert [(one.pid, one.start, one.end) for one in kb.processes] == [
+        (10, 1.0, 3.0),
+        (11, 2.0, 4.0),
+    ]
     with pytest.raises(InvalidValue, match="a process number is a whole number from 0, not -1"):
         kb.component_started("camera", -1)
     with pytest.raises(UnknownName):

@@ -24,7 +24,20 @@ from kb.facts import (
 from kb.files import ModelFileError
 
 ODD = st.sampled_from(
-    ("'", '"', "\\", "\\n", "\n", "\r\n", "# no comment", "a >= b", "$x", "; insert", "é", "\U0001f916")
+    (
+        "'",
+        '"',
+        "\\",
+        "\\n",
+        "\n",
+        "\r\n",
+        "# no comment",
+        "a >= b",
+        "$x",
+        "; insert",
+        "é",
+        "\U0001f916",
+    )
 )
 TEXTS = st.text(max_size=8) | st.lists(ODD, max_size=3).map("".join)
 NAMES = TEXTS.filter(str.strip)
@@ -56,8 +69,13 @@ def odd_models(draw):
             max_age=age,
             when_stale=draw(st.sampled_from(("not evaluated", "violated"))),
             agreement=draw(st.sampled_from(((1, 1), (2, 3), (5, 5)))),
-            forecasting=draw(st.sampled_from(("", "constant", "trend", "periodic", "robot.sea:view"))),
-            rates=[Rate(draw(FLOATS), draw(TEXTS), draw(st.booleans())) for _ in range(draw(st.integers(0, 2)))],
+            forecasting=draw(
+                st.sampled_from(("", "constant", "trend", "periodic", "robot.sea:view"))
+            ),
+            rates=[
+                Rate(draw(FLOATS), draw(TEXTS), draw(st.booleans()))
+                for _ in range(draw(st.integers(0, 2)))
+            ],
         )
     for name in unique(draw):
         model.component(
@@ -93,13 +111,21 @@ def relate(draw, model):
         targets = some(draw, constrained, min_size=1, max_size=4)
         if attributes and targets:
             attribute, value = model.attributes[attributes[0]], draw(FLOATS)
-            compare = {">=": attribute.__ge__, ">": attribute.__gt__, "<=": attribute.__le__, "<": attribute.__lt__}
+            compare = {
+                ">=": attribute.__ge__,
+                ">": attribute.__gt__,
+                "<=": attribute.__le__,
+                "<": attribute.__lt__,
+            }
             bound = compare[draw(st.sampled_from(OPERATORS))](value)
             spans = st.just(0.0) | st.floats(0.0, 1e9)
             model.constrain(targets, bound.steady(hysteresis=draw(spans), dwell=draw(spans)))
         for causer in some(draw, causers, max_size=1) if attributes else []:
             model.add_estimation(
-                causer, attributes[0], draw(FLOATS), draw(st.sampled_from(("positive", "negative", "absolute")))
+                causer,
+                attributes[0],
+                draw(FLOATS),
+                draw(st.sampled_from(("positive", "negative", "absolute"))),
             )
 
 
@@ -123,14 +149,26 @@ def fact_makers(draw, model):
         )
     ]
     if model.attributes:
-        makers.append(lambda: MeasurementFact(pick(model.attributes), draw(FLOATS), draw(TIMES), draw(st.booleans())))
+        makers.append(
+            lambda: MeasurementFact(
+                pick(model.attributes), draw(FLOATS), draw(TIMES), draw(st.booleans())
+            )
+        )
     if components:
         makers.append(lambda: ActiveFact(pick(components)))
-        makers.append(lambda: ProcessFact(pick(components), draw(st.integers(1, 2**63 - 1)), draw(TIMES), draw(TIMES)))
+        makers.append(
+            lambda: ProcessFact(
+                pick(components), draw(st.integers(1, 2**63 - 1)), draw(TIMES), draw(TIMES)
+            )
+        )
     if model.actions:
         makers.append(
             lambda: RequiredActionFact(
-                pick(model.actions), preference(draw, model), draw(TIMES), draw(TIMES), draw(RESULTS)
+                pick(model.actions),
+                preference(draw, model),
+                draw(TIMES),
+                draw(TIMES),
+                draw(RESULTS),
             )
         )
     tables = {
@@ -157,7 +195,10 @@ def _pick(draw, options):
 
 def preference(draw, model):
     weights = FLOATS | st.integers(-5, 5)
-    return draw(st.none() | st.fixed_dictionaries(dict.fromkeys(some(draw, model.attributes, max_size=2), weights)))
+    return draw(
+        st.none()
+        | st.fixed_dictionaries(dict.fromkeys(some(draw, model.attributes, max_size=2), weights))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +291,12 @@ def test_file_that_cannot_be_opened_is_an_error(tmp_path, stem):
 @pytest.mark.parametrize(
     ("content", "line", "column", "hint"),
     [
-        ("insert\n$a isa Action, has action-name 'é';".encode("latin-1"), 2, 33, r"byte 0xe9 at offset 39.*Latin-1"),
+        (
+            "insert\n$a isa Action, has action-name 'é';".encode("latin-1"),
+            2,
+            33,
+            r"byte 0xe9 at offset 39.*Latin-1",
+        ),
         ("insert".encode("utf-16"), 1, 1, "UTF-16"),
         (b"\xef\xbb\xbfinsert # \xff", 1, 10, "byte 0xff at offset 12"),
     ],
@@ -269,7 +315,9 @@ def test_byte_order_mark_and_line_ends_of_windows_are_read(tmp_path):
     assert list(Model.load(path).actions) == ["é"]
 
 
-def test_eight_threads_that_save_one_file_leave_one_of_theirs_and_no_link_is_written_through(tmp_path):
+def test_eight_threads_that_save_one_file_leave_one_of_theirs_and_no_link_is_written_through(
+    tmp_path,
+):
     models = [Model(f"model {number}") for number in range(8)]
     path, diary = tmp_path / "m.tql", tmp_path / "diary"
     diary.write_text("dear")
@@ -306,5 +354,7 @@ def test_text_beside_the_elements_of_an_owl_file_is_refused(tmp_path):
     for stray in (f"  and stop\n{line}", f"{line} and stop"):
         path.write_text(written.replace(line, stray))
         assert path.read_text() != written
-        with pytest.raises(ModelFileError, match=r"m.owl: .*not RDF/XML: Unexpected text event: .*and stop"):
+        with pytest.raises(
+            ModelFileError, match=r"m.owl: .*not RDF/XML: Unexpected text event: .*and stop"
+        ):
             Model.load(path)

@@ -32,7 +32,9 @@ def clock():
     return Clock()
 
 
-def lives(model, clock, *, until, energy=lambda t: 1.0 - 0.005 * t, light=None, doing="explore", every=1.0):
+def lives(
+    model, clock, *, until, energy=lambda t: 1.0 - 0.005 * t, light=None, doing="explore", every=1.0
+):
     kb = KnowledgeBase(model, clock=clock)
     kb.measure("energy", energy(0.0))
     if light is not None:
@@ -67,7 +69,9 @@ def test_stated_rate_holds_only_while_its_action_is_done(clock):
     model.attributes["energy"].changes(-18, per="h", while_=model.actions["explore"])
     model.attributes["energy"].changes(0.01, while_="charge")
     kb = lives(model, clock, until=20)
-    assert kb.forecast("energy", 10.0, doing=["charge"]).value == pytest.approx(1.0)  # it cannot be more
+    assert kb.forecast("energy", 10.0, doing=["charge"]).value == pytest.approx(
+        1.0
+    )  # it cannot be more
     assert kb.forecast("energy", 10.0, doing=["explore"]).value == pytest.approx(0.85)
     assert kb.forecast("energy", 10.0, doing=["explore", "charge"]).value == pytest.approx(0.95)
     assert kb.forecast("energy", 10.0, doing=[]).value == pytest.approx(0.9)
@@ -92,7 +96,11 @@ def test_nothing_is_claimed_of_what_is_not_known(clock):
         kb.measure("energy", 0.5)
     assert "too little was measured" in kb.forecast("energy", 4.0).reason
     model.attributes["energy"].changes(0.1)
-    assert kb.forecast("energy", 4.0)[2:5] == (pytest.approx(0.9), None, None)  # it could not be checked yet
+    assert kb.forecast("energy", 4.0)[2:5] == (
+        pytest.approx(0.9),
+        None,
+        None,
+    )  # it could not be checked yet
     model.change("energy", max_age=2.0)
     clock.now = 30.0
     assert "stale" in kb.forecast("energy", 10.0).reason
@@ -118,7 +126,9 @@ def test_interval_is_as_wide_as_earlier_forecasts_were_off(clock, by, error):
 
 def test_a_forecast_is_the_same_whoever_asked_before(clock):
     def ask(kb):
-        return [kb.forecast("energy", ahead) for ahead in (1.0, 7.0, 30.0)] + [kb.feasible_until("explore")]
+        return [kb.forecast("energy", ahead) for ahead in (1.0, 7.0, 30.0)] + [
+            kb.feasible_until("explore")
+        ]
 
     def wave(t):
         return 0.6 + 0.2 * math.sin(t / 5)
@@ -143,12 +153,16 @@ def test_situation_at_a_later_time_is_only_more_cautious(clock):
     assert kb.situation(at=kb.now + 80).is_feasible("explore")
     then = kb.situation(at=kb.now + 120)
     assert not then.is_feasible("explore")
-    assert "energy is 0.1 (0.1 to 0.1) in 120 s: it falls by 0.005/s while explore" in str(then.explain("explore"))
+    assert "energy is 0.1 (0.1 to 0.1) in 120 s: it falls by 0.005/s while explore" in str(
+        then.explain("explore")
+    )
     assert kb.is_feasible("explore")
     assert then.now == kb.now + 120
     kb.measure("light", 9.0)  # day is not possible now, so it is not expected to be
     assert kb.situation(at=kb.now + 60).selectable_configurations("camera") == ("night",)
-    assert then.situation(energy=0.9).is_feasible("explore")  # what is supposed of it goes before what is forecast
+    assert then.situation(energy=0.9).is_feasible(
+        "explore"
+    )  # what is supposed of it goes before what is forecast
     with pytest.raises(InvalidValue, match="from now on"):
         kb.situation(at=kb.now - 1)
 
@@ -170,7 +184,9 @@ def test_bad_forecasts_are_refused_with_what_to_write(clock):
     with pytest.raises(ModelError, match="a rate of 'energy'"):
         model.remove(model.actions["explore"])
     model.change("energy", rates=[Rate(-1.0, "explor")])  # as files may say
-    assert "a rate of energy: unknown action 'explor'; did you mean 'explore'?" in str(model.check())
+    assert "a rate of energy: unknown action 'explor'; did you mean 'explore'?" in str(
+        model.check()
+    )
     kb = KnowledgeBase(model, clock=clock)
     for wrong in (-1.0, math.nan):
         with pytest.raises(InvalidValue):
@@ -206,12 +222,18 @@ def test_function_of_ones_own_forecasts_and_what_it_raises_is_not_known(clock, c
     assert model.attributes["energy"].forecasting == f"{__name__}:half_of"
     kb = lives(model, clock, until=30, energy=lambda t: 0.8)
     ahead = kb.forecast("energy", 5.0)
-    assert (ahead.value, ahead.low, ahead.high) == (0.4, 0.0, pytest.approx(0.8))  # it was off by 0.4 each time
+    assert (ahead.value, ahead.low, ahead.high) == (
+        0.4,
+        0.0,
+        pytest.approx(0.8),
+    )  # it was off by 0.4 each time
     model.attributes["energy"].forecast(out_of_order)
     assert kb.forecast("energy", 5.0).value is None
     assert "a bad day" in caplog.text
     model.change("energy", forecasting="elsewhere:unknown")
-    assert "elsewhere:unknown, which this program has not given" in kb.forecast("energy", 5.0).reason
+    assert (
+        "elsewhere:unknown, which this program has not given" in kb.forecast("energy", 5.0).reason
+    )
 
 
 def wave(period, swing=1.25, shift=0.0):
@@ -233,8 +255,12 @@ def test_period_is_found_in_half_of_it(clock):
 def test_action_is_unfeasible_when_the_wave_is_below_what_it_needs(clock):
     model = rover()
     model.attributes["light"].forecast("periodic")
-    kb = lives(model, clock, until=160, energy=lambda t: 1.0, light=lambda t: 8 * wave(80.0)(t) - 9.5)
-    low = math.acos((10.5 / 8 - 2.5) / 1.25) / math.pi * 40  # the phase at which only the night is left to see by
+    kb = lives(
+        model, clock, until=160, energy=lambda t: 1.0, light=lambda t: 8 * wave(80.0)(t) - 9.5
+    )
+    low = (
+        math.acos((10.5 / 8 - 2.5) / 1.25) / math.pi * 40
+    )  # the phase at which only the night is left to see by
     found = kb.feasible_until("explore", within=60)
     assert found.at == pytest.approx(160 + low, abs=0.1)
     assert "light goes up and down every 80 s and reaches 1 lx" in found.reason
@@ -257,7 +283,9 @@ def test_interval_covers_again_within_a_period_after_the_regime_has_changed(cloc
         kb.measure("light", light)
         if second in asked:
             when = "calm" if 100 < second < 240 else "changed" if second >= 240 + 80 + 10 else None
-            held.get(when, []).append(asked[second].low - 1e-9 <= light <= asked[second].high + 1e-9)
+            held.get(when, []).append(
+                asked[second].low - 1e-9 <= light <= asked[second].high + 1e-9
+            )
         ahead = kb.forecast("light", 10.0) if second % 2 == 0 else None
         if ahead is not None and ahead.low is not None:
             asked[second + 10] = ahead
@@ -304,7 +332,9 @@ def test_rate_is_learned_while_its_action_alone_is_done(clock):
     energy.changes(-0.01, while_="explore", learns=True)
     energy.changes(0.01, while_="charge", learns=True)
     kb = lives(model, clock, until=5)
-    assert kb.forecast("energy", 10.0).value == pytest.approx(0.975 - 0.1)  # too few to say otherwise
+    assert kb.forecast("energy", 10.0).value == pytest.approx(
+        0.975 - 0.1
+    )  # too few to say otherwise
     kb = lives(model, Clock(), until=0)
     clock = Clock()
     kb = lives(model, clock, until=20)
@@ -349,7 +379,9 @@ def steps_of(kb, clock):
     gc.disable()  # finalizers of what other tests have dropped are no part of it
     called = []
     before = sys.getprofile()
-    sys.setprofile(lambda frame, event, _: called.append(frame.f_code.co_qualname) if event == "call" else None)
+    sys.setprofile(
+        lambda frame, event, _: called.append(frame.f_code.co_qualname) if event == "call" else None
+    )
     clock.now += 1.0
     kb.measure("light", 11.0)
     sys.setprofile(before)

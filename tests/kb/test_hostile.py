@@ -50,7 +50,9 @@ LEAVES = (
     | st.floats()
     | st.text(max_size=5)
     | st.binary(max_size=4)
-    | st.sampled_from(("v", "c", "nan", "1e400", "0.5", "OK", "error", "QA status", "component status"))
+    | st.sampled_from(
+        ("v", "c", "nan", "1e400", "0.5", "OK", "error", "QA status", "component status")
+    )
     | st.builds(lambda: 10**5000)
     | st.builds(Breaks)
     | st.builds(within_itself)
@@ -72,7 +74,11 @@ STATUSES = st.fixed_dictionaries(
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
-@given(ANYTHING | st.lists(STATUSES, max_size=3) | st.fixed_dictionaries({"status": st.lists(STATUSES, max_size=3)}))
+@given(
+    ANYTHING
+    | st.lists(STATUSES, max_size=3)
+    | st.fixed_dictionaries({"status": st.lists(STATUSES, max_size=3)})
+)
 def test_diagnostics_of_any_form_are_taken_or_told(given):
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     problems = kb.receive(given)
@@ -86,7 +92,9 @@ def test_diagnostics_of_any_form_are_taken_or_told(given):
 def test_the_rest_of_an_array_counts_when_one_status_is_broken():
     kb = KnowledgeBase(robot(), clock=Clock(1.0))
     good = {"message": "QA status", "values": {"v": 0.7}}
-    problems = kb.receive([{"message": "QA status", "values": {"v": Breaks()}}, good, {"message": Breaks()}])
+    problems = kb.receive(
+        [{"message": "QA status", "values": {"v": Breaks()}}, good, {"message": Breaks()}]
+    )
     assert [str(one) for one in problems] == [
         "qa status='dict': it cannot be read: broken",
         "status='dict': it cannot be read: broken",
@@ -97,7 +105,9 @@ def test_the_rest_of_an_array_counts_when_one_status_is_broken():
 HUGE = 10**5000
 
 
-@pytest.mark.parametrize("value", [HUGE, -HUGE, Breaks(), math.nan], ids=["huge", "least", "broken", "nan"])
+@pytest.mark.parametrize(
+    "value", [HUGE, -HUGE, Breaks(), math.nan], ids=["huge", "least", "broken", "nan"]
+)
 @pytest.mark.parametrize(
     "tell",
     [
@@ -186,7 +196,9 @@ def broken(text, chance):
             text = text[: number.start()] + chance.choice(BITS) + text[number.end() :]
         else:
             text = (
-                text[:at] + ("", text[at:end] * 2, chance.choice(BITS))[kind % 3] + text[end if kind % 3 < 2 else at :]
+                text[:at]
+                + ("", text[at:end] * 2, chance.choice(BITS))[kind % 3]
+                + text[end if kind % 3 < 2 else at :]
             )
     return text
 
@@ -209,9 +221,40 @@ def test_broken_files_are_refused_or_give_a_model(suffix, files, tmp_path):
 
 
 HOSTILE = st.one_of(
-    st.sampled_from((math.nan, math.inf, -math.inf, "", None, "x" * 100_000, b"v", 10**400, -1, 0, 2.5, True, object)),
-    st.sampled_from(("v", "c", "k", "f", "d", "a", "camera", "failure", "no status", ("action", "a"), ("c", 1))),
-    st.sampled_from(({}, {"v": math.nan}, {"f": "k"}, {"c": "d"}, {1: 2}, [], ["c"], (None,), "completed", "lost")),
+    st.sampled_from(
+        (
+            math.nan,
+            math.inf,
+            -math.inf,
+            "",
+            None,
+            "x" * 100_000,
+            b"v",
+            10**400,
+            -1,
+            0,
+            2.5,
+            True,
+            object,
+        )
+    ),
+    st.sampled_from(
+        ("v", "c", "k", "f", "d", "a", "camera", "failure", "no status", ("action", "a"), ("c", 1))
+    ),
+    st.sampled_from(
+        (
+            {},
+            {"v": math.nan},
+            {"f": "k"},
+            {"c": "d"},
+            {1: 2},
+            [],
+            ["c"],
+            (None,),
+            "completed",
+            "lost",
+        )
+    ),
     st.builds(within_itself),
 )
 TOLD = {
@@ -264,7 +307,9 @@ def test_whatever_is_refused_has_changed_nothing_and_is_told_in_words(verb, data
     if words:
         assert (answers(kb), list(kb.log), kb.revision) == before
         assert len(words) > 20
-        assert any(shown(one)[:20] in words or str(one)[:20] in words for one in spread(arguments)), words
+        assert any(
+            shown(one)[:20] in words or str(one)[:20] in words for one in spread(arguments)
+        ), words
 
 
 def refusal(call, *arguments):

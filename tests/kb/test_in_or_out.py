@@ -41,17 +41,31 @@ CALLS = {
     "require": lambda kb: kb.assert_required(kb.functions["see"], True),
     "time": lambda kb: pass_time(kb),
     "declare": lambda kb: kb.model.action(
-        "look", requires=["see"], constraints=[kb.model.attributes["light"] >= 0.5, kb.model.attributes["load"] <= 1.0]
+        "look",
+        requires=["see"],
+        constraints=[kb.model.attributes["light"] >= 0.5, kb.model.attributes["load"] <= 1.0],
     ),
     "constrain": lambda kb: kb.model.constrain(
-        [kb.model.actions["rest"], kb.model.components["camera"]], kb.model.attributes["light"] >= 0.3
+        [kb.model.actions["rest"], kb.model.components["camera"]],
+        kb.model.attributes["light"] >= 0.3,
     ),
-    "change a threshold": lambda kb: kb.model.change(kb.model.constraints[0], value=0.1, hysteresis=0.1),
-    "change an attribute": lambda kb: kb.model.change(kb.model.attributes["energy"], max_age=1.0, agreement=(1, 1)),
+    "change a threshold": lambda kb: kb.model.change(
+        kb.model.constraints[0], value=0.1, hysteresis=0.1
+    ),
+    "change an attribute": lambda kb: kb.model.change(
+        kb.model.attributes["energy"], max_age=1.0, agreement=(1, 1)
+    ),
     "remove": lambda kb: kb.model.remove(kb.model.actions["explore"]),
     "remove a design": lambda kb: kb.model.remove(kb.model.designs["by camera"]),
 }
-AMENDING = ("declare", "constrain", "change a threshold", "change an attribute", "remove", "remove a design")
+AMENDING = (
+    "declare",
+    "constrain",
+    "change a threshold",
+    "change an attribute",
+    "remove",
+    "remove a design",
+)
 TIME = "time"
 
 
@@ -81,7 +95,11 @@ class Base(KnowledgeBase):
 
 def known(kb):
     found = answers(kb), [one[:6] for one in kb.log], kb.revision
-    return found, kb.model.constraints and [str(one) for one in kb.model.constraints], list(kb.model.actions)
+    return (
+        found,
+        kb.model.constraints and [str(one) for one in kb.model.constraints],
+        list(kb.model.actions),
+    )
 
 
 def live_on(kb):
@@ -123,7 +141,9 @@ def tried(name, stride, *, harsher=False):
         ins, outs = ins + is_in, outs + (not is_in)
         assert live_on(kb) == later[is_in], f"{name}, later than an interrupt at instruction {step}"
         if not harsher:
-            assert kb.heard == list(range(first + 1, kb.log.last + 1)), f"{name}, heard after {step}"
+            assert kb.heard == list(range(first + 1, kb.log.last + 1)), (
+                f"{name}, heard after {step}"
+            )
     return outs, ins
 
 
@@ -147,8 +167,12 @@ def test_what_one_event_changes_twice_is_undone_to_what_it_was_at_first():
     assert state.served[0] == 0
 
 
-@pytest.mark.parametrize("name", [name for name in CALLS if name != "remove"])  # `explore` is cancelled before
-def test_what_handles_a_signal_sees_what_was_before_or_after_or_is_refused_and_the_call_goes_on(name):
+@pytest.mark.parametrize(
+    "name", [name for name in CALLS if name != "remove"]
+)  # `explore` is cancelled before
+def test_what_handles_a_signal_sees_what_was_before_or_after_or_is_refused_and_the_call_goes_on(
+    name,
+):
     call, twin = CALLS[name], Base()
     before = answers(twin)
     call(twin)
@@ -167,13 +191,17 @@ def test_what_handles_a_signal_sees_what_was_before_or_after_or_is_refused_and_t
             break
         assert found[-1:] in ([], [before], [after[0][0]]), f"{name}, asked at instruction {step}"
         assert known(kb) == after, f"{name}, asked at instruction {step}"
-        assert (live_on(kb), kb.heard) == (later, twin.heard), f"{name}, later than asked at instruction {step}"
+        assert (live_on(kb), kb.heard) == (later, twin.heard), (
+            f"{name}, later than asked at instruction {step}"
+        )
     assert len(found + refused) > 2
 
 
 @pytest.mark.parametrize("name", ["select", "request", "cancel", "attempt", "measure"])
 @pytest.mark.parametrize("other", ["request", "cancel", "measure what changes nothing", TIME])
-def test_what_handles_a_signal_never_comes_between_the_checks_of_an_event_and_the_event(name, other):
+def test_what_handles_a_signal_never_comes_between_the_checks_of_an_event_and_the_event(
+    name, other
+):
     results = set()
 
     def handle():
@@ -189,7 +217,10 @@ def test_what_handles_a_signal_never_comes_between_the_checks_of_an_event_and_th
             if not interrupted_at(step, lambda kb=kb: CALLS[name](kb), handler=handle):
                 break
         except InvalidValue:
-            assert (name, other) == ("select", TIME)  # what is selected is unfeasible after that time
+            assert (name, other) == (
+                "select",
+                TIME,
+            )  # what is selected is unfeasible after that time
         events = list(kb.log)
         assert [one.number for one in events] == list(range(1, kb.log.last + 1)), step
         assert [one.time for one in events] == sorted(one.time for one in events), step
@@ -276,7 +307,9 @@ def test_base_of_a_model_whose_change_was_interrupted_knows_all_of_it():
     while True:
         step, model = step + 1, robot()
         walk = [model.attributes["light"] >= 0.5, model.attributes["load"] <= 1.0]
-        if not interrupted_at(step, lambda model=model, walk=walk: model.action("walk", constraints=walk)):
+        if not interrupted_at(
+            step, lambda model=model, walk=walk: model.action("walk", constraints=walk)
+        ):
             break
         kb = KnowledgeBase(model, clock=Clock(1.0))
         assert list(kb.actions) == list(model.actions)

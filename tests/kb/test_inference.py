@@ -10,7 +10,9 @@ from models import KINDS, Clock, Twins, events, models, stories, subsets
 from kb import KnowledgeBase, Model, Status
 from kb.state import Marked, infer_anew
 
-slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
+slow_to_generate = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
+)
 
 
 @settings(slow_to_generate, max_examples=100)
@@ -26,14 +28,18 @@ def test_after_every_event_the_quick_engine_answers_as_the_naive_twin_does(story
 
 @slow_to_generate
 @given(stories(), st.data())
-def test_adaptable_components_are_judged_as_if_the_chosen_designs_were_selected_already(story, data):
+def test_adaptable_components_are_judged_as_if_the_chosen_designs_were_selected_already(
+    story, data
+):
     model, happenings = story
     twins = Twins(model)
     for event in happenings:
         twins.happen(event)
     before = twins.statuses()
     for _ in range(3):
-        chosen = {model.designs[name].function: name for name in data.draw(subsets(list(model.designs)))}
+        chosen = {
+            model.designs[name].function: name for name in data.draw(subsets(list(model.designs)))
+        }
         supposed = twins.kb.adaptable_components(designs=chosen.values())
         assert set(supposed) == twins.naive.adaptable_components(chosen.values())
     assert twins.statuses() == before
@@ -47,7 +53,9 @@ def test_what_is_supposed_adaptable_is_what_is_adaptable_once_selected(story, da
     twins = Twins(model)
     for event in happenings:
         twins.happen(event)
-    chosen = {model.designs[name].function: name for name in data.draw(subsets(list(model.designs)))}
+    chosen = {
+        model.designs[name].function: name for name in data.draw(subsets(list(model.designs)))
+    }
     supposed = twins.kb.adaptable_components(designs=chosen.values())
     twins.happen(("select", (chosen, {})))
     assert twins.kb.adaptable_components() == supposed
@@ -60,7 +68,9 @@ def test_statuses_do_not_depend_on_the_order_of_facts(model, data):
     for event in data.draw(st.lists(events(model, selecting=False), min_size=2, max_size=12)):
         if event[0] in ("request", "cancel"):
             continue  # a request may be refused, depending on what is known then
-        what = {"failed": "failure", "recovered": "failure"}.get(event[0], event[0].removeprefix("retract_"))
+        what = {"failed": "failure", "recovered": "failure"}.get(
+            event[0], event[0].removeprefix("retract_")
+        )
         facts[what.removeprefix("assert_"), event[1]] = event
     for what, subject in list(facts):
         if what == "status" and ("failure", subject[1]) in facts:
@@ -130,9 +140,9 @@ def test_a_change_of_one_fact_is_told_exactly_as_the_statuses_that_changed(story
         }
         assert len(told) <= 1
         changes = [change for one in told for change in one.changes if change.kind != "constraint"]
-        assert collections.Counter((kinds.get(one.kind, one.kind), *one[1:]) for one in changes) == dict.fromkeys(
-            expected, 1
-        )
+        assert collections.Counter(
+            (kinds.get(one.kind, one.kind), *one[1:]) for one in changes
+        ) == dict.fromkeys(expected, 1)
 
 
 def test_selecting_tells_which_statuses_changed():
@@ -180,7 +190,9 @@ def test_ten_thousand_elements_are_inferred_without_recursion_trouble():
     for number in range(1500):
         component = model.component(f"component {number}")
         for one in ("a", "b"):
-            component.configuration(f"{one} {number}", {"gain": number}, constraints=[light >= number / 1500])
+            component.configuration(
+                f"{one} {number}", {"gain": number}, constraints=[light >= number / 1500]
+            )
         functions.append(model.function(f"function {number}"))
         functions[-1].design(f"design {number}", [component])
     model.action("everything", requires=functions)

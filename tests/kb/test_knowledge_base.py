@@ -77,7 +77,10 @@ def test_an_unfeasible_action_is_refused_with_the_reason_and_nothing_changes(kb,
     reply = kb.request_action("explore")
     assert not reply
     assert reply.accepted is False
-    assert reply.reason == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 0.0 s ago)"
+    assert (
+        reply.reason
+        == "explore is unfeasible because light 0.24 violates >= 0.25 (measured 0.0 s ago)"
+    )
     assert kb.required_actions == kb.history.actions == ()
     with pytest.raises(AttributeError):
         kb.history.actions = ("rest",)
@@ -237,7 +240,9 @@ def test_a_listener_may_leave_while_it_is_told(kb):
 
 def test_a_listener_may_ask_and_finds_what_it_was_told(kb):
     answers = []
-    kb.subscribe(lambda event: answers.append((kb.is_feasible("explore"), kb.attributes["light"].value)))
+    kb.subscribe(
+        lambda event: answers.append((kb.is_feasible("explore"), kb.attributes["light"].value))
+    )
     kb.measure("light", 0.1)
     kb.measure("light", 0.3)
     assert answers == [(False, 0.1), (True, 0.3)]
@@ -297,7 +302,9 @@ def test_a_listener_that_raises_leaves_facts_and_statuses_in_agreement(kb):
 # facts
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, True, "0.5", None, [0.5], 1j, object(), b"1"])
+@pytest.mark.parametrize(
+    "value", [math.nan, math.inf, -math.inf, True, "0.5", None, [0.5], 1j, object(), b"1"]
+)
 def test_what_is_no_finite_number_is_refused_and_the_facts_are_as_they_were(kb, told, clock, value):
     kb.measure("light", 0.3)
     clock.now = 11.0
@@ -420,7 +427,9 @@ def test_an_ambiguous_bare_name_is_refused_where_something_would_change():
         lambda: kb.retract_status("recharge"),
         lambda: kb.assert_required("recharge", True),
     ):
-        with pytest.raises(AmbiguousName, match="'recharge' names several things: an action, a function"):
+        with pytest.raises(
+            AmbiguousName, match="'recharge' names several things: an action, a function"
+        ):
             tell()
     kb.assert_status(kb.functions["recharge"], "unfeasible")
     assert not kb.is_feasible("recharge")
@@ -460,7 +469,9 @@ def test_what_belongs_to_another_knowledge_base_is_refused(kb, foreign):
     larger = Model("larger")
     for name in ("a", "b", "explore"):
         larger.action(name)
-    given = KnowledgeBase(larger).actions["explore"] if foreign == "view" else larger.actions["explore"]
+    given = (
+        KnowledgeBase(larger).actions["explore"] if foreign == "view" else larger.actions["explore"]
+    )
     with pytest.raises(KnowledgeBaseError):
         kb.assert_status(given, "unfeasible")
 
@@ -485,7 +496,9 @@ def test_a_wrong_type_is_refused_in_our_words(kb, tell):
 # views
 
 
-@pytest.mark.parametrize("table", ["actions", "functions", "components", "designs", "configurations", "attributes"])
+@pytest.mark.parametrize(
+    "table", ["actions", "functions", "components", "designs", "configurations", "attributes"]
+)
 def test_views_are_a_read_only_mapping_in_order_of_declaration(kb, table):
     views = getattr(kb, table)
     elements = getattr(kb.model, table)
@@ -502,7 +515,9 @@ def test_views_are_a_read_only_mapping_in_order_of_declaration(kb, table):
         del views[next(iter(views))]
 
 
-@pytest.mark.parametrize("table", ["actions", "functions", "components", "designs", "configurations", "attributes"])
+@pytest.mark.parametrize(
+    "table", ["actions", "functions", "components", "designs", "configurations", "attributes"]
+)
 def test_nothing_can_be_changed_through_a_view(kb, table):
     for view in getattr(kb, table).values():
         named = [name for name in dir(view) if not name.startswith("_")]
@@ -525,7 +540,11 @@ def test_a_view_answers_for_the_moment_in_which_it_is_asked(kb, clock):
 def test_views_give_what_the_model_says(kb):
     camera = kb.components["camera"]
     assert (camera.kind, camera.package, camera.executable) == ("lifecycle", "eyes", "camera_node")
-    assert (camera.always_improve, camera.stops_to_configure, camera.is_active) == (False, False, False)
+    assert (camera.always_improve, camera.stops_to_configure, camera.is_active) == (
+        False,
+        False,
+        False,
+    )
     assert camera.configurations == ("day", "night")
     assert kb.configurations["day"].parameters == {"exposure": 0.01}
     assert (kb.configurations["day"].priority, kb.configurations["night"].priority) == (1, None)
@@ -666,7 +685,9 @@ def test_facts_told_from_several_threads_are_all_there():
         for turn in range(150):
             if kb.request_action("all"):
                 with suppress(InvalidValue):  # a part may have failed meanwhile
-                    plan = kb.select({f"function {number}": f"design {number}" for number in range(4)})
+                    plan = kb.select(
+                        {f"function {number}": f"design {number}" for number in range(4)}
+                    )
                     if plan is not None:
                         kb.finish_plan(plan, "completed")
             kb.cancel_action("all", "completed" if turn % 2 else "failed")
@@ -683,7 +704,11 @@ def test_facts_told_from_several_threads_are_all_there():
     finally:
         sys.setswitchinterval(interval)
     assert troubles == []
-    measured = [one for one in told if one.kind is EventKind.MONITORING_DATA and one.subject.startswith("load")]
+    measured = [
+        one
+        for one in told
+        if one.kind is EventKind.MONITORING_DATA and one.subject.startswith("load")
+    ]
     assert len(measured) == 1200
     updates = [one for one in told if one.kind is EventKind.ACTION_UPDATE]
     assert len(updates) == 2 * len(kb.history.actions)

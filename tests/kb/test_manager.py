@@ -98,7 +98,9 @@ def test_a_start_that_fails_for_good_fails_the_plan_and_the_next_best_design_is_
 
 
 @pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
-def test_parameters_that_fail_for_good_rule_out_their_configuration_and_at_last_the_component(failure):
+def test_parameters_that_fail_for_good_rule_out_their_configuration_and_at_last_the_component(
+    failure,
+):
     kb, clock, managed, manager = start(script={"configure camera": [failure]})
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
@@ -144,7 +146,11 @@ def test_a_component_that_stops_to_be_configured_is_stopped_configured_and_start
     managed.log.clear()
     kb.measure("light", 0.1)
     turn(manager, clock, 3)
-    assert managed.log == ["deactivate camera", "configure camera {'exposure': 0.2}", "activate camera"]
+    assert managed.log == [
+        "deactivate camera",
+        "configure camera {'exposure': 0.2}",
+        "activate camera",
+    ]
     assert kb.components["camera"].is_active
     assert kb.latest_plan.result == "completed"
 
@@ -246,7 +252,9 @@ def test_the_better_choice_is_taken_again_only_where_the_model_says_always_impro
 
 
 @pytest.mark.parametrize("always_improve", [True, False])
-def test_the_better_configuration_is_taken_again_only_where_the_model_says_always_improve(always_improve):
+def test_the_better_configuration_is_taken_again_only_where_the_model_says_always_improve(
+    always_improve,
+):
     kb, clock, managed, manager = start(rover(always_improve=always_improve))
     kb.measure("light", 0.1)
     kb.request_action("explore")
@@ -306,7 +314,9 @@ def test_parameters_that_could_not_be_set_are_set_once_they_are_released():
     node.configuration("night", {"exposure": 0.2}, priority=2)
     model.function("see").design("by camera", [node])
     model.action("explore", requires=["see"])
-    kb, clock, managed, manager = start(model, {"configure camera": [None, *[Broken("busy")] * 3, None]})
+    kb, clock, managed, manager = start(
+        model, {"configure camera": [None, *[Broken("busy")] * 3, None]}
+    )
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
     kb.measure("light", 0.1)
@@ -471,8 +481,14 @@ OUTCOMES = st.sampled_from((None, 0.0, 1.0, 3.0, Broken("at once"), (1.0, Broken
 def live_through(model, data, ending):
     """Let random things happen to a random robot under the loop; each command ends as `ending` says at last."""
     kb, clock = base(model)
-    lines = [f"{verb} {name}" for verb in ("activate", "deactivate", "configure") for name in model.components]
-    script = {line: [*data.draw(st.lists(OUTCOMES, max_size=4)), data.draw(ending)] for line in lines}
+    lines = [
+        f"{verb} {name}"
+        for verb in ("activate", "deactivate", "configure")
+        for name in model.components
+    ]
+    script = {
+        line: [*data.draw(st.lists(OUTCOMES, max_size=4)), data.draw(ending)] for line in lines
+    }
     managed = Scripted(clock, script)
     manager = ConfigurationManager(kb, managed)
 
@@ -481,10 +497,14 @@ def live_through(model, data, ending):
             for name in event.plan.parameters:
                 assert kb.configurations[name].status is not Status.UNFEASIBLE
             for one in kb.designs.values():
-                assert one.is_selected <= (one.name in selected or one.status is not Status.UNFEASIBLE)
+                assert one.is_selected <= (
+                    one.name in selected or one.status is not Status.UNFEASIBLE
+                )
 
     kb.subscribe(watch)
-    for event in data.draw(st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)):
+    for event in data.draw(
+        st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)
+    ):
         clock.now += 1.0
         happen(kb, event)
         pending = kb.pending_plan
@@ -497,7 +517,9 @@ def live_through(model, data, ending):
     assert {model.components[name].kind for name in managed.running} <= {"process", "lifecycle"}
 
 
-in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
+in_life = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
+)
 
 
 PASSING, LASTING = (None, 1.0), (None, Broken("for ever"), (1.0, Broken("for ever")))
@@ -505,7 +527,9 @@ PASSING, LASTING = (None, 1.0), (None, Broken("for ever"), (1.0, Broken("for eve
 
 @settings(in_life, phases=[Phase.generate])
 @given(models(), st.data(), st.sampled_from((PASSING, LASTING)))
-def test_troubles_never_raise_select_nothing_unfeasible_and_leave_the_loop_at_rest(model, data, endings):
+def test_troubles_never_raise_select_nothing_unfeasible_and_leave_the_loop_at_rest(
+    model, data, endings
+):
     live_through(model, data, st.sampled_from(endings))
 
 
@@ -521,7 +545,9 @@ def test_an_obedient_system_ends_as_the_knowledge_base_says_it_is(model, data, l
         twins.happen(event)
         manager.update()
     come_to_rest(manager, kb, clock)
-    commanded = {one.name for one in kb.components.values() if one.is_active and one.kind != "plain"}
+    commanded = {
+        one.name for one in kb.components.values() if one.is_active and one.kind != "plain"
+    }
     assert managed.running == commanded
     for component in kb.components.values():
         if component.is_active and component.selected_configuration is not None:

@@ -82,7 +82,9 @@ def declare(model, kind, name, **options):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["high param >=", "a b", "ü", "1", ">= 0.5", "a" * 500, "a\nb", "'quoted'"])
+@pytest.mark.parametrize(
+    "name", ["high param >=", "a b", "ü", "1", ">= 0.5", "a" * 500, "a\nb", "'quoted'"]
+)
 def test_a_name_may_hold_anything_and_is_found_again(model, kind, name):
     assert declare(model, kind, name).name == name
     with pytest.raises(DuplicateName) as caught:
@@ -93,7 +95,12 @@ def test_a_name_may_hold_anything_and_is_found_again(model, kind, name):
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", ["", "  ", "\n", None, 5, ("a",), b"a", ["a"]])
 def test_a_name_is_a_text_that_is_not_blank(model, kind, name):
-    refuses(model, lambda: declare(model, kind, name), ModelError, match=rf"the name of an? {kind} is a non-empty text")
+    refuses(
+        model,
+        lambda: declare(model, kind, name),
+        ModelError,
+        match=rf"the name of an? {kind} is a non-empty text",
+    )
 
 
 @pytest.mark.parametrize("name", ["", None, 7])
@@ -105,7 +112,9 @@ def test_a_model_has_a_name(name):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_name_is_unique_within_its_kind(model, kind):
     declare(model, kind, "twice")
-    refuses(model, lambda: declare(model, kind, "twice"), DuplicateName, match="unique within a kind")
+    refuses(
+        model, lambda: declare(model, kind, "twice"), DuplicateName, match="unique within a kind"
+    )
 
 
 def test_quality_and_environmental_attributes_are_one_kind(model):
@@ -134,17 +143,42 @@ def test_a_name_is_shared_across_kinds_and_each_is_its_own_element(model):
     [
         (lambda model: model.action("a", requires=["sea"]), "function", "see"),
         (lambda model: model.functions["see"].design("d", ["camra"]), "component", "camera"),
-        (lambda model: model.declare(FunctionDesign, "d", function="se", components=["camera"]), "function", "see"),
-        (lambda model: model.declare(Configuration, "c", component="camer", parameters={}), "component", "camera"),
+        (
+            lambda model: model.declare(FunctionDesign, "d", function="se", components=["camera"]),
+            "function",
+            "see",
+        ),
+        (
+            lambda model: model.declare(Configuration, "c", component="camer", parameters={}),
+            "component",
+            "camera",
+        ),
         (lambda model: model.components["camera"].estimate("ligth", 1.0), "attribute", "light"),
-        (lambda model: model.component("c", constraints=[Expression("lihgt", ">=", 1.0)]), "attribute", "light"),
-        (lambda model: model.actions["explore"].constrain(Expression("lite", ">=", 1.0)), "attribute", "light"),
+        (
+            lambda model: model.component("c", constraints=[Expression("lihgt", ">=", 1.0)]),
+            "attribute",
+            "light",
+        ),
+        (
+            lambda model: model.actions["explore"].constrain(Expression("lite", ">=", 1.0)),
+            "attribute",
+            "light",
+        ),
         (lambda model: model.component("c", kind="lifecicle"), "component kind", "lifecycle"),
-        (lambda model: model.components["camera"].estimate("light", 1.0, "negativ"), "estimation kind", "negative"),
+        (
+            lambda model: model.components["camera"].estimate("light", 1.0, "negativ"),
+            "estimation kind",
+            "negative",
+        ),
     ],
 )
 def test_an_unknown_name_is_refused_with_the_nearest(model, declaration, kind, near):
-    refuses(model, lambda: declaration(model), UnknownName, match=rf"unknown {kind} .*did you mean '{near}'")
+    refuses(
+        model,
+        lambda: declaration(model),
+        UnknownName,
+        match=rf"unknown {kind} .*did you mean '{near}'",
+    )
 
 
 def test_an_unknown_name_is_a_key_error_and_reads_well():
@@ -164,10 +198,18 @@ def test_an_unknown_name_far_from_all_lists_what_there_is(model):
     [
         lambda model, other: model.action("a", requires=[other.functions["see"]]),
         lambda model, other: model.functions["see"].design("d", [other.components["camera"]]),
-        lambda model, other: model.declare(FunctionDesign, "d", function=other.functions["see"], components=["camera"]),
-        lambda model, other: model.declare(Configuration, "c", component=other.components["camera"], parameters={}),
-        lambda model, other: model.constrain([other.actions["explore"]], model.attributes["light"] >= 1),
-        lambda model, other: model.add_estimation(model.components["camera"], other.attributes["light"], 1.0),
+        lambda model, other: model.declare(
+            FunctionDesign, "d", function=other.functions["see"], components=["camera"]
+        ),
+        lambda model, other: model.declare(
+            Configuration, "c", component=other.components["camera"], parameters={}
+        ),
+        lambda model, other: model.constrain(
+            [other.actions["explore"]], model.attributes["light"] >= 1
+        ),
+        lambda model, other: model.add_estimation(
+            model.components["camera"], other.attributes["light"], 1.0
+        ),
         lambda model, other: model.add_estimation(other.components["camera"], "light", 1.0),
         lambda model, other: model.actions["explore"].constrain(other.attributes["light"] >= 1),
     ],
@@ -182,9 +224,18 @@ def test_an_element_of_another_model_is_refused(model, declaration):
 @pytest.mark.parametrize(
     ("declaration", "words"),
     [
-        (lambda model: model.declare(Configuration, "new", parameters={}), "configuration 'new' is not complete"),
-        (lambda model: model.declare(Configuration, "new", colour=1), "unknown field of configuration 'colour'"),
-        (lambda model: model.declare(Function, "new", [model.attributes["light"] >= 1]), "constrained can be one of"),
+        (
+            lambda model: model.declare(Configuration, "new", parameters={}),
+            "configuration 'new' is not complete",
+        ),
+        (
+            lambda model: model.declare(Configuration, "new", colour=1),
+            "unknown field of configuration 'colour'",
+        ),
+        (
+            lambda model: model.declare(Function, "new", [model.attributes["light"] >= 1]),
+            "constrained can be one of",
+        ),
     ],
 )
 def test_an_element_is_declared_by_the_fields_of_its_class(model, declaration, words):
@@ -205,7 +256,12 @@ def test_a_threshold_is_a_finite_number(model, value):
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, BEYOND_FLOAT])
 def test_an_estimation_is_a_finite_number(model, value):
-    refuses(model, lambda: model.components["camera"].estimate("light", value), InvalidValue, match="number is needed")
+    refuses(
+        model,
+        lambda: model.components["camera"].estimate("light", value),
+        InvalidValue,
+        match="number is needed",
+    )
 
 
 @pytest.mark.parametrize("value", [1, 0.5, -0.0, Fraction(1, 2), Decimal("0.25"), 1e308])
@@ -238,16 +294,22 @@ def test_a_chained_comparison_is_refused_with_what_to_write_instead(model):
 
 @pytest.mark.parametrize("expression", ["light >= 0.5", 0.5, None, True, ("light", ">=", 0.5)])
 def test_a_constraint_is_a_comparison(model, expression):
-    refuses(model, lambda: model.actions["explore"].constrain(expression), match="comparison such as")
+    refuses(
+        model, lambda: model.actions["explore"].constrain(expression), match="comparison such as"
+    )
     for kind in ("component", "configuration", "function design", "action"):
         refuses(
-            model, lambda kind=kind: declare(model, kind, "new", constraints=[expression]), match="comparison such as"
+            model,
+            lambda kind=kind: declare(model, kind, "new", constraints=[expression]),
+            match="comparison such as",
         )
 
 
 def test_equality_is_no_comparison_of_the_language(model):
     light = model.attributes["light"]
-    refuses(model, lambda: model.actions["explore"].constrain(light == 0.5), match="comparison such as")
+    refuses(
+        model, lambda: model.actions["explore"].constrain(light == 0.5), match="comparison such as"
+    )
 
 
 @pytest.mark.parametrize("operator", ["==", "!=", "", None, "=>"])
@@ -257,7 +319,11 @@ def test_an_expression_made_by_hand_has_one_of_the_four_operators(model, operato
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, "0.5", None, True])
 def test_an_expression_made_by_hand_has_a_finite_number(model, value):
-    refuses(model, lambda: model.actions["explore"].constrain(Expression("light", ">=", value)), KnowledgeBaseError)
+    refuses(
+        model,
+        lambda: model.actions["explore"].constrain(Expression("light", ">=", value)),
+        KnowledgeBaseError,
+    )
 
 
 def test_constraints_given_together_are_added_together_or_not_at_all(model):
@@ -277,12 +343,20 @@ def test_a_constraint_constrains_something(model):
 
 @pytest.mark.parametrize("element", ["explore", None, 5])
 def test_what_is_no_element_is_not_constrained(model, element):
-    refuses(model, lambda: model.constrain([element], model.attributes["light"] >= 1), KnowledgeBaseError)
+    refuses(
+        model,
+        lambda: model.constrain([element], model.attributes["light"] >= 1),
+        KnowledgeBaseError,
+    )
 
 
 @pytest.mark.parametrize("causer", ["camera", "action", "function"])
 def test_an_estimation_is_caused_by_a_design_a_component_or_a_configuration(model, causer):
-    given = {"camera": "camera", "action": model.actions["explore"], "function": model.functions["see"]}[causer]
+    given = {
+        "camera": "camera",
+        "action": model.actions["explore"],
+        "function": model.functions["see"],
+    }[causer]
     refuses(model, lambda: model.add_estimation(given, "light", 1.0), KnowledgeBaseError)
 
 
@@ -299,7 +373,12 @@ def test_shared_constraints_are_one_constraint(model):
     assert model.constraints == (shared,)
     kb = KnowledgeBase(model)
     kb.measure("light", 0.1)
-    for view in (kb.actions["explore"], kb.designs["by camera"], kb.components["camera"], kb.configurations["day"]):
+    for view in (
+        kb.actions["explore"],
+        kb.designs["by camera"],
+        kb.components["camera"],
+        kb.configurations["day"],
+    ):
         assert view.status is Status.UNFEASIBLE
         assert [one.status for one in view.constraints] == [Status.VIOLATED]
 
@@ -307,7 +386,11 @@ def test_shared_constraints_are_one_constraint(model):
 @pytest.mark.parametrize("priority", ["1", True, False, [1], math.nan, math.inf, 10**400])
 def test_a_priority_is_a_finite_number_or_none(model, priority):
     for kind in ("configuration", "function design"):
-        refuses(model, lambda kind=kind: declare(model, kind, "new", priority=priority), match="finite number or None")
+        refuses(
+            model,
+            lambda kind=kind: declare(model, kind, "new", priority=priority),
+            match="finite number or None",
+        )
 
 
 @pytest.mark.parametrize("priority", [None, 0, -5, 10**30, 1.5, -0.25, 1e300])
@@ -318,7 +401,20 @@ def test_any_finite_number_is_a_priority(model, priority):
 
 @pytest.mark.parametrize(
     "value",
-    [None, {"a": 1}, {1, 2}, b"x", 1j, object(), [1, "a"], [None], [[1]], [1, True], [True, 1], lambda: 1],
+    [
+        None,
+        {"a": 1},
+        {1, 2},
+        b"x",
+        1j,
+        object(),
+        [1, "a"],
+        [None],
+        [[1]],
+        [1, True],
+        [True, 1],
+        lambda: 1,
+    ],
 )
 def test_a_parameter_is_a_boolean_a_number_a_text_or_a_list_of_one_of_these(model, value):
     refuses(
@@ -329,7 +425,8 @@ def test_a_parameter_is_a_boolean_a_number_a_text_or_a_list_of_one_of_these(mode
 
 
 @pytest.mark.parametrize(
-    "value", [True, 1, 0.5, "text", "", [], [True, False], [1, 2], [0.5], ["a", "b"], "[3.0, 5.0]", 2**63]
+    "value",
+    [True, 1, 0.5, "text", "", [], [True, False], [1, 2], [0.5], ["a", "b"], "[3.0, 5.0]", 2**63],
 )
 def test_each_type_of_parameter_is_kept_as_it_is(model, value):
     configuration = model.components["camera"].configuration("new", {"gain": value})
@@ -339,7 +436,11 @@ def test_each_type_of_parameter_is_kept_as_it_is(model, value):
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, [1.0, math.nan]])
 def test_a_parameter_is_finite(model, value):
-    refuses(model, lambda: model.components["camera"].configuration("new", {"gain": value}), KnowledgeBaseError)
+    refuses(
+        model,
+        lambda: model.components["camera"].configuration("new", {"gain": value}),
+        KnowledgeBaseError,
+    )
 
 
 def test_a_list_of_numbers_may_write_some_without_a_point(model):
@@ -400,7 +501,9 @@ def test_a_failed_declaration_leaves_nothing_half_added(model):
         refuses(model, lambda kind=kind: declare(model, kind, "new", constraints=broken))
         refuses(
             model,
-            lambda kind=kind: declare(model, kind, "new", constraints=[Expression("dark", ">=", 1.0)]),
+            lambda kind=kind: declare(
+                model, kind, "new", constraints=[Expression("dark", ">=", 1.0)]
+            ),
             UnknownName,
         )
         declare(model, kind, "new", constraints=[light >= 1])
@@ -436,7 +539,8 @@ def test_a_configuration_keeps_its_own_copy_of_the_parameters(model):
 
 
 @pytest.mark.parametrize(
-    "table", ["attributes", "components", "configurations", "functions", "designs", "actions", "tables"]
+    "table",
+    ["attributes", "components", "configurations", "functions", "designs", "actions", "tables"],
 )
 def test_the_tables_of_a_model_are_read_only(model, table):
     with pytest.raises(TypeError):

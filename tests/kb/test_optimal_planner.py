@@ -11,7 +11,15 @@ from hypothesis import strategies as st
 from managed_stand_ins import Scripted
 from models import RANDOMS, Clock, Twins, events, is_so, mostly_some, state_of, stories, subsets
 
-from kb import ConfigurationManager, InvalidValue, KnowledgeBase, Model, PriorityPlanner, StagedExecutor, UnknownName
+from kb import (
+    ConfigurationManager,
+    InvalidValue,
+    KnowledgeBase,
+    Model,
+    PriorityPlanner,
+    StagedExecutor,
+    UnknownName,
+)
 from kb.planners import Criterion, summed_weights
 from kb.planners.optimal import OptimalPlanner
 from kb.planners.solver import Problem
@@ -32,13 +40,21 @@ def estimated_model(chance):
     model = Model("random")
     attributes = [model.quality_attribute(name) for name in ATTRIBUTES]
     components = [
-        model.component(f"x{i}", kind=chance.choice(("plain", "process", "lifecycle")), always_improve=is_so(chance))
+        model.component(
+            f"x{i}",
+            kind=chance.choice(("plain", "process", "lifecycle")),
+            always_improve=is_so(chance),
+        )
         for i in range(chance.randint(1, 3))
     ]
     for component in components:
         for number in range(chance.randint(0, 2)):
-            component.configuration(f"x{number} {component.name}", priority=chance.choice(PRIORITIES))
-    functions = [model.function(f"x{i}", always_improve=is_so(chance)) for i in range(chance.randint(1, 2))]
+            component.configuration(
+                f"x{number} {component.name}", priority=chance.choice(PRIORITIES)
+            )
+    functions = [
+        model.function(f"x{i}", always_improve=is_so(chance)) for i in range(chance.randint(1, 2))
+    ]
     for function in functions:
         for number in range(chance.randint(1, 3)):
             parts = mostly_some(chance, model.components)
@@ -63,14 +79,24 @@ def robots(draw):
         twins.happen(event)
     twins.kb.request_action(draw(st.sampled_from(("x0", "x0", "x1"))))
     for name in draw(subsets(model.components)):  # what nobody uses is needed, too, or runs
-        twins.happen(draw(st.sampled_from((("assert_required", ("component", name), True), ("active", name, True)))))
+        twins.happen(
+            draw(
+                st.sampled_from(
+                    (("assert_required", ("component", name), True), ("active", name, True))
+                )
+            )
+        )
     return twins.kb
 
 
 @st.composite
 def criteria(draw):
-    weights = st.dictionaries(st.sampled_from(ATTRIBUTES), st.sampled_from((1.0, 0.5, -1.0, 0.0)), min_size=1)
-    limits = st.dictionaries(st.sampled_from(ATTRIBUTES), st.sampled_from((0.0, 0.4, 1.0, 2.6, 5.0)))
+    weights = st.dictionaries(
+        st.sampled_from(ATTRIBUTES), st.sampled_from((1.0, 0.5, -1.0, 0.0)), min_size=1
+    )
+    limits = st.dictionaries(
+        st.sampled_from(ATTRIBUTES), st.sampled_from((0.0, 0.4, 1.0, 2.6, 5.0))
+    )
     costs = draw(COSTS | st.fixed_dictionaries({"x0": COSTS}))
     return Criterion(draw(weights), costs, draw(st.just({}) | limits))
 
@@ -104,7 +130,9 @@ def test_of_many_equally_good_choices_it_is_the_first(seed):
         function = model.function(f"function {number}")
         for one in range(random.randint(2, 4)):
             components = random.sample(parts, random.randint(1, 3))
-            design = function.design(f"{one} of {function.name}", components, priority=random.randint(0, 2))
+            design = function.design(
+                f"{one} of {function.name}", components, priority=random.randint(0, 2)
+            )
             if random.random() < 0.4:
                 design.estimate("accuracy", 1.0, random.choice(("positive", "absolute")))
     model.action("explore", requires=model.functions.values())
@@ -114,7 +142,10 @@ def test_of_many_equally_good_choices_it_is_the_first(seed):
     _, designs, configurations = best_by_trying(state_of(kb), criterion)
     found = Problem(state_of(kb), criterion).solve()
     assert found.is_proven
-    assert (dict(found.choice.designs), dict(found.choice.configurations)) == (designs, configurations)
+    assert (dict(found.choice.designs), dict(found.choice.configurations)) == (
+        designs,
+        configurations,
+    )
 
 
 @SLOW
@@ -125,8 +156,13 @@ def test_same_question_has_the_same_answer(kb, criterion):
 
 @SLOW
 @given(robots(), criteria(), st.sampled_from((1e-9, 1e-6, 1e-5)))
-def test_however_little_effort_is_allowed_the_best_lies_between_value_and_bound(kb, criterion, effort):
-    found, best = Problem(state_of(kb), criterion).solve(effort), Problem(state_of(kb), criterion).solve()
+def test_however_little_effort_is_allowed_the_best_lies_between_value_and_bound(
+    kb, criterion, effort
+):
+    found, best = (
+        Problem(state_of(kb), criterion).solve(effort),
+        Problem(state_of(kb), criterion).solve(),
+    )
     if found.choice is None:
         assert found.is_proven is (best.choice is None)
         return
@@ -135,7 +171,9 @@ def test_however_little_effort_is_allowed_the_best_lies_between_value_and_bound(
     if found.is_proven:
         assert found == best
     designs = [state_of(kb).network.designs[name] for name in found.choice.designs.values()]
-    configurations = [state_of(kb).network.configurations[name] for name in found.choice.configurations.values()]
+    configurations = [
+        state_of(kb).network.configurations[name] for name in found.choice.configurations.values()
+    ]
     worth, loads = outcome(state_of(kb), designs, configurations, criterion)
     assert float(worth) == pytest.approx(found.value, abs=1e-12)
     assert all(loads[name] <= exact(limit) for name, limit in criterion.budgets.items())
@@ -244,7 +282,9 @@ def carried_out(kb, planner):
 
 
 def selected(kb):
-    return [one.name for one in (*kb.designs.values(), *kb.configurations.values()) if one.is_selected]
+    return [
+        one.name for one in (*kb.designs.values(), *kb.configurations.values()) if one.is_selected
+    ]
 
 
 def test_preferred_attribute_goes_before_priority(model):
@@ -293,13 +333,18 @@ def test_what_gives_some_of_a_budget_is_configured_before_what_uses_it():
     light, panel = (model.component(name, kind="process") for name in ("light", "panel"))
     for component, levels in ((light, (1.0, 3.0)), (panel, (0.0, -2.0))):
         for level in levels:
-            component.configuration(f"{component.name} {level:g}", {"level": level}).estimate(power, level)
+            component.configuration(f"{component.name} {level:g}", {"level": level}).estimate(
+                power, level
+            )
     model.function("see").design("by light", [light, panel])
     model.action("look", requires=["see"])
     kb, managed = KnowledgeBase(model, clock=clock), Scripted(clock)
     executor = StagedExecutor(managed, budgets={"power": 1.0})
     kb.request_action("look")
-    for chosen in ({"light": "light 1", "panel": "panel 0"}, {"light": "light 3", "panel": "panel -2"}):
+    for chosen in (
+        {"light": "light 1", "panel": "panel 0"},
+        {"light": "light 3", "panel": "panel -2"},
+    ):
         plan = kb.select({"see": "by light"}, chosen)
         executor.execute(kb)
         assert plan.result == "completed"
@@ -414,7 +459,11 @@ def test_dry_run_does_not_use_up_the_change_of_a_preference(model):
     tried = manager.dry_run()
     assert planner.latest is before
     made = manager.update()
-    assert (tried.activate, tried.parameters, tried.reason) == (made.activate, made.parameters, made.reason)
+    assert (tried.activate, tried.parameters, tried.reason) == (
+        made.activate,
+        made.parameters,
+        made.reason,
+    )
 
 
 def test_unfeasible_design_is_not_part_of_the_best_choice(model):
@@ -474,7 +523,10 @@ def test_without_any_effort_the_choice_is_by_priority():
 def test_with_too_little_effort_to_keep_within_a_budget_nothing_is_planned():
     kb, planner = intricate(), OptimalPlanner(budgets={"power": 30.0}, effort=1e-9)
     assert planner.plan(kb) is None
-    assert planner.latest.reason == "no choice that keeps within power 30 was found with an effort of 1e-09"
+    assert (
+        planner.latest.reason
+        == "no choice that keeps within power 30 was found with an effort of 1e-09"
+    )
     assert OptimalPlanner(budgets={"power": 30.0}).plan(kb) is not None
 
 
@@ -488,12 +540,17 @@ def test_numbers_too_far_apart_to_be_exact_are_rounded_and_it_is_said(model):
     assert 0.0 < found.resolution < 1.0
     assert found.value == pytest.approx(1e9 + 2.5, abs=found.resolution)
     assert found.is_proven
-    assert f"no choice is better than this one by more than {found.resolution:.12g}, to which" in found.reason
+    assert (
+        f"no choice is better than this one by more than {found.resolution:.12g}, to which"
+        in found.reason
+    )
 
 
 def test_component_that_nobody_switches_costs_only_to_be_configured(model):
     lamp = model.component("lamp", kind="plain")
-    model.functions["see"].design("by light", [model.components["camera"], lamp]).estimate("accuracy", 2.1)
+    model.functions["see"].design("by light", [model.components["camera"], lamp]).estimate(
+        "accuracy", 2.1
+    )
     lamp.configuration("bright", priority=1)
     lamp.configuration("dim", priority=2).estimate("accuracy", 0.3)
     dear = OptimalPlanner(switching_cost={"lidar": 0.6, "camera": 0.6, "lamp": 0.2})
@@ -516,7 +573,13 @@ def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):
 
 @pytest.mark.parametrize(
     "settings",
-    [{"switching_cost": -1.0}, {"budgets": {"power": math.nan}}, {"budgets": 3}, {"effort": 0.0}, {"effort": math.inf}],
+    [
+        {"switching_cost": -1.0},
+        {"budgets": {"power": math.nan}},
+        {"budgets": 3},
+        {"effort": 0.0},
+        {"effort": math.inf},
+    ],
 )
 def test_setting_without_a_meaning_is_refused(settings):
     with pytest.raises(InvalidValue):
@@ -602,7 +665,10 @@ def three_parts(limit):
     model = Model("three")
     for name in ("power", "x0", "x1", "x2"):
         model.quality_attribute(name)
-    parts = [model.component(f"part {number}", kind="process", always_improve=True) for number in range(3)]
+    parts = [
+        model.component(f"part {number}", kind="process", always_improve=True)
+        for number in range(3)
+    ]
     for part, attribute in zip(parts, ("x0", "x1", "x2"), strict=True):
         for power in (1.0, 4.0, 9.0):
             one = part.configuration(f"{part.name} at {power:g}", {"power": power})
@@ -640,7 +706,10 @@ def three_running(meter):
     model = Model("three")
     for name in ("power", "x0", "x1", "x2"):
         model.quality_attribute(name)
-    parts = [model.component(f"part {number}", kind="process", always_improve=True) for number in range(3)]
+    parts = [
+        model.component(f"part {number}", kind="process", always_improve=True)
+        for number in range(3)
+    ]
     for part, attribute in zip(parts, ("x0", "x1", "x2"), strict=True):
         for power in (1.0, 4.0, 9.0):
             one = part.configuration(f"{part.name} at {power:g}", {"power": power})
@@ -650,7 +719,11 @@ def three_running(meter):
     model.action("explore", requires=["work"])
     clock = Clock()
     kb = KnowledgeBase(model, clock=clock)
-    return clock, kb, ConfigurationManager(kb, meter, planner=OptimalPlanner(budgets={"power": 14.0}))
+    return (
+        clock,
+        kb,
+        ConfigurationManager(kb, meter, planner=OptimalPlanner(budgets={"power": 14.0})),
+    )
 
 
 def favour(clock, kb, manager, order):

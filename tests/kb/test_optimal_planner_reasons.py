@@ -48,22 +48,32 @@ def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, cr
     assume(kb.request_action("x0", criterion.weights))
     planner = OptimalPlanner(budgets=criterion.budgets, switching_cost=cost)
     adaptable = kb.adaptable_functions() or kb.adaptable_components()
-    before = {one.name for one in (*kb.designs.values(), *kb.configurations.values()) if one.is_selected}
+    before = {
+        one.name for one in (*kb.designs.values(), *kb.configurations.values()) if one.is_selected
+    }
     planner.plan(kb)
     assume(adaptable and planner.latest)
     if planner.latest.choice is None:
-        told = [str(kb.explain_choice(kb.functions[name])) for name in kb.model.actions["x0"].functions]
+        told = [
+            str(kb.explain_choice(kb.functions[name])) for name in kb.model.actions["x0"].functions
+        ]
         assert all(planner.latest.reason in one or "unfeasible" in one for one in told)
-        assert not any("priority number" in one or "it is to be selected next" in one for one in told)
+        assert not any(
+            "priority number" in one or "it is to be selected next" in one for one in told
+        )
         return
     designs, configurations, _ = planner.latest.choice
-    assume(not before.issuperset([*designs.values(), *configurations.values()]))  # else nobody has selected anything
+    assume(
+        not before.issuperset([*designs.values(), *configurations.values()])
+    )  # else nobody has selected anything
     for one in [*map(kb.functions.get, designs), *map(kb.components.get, configurations)]:
         explained = kb.explain_choice(one)
         assert explained.reason == planner.latest.reason
         assert "priority number" not in str(explained)
         for other in explained.alternatives:
-            assert other.reason == "it is not part of that choice" or other.reason.startswith("it is unfeasible")
+            assert other.reason == "it is not part of that choice" or other.reason.startswith(
+                "it is unfeasible"
+            )
 
 
 def test_plan_says_what_was_maximised_and_what_it_is_worth(model):
@@ -109,7 +119,9 @@ def test_choice_by_priority_is_explained_by_priority(model):
 def test_within_a_budget_and_without_a_preference_the_first_by_priority_is_said_to_be_that(model):
     _, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}), None)
     assert planner.latest.reason == "of all choices within power 40 this is the first by priority"
-    _, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1), None)
+    _, _ = at_work(
+        model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1), None
+    )
     assert planner.latest.reason == (
         "of all choices within power 40 this is the one that is cheapest to switch to (0.2), "
         "and then the first by priority"
@@ -130,11 +142,15 @@ def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplo
     assert planner.latest.reason == reason
     told = kb.explain_choice("see")
     assert (told.chosen, told.is_selected) == (None, False)
-    assert str(told).startswith(f"nothing can be selected for function see because {reason}; not by camera: ")
+    assert str(told).startswith(
+        f"nothing can be selected for function see because {reason}; not by camera: "
+    )
     assert "priority" not in str(kb.explain_choice("camera"))
     kb.cancel_action("explore")
     manager.update()
-    assert str(kb.explain_choice("see")).startswith("by camera would be selected for function see because priority")
+    assert str(kb.explain_choice("see")).startswith(
+        "by camera would be selected for function see because priority"
+    )
 
 
 def test_what_is_selected_and_leaves_no_choice_within_a_budget_is_told(model):
@@ -143,7 +159,10 @@ def test_what_is_selected_and_leaves_no_choice_within_a_budget_is_told(model):
     assert poor.plan(kb) is None
     told = kb.explain_choice("see")
     assert (told.chosen, told.is_selected) == ("by both", True)
-    assert told.reason == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
+    assert (
+        told.reason
+        == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
+    )
 
 
 def test_what_nothing_needs_is_given_up_even_if_nothing_can_be_chosen(model):
@@ -168,7 +187,9 @@ def test_chosen_configuration_that_became_unfeasible_is_not_explained_by_priorit
     kb, _ = at_work(model, OptimalPlanner())
     kb.measure("light", 0.1)
     told = kb.explain_choice("camera")
-    assert told.reason.startswith("it was possible before; now fine is unfeasible because light 0.1 violates >= 0.5")
+    assert told.reason.startswith(
+        "it was possible before; now fine is unfeasible because light 0.1 violates >= 0.5"
+    )
     assert [one.reason for one in told.alternatives] == ["it is possible, but not selected yet"]
 
 
@@ -182,7 +203,9 @@ def test_plan_that_only_starts_again_what_stopped_says_what_stopped(model):
 
 
 def test_choosing_the_same_again_tells_nothing_new(model, tmp_path):
-    with contextlib.closing(KnowledgeBase(model, clock=Clock(), store=tmp_path / "rover.sqlite3")) as kb:
+    with contextlib.closing(
+        KnowledgeBase(model, clock=Clock(), store=tmp_path / "rover.sqlite3")
+    ) as kb:
         kb.request_action("explore", "accuracy")
         planner = OptimalPlanner()
         for _ in range(2):
@@ -195,7 +218,9 @@ def test_choosing_the_same_again_tells_nothing_new(model, tmp_path):
 
 def test_situation_explains_what_was_selected_by_its_reason_too(model):
     kb, _ = at_work(model, OptimalPlanner())
-    assert str(kb.situation(failed=["camera"]).explain_choice("see")).startswith("by both is selected for function see")
+    assert str(kb.situation(failed=["camera"]).explain_choice("see")).startswith(
+        "by both is selected for function see"
+    )
     assert kb.situation(power=3.0).explain_choice("see") == kb.explain_choice("see")
 
 

@@ -61,25 +61,44 @@ class Mode(StrEnum):
 
 def test_parameters_that_are_special_numbers_and_texts_are_written_as_what_they_are_of(tmp_path):
     model = Model("rover")
-    given = {"angle": np.float64(0.5), "angles": [np.float64(1.0), 2.0, 3], "mode": Mode.QUIET, "lamp": True}
+    given = {
+        "angle": np.float64(0.5),
+        "angles": [np.float64(1.0), 2.0, 3],
+        "mode": Mode.QUIET,
+        "lamp": True,
+    }
     model.component("camera").configuration("night", given)
     model.save(tmp_path / "saved.owl")
     model.save(tmp_path / "saved.tql")
     assert Model.load(tmp_path / "saved.owl") == model == Model.load(tmp_path / "saved.tql")
-    types = KnowledgeBase(model).query("SELECT ?key ?type { ?x :key ?key ; :parameterType ?type } ORDER BY ?key")
-    assert types == [("angle", "double"), ("angles", "double_array"), ("lamp", "boolean"), ("mode", "string")]
+    types = KnowledgeBase(model).query(
+        "SELECT ?key ?type { ?x :key ?key ; :parameterType ?type } ORDER BY ?key"
+    )
+    assert types == [
+        ("angle", "double"),
+        ("angles", "double_array"),
+        ("lamp", "boolean"),
+        ("mode", "string"),
+    ]
 
 
 TQL = Path(__file__).parent / "typeql_files"
 MODELS = {
     **{name: find_mission(name).model for name in MISSIONS},
-    **{one: partial(Model.load, TQL / f"{one}.tql") for one in ("underwater", "mobile_robot", "asserted")},
-    "underwater, extended": partial(Model.load, [TQL / "underwater.tql", TQL / "underwater_extended.tql"]),
+    **{
+        one: partial(Model.load, TQL / f"{one}.tql")
+        for one in ("underwater", "mobile_robot", "asserted")
+    },
+    "underwater, extended": partial(
+        Model.load, [TQL / "underwater.tql", TQL / "underwater_extended.tql"]
+    ),
 }
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_every_model_there_is_goes_through_owl_and_typeql_and_is_understood_by_others(name, tmp_path):
+def test_every_model_there_is_goes_through_owl_and_typeql_and_is_understood_by_others(
+    name, tmp_path
+):
     model = MODELS[name]()
     model.save(tmp_path / "one.owl")
     model.save(tmp_path / "one.tql")
@@ -89,8 +108,16 @@ def test_every_model_there_is_goes_through_owl_and_typeql_and_is_understood_by_o
         assert Model.load(tmp_path / f"one{form}") == Model.load(tmp_path / f"two{form}") == model
     assert (tmp_path / "one.owl").read_bytes() == (tmp_path / "two.owl").read_bytes()
     graph = parsed((tmp_path / "one.owl").read_text())
-    for kind, table in (("Action", model.actions), ("Component", model.components), ("Attribute", model.attributes)):
-        found = {str(label) for one in graph.subjects(rdflib.RDF.type, WORDS[kind]) for label in names_of(graph, one)}
+    for kind, table in (
+        ("Action", model.actions),
+        ("Component", model.components),
+        ("Attribute", model.attributes),
+    ):
+        found = {
+            str(label)
+            for one in graph.subjects(rdflib.RDF.type, WORDS[kind])
+            for label in names_of(graph, one)
+        }
         assert found == set(table)
 
 
@@ -100,9 +127,10 @@ def names_of(graph, one):
 
 
 def test_every_file_of_typeql_is_among_the_models_that_are_tried():
-    assert {one.stem for one in TQL.glob("*.tql")} == {*MODELS} - {*MISSIONS, "underwater, extended"} | {
-        "underwater_extended"
-    }
+    assert {one.stem for one in TQL.glob("*.tql")} == {*MODELS} - {
+        *MISSIONS,
+        "underwater, extended",
+    } | {"underwater_extended"}
 
 
 @given(model=odd_models())
@@ -111,7 +139,11 @@ def test_an_independent_reader_finds_the_exact_names_and_values_in_words_of_the_
     graph = parsed(owl_text(model))
     nothing_lacks(graph)
     for one in individuals(model):
-        (subject,) = (each for each in graph.subjects(rdflib.RDF.type, WORDS[one.kind]) if each.endswith(f"#{one.id}"))
+        (subject,) = (
+            each
+            for each in graph.subjects(rdflib.RDF.type, WORDS[one.kind])
+            if each.endswith(f"#{one.id}")
+        )
         assert (subject, rdflib.RDF.type, OWL.NamedIndividual) in graph
         for name, values in one.values.items():
             read = set(graph.objects(subject, WORDS[name]))
@@ -127,7 +159,9 @@ def test_an_independent_reader_finds_the_exact_names_and_values_in_words_of_the_
 
 def nothing_lacks(graph):
     """Assert that no individual is told of in words that the ontology lacks."""
-    declared = {kind: set(graph.subjects(rdflib.RDF.type, kind)) for kind in (OWL.Class, OWL.ObjectProperty)}
+    declared = {
+        kind: set(graph.subjects(rdflib.RDF.type, kind)) for kind in (OWL.Class, OWL.ObjectProperty)
+    }
     declared[OWL.DatatypeProperty] = set(graph.subjects(rdflib.RDF.type, OWL.DatatypeProperty))
     for subject in graph.subjects(rdflib.RDF.type, OWL.NamedIndividual):
         for _, predicate, value in graph.triples((subject, None, None)):
@@ -180,7 +214,21 @@ def test_what_is_saved_twice_is_the_same_text(model):
 
 def test_names_that_differ_in_one_character_only_are_different_individuals(tmp_path):
     model = Model("odd.one")
-    for name in ("a b", "a_b", "a.b", "a%20b", "a/b", "a#b", "a~b", "ab ", "A_B", "é", "e\u0301", "\x00", "\\u0000"):
+    for name in (
+        "a b",
+        "a_b",
+        "a.b",
+        "a%20b",
+        "a/b",
+        "a#b",
+        "a~b",
+        "ab ",
+        "A_B",
+        "é",
+        "e\u0301",
+        "\x00",
+        "\\u0000",
+    ):
         model.action(name)
     model.save(tmp_path / "odd.owl")
     assert list(Model.load(tmp_path / "odd.owl").actions) == list(model.actions)
@@ -219,7 +267,9 @@ def test_model_may_be_spread_over_several_files(tmp_path):
     whole = suave_extended_model()
     text = owl_text(whole)
     head, _, individuals_text = text.partition("  <!-- the model -->")
-    blocks = [one for one in individuals_text.split("\t</owl:NamedIndividual>\n") if "<owl:Named" in one]
+    blocks = [
+        one for one in individuals_text.split("\t</owl:NamedIndividual>\n") if "<owl:Named" in one
+    ]
     for number in (0, 1):
         part = "".join(f"{one}\t</owl:NamedIndividual>\n" for one in blocks[number::2])
         (tmp_path / f"{number}.owl").write_text(f"{head}{part}</rdf:RDF>")
@@ -245,11 +295,23 @@ NAMED = f'{HEAD}<Action rdf:about="http://x#a"><name>go</name>{{}}</Action></rdf
             "http://x#a: unknown property of Action 'priorty'",
             None,
         ),
-        (NAMED.format('<requires rdf:resource="http://x#b"/>'), "unknown Function 'http://x#b'", None),
+        (
+            NAMED.format('<requires rdf:resource="http://x#b"/>'),
+            "unknown Function 'http://x#b'",
+            None,
+        ),
         (NAMED.format("<name>went</name>"), "name has one value, not 2", None),
-        (NAMED.replace("Action", "Acton").format(""), "unknown class 'Acton'; did you mean 'Action'", None),
+        (
+            NAMED.replace("Action", "Acton").format(""),
+            "unknown class 'Acton'; did you mean 'Action'",
+            None,
+        ),
         (NAMED.replace("<name>go</name>", "").format(""), "it has no name", None),
-        (NAMED.replace("Action", "Attribute").format(""), "a QualityAttribute or an EnvironmentalAttribute", None),
+        (
+            NAMED.replace("Action", "Attribute").format(""),
+            "a QualityAttribute or an EnvironmentalAttribute",
+            None,
+        ),
         (
             NAMED.format(f'<rdf:type rdf:resource="{ROSA}Function"/>'),
             "is Action and Function; it can be only one",
@@ -284,7 +346,11 @@ class TestReasoner:
 
         assert inconsistency(owl_text(suave_extended_model())) is None
 
-    @given(model=odd_models().filter(lambda model: model.actions and model.designs and model.configurations))
+    @given(
+        model=odd_models().filter(
+            lambda model: model.actions and model.designs and model.configurations
+        )
+    )
     @settings(max_examples=1, suppress_health_check=[HealthCheck.filter_too_much])
     def test_odd_model_is_consistent(self, model):
         from kb.owl.files import inconsistency
@@ -294,6 +360,10 @@ class TestReasoner:
     def test_contradiction_is_found(self):
         from kb.owl.files import inconsistency
 
-        wrong = f'<owl:NamedIndividual rdf:about="http://x#a"><rdf:type rdf:resource="{ROSA}Action"/>'
+        wrong = (
+            f'<owl:NamedIndividual rdf:about="http://x#a"><rdf:type rdf:resource="{ROSA}Action"/>'
+        )
         wrong += f'<rdf:type rdf:resource="{ROSA}Component"/></owl:NamedIndividual></rdf:RDF>'
-        assert "inconsistent" in inconsistency(METAMODEL.read_text(encoding="utf-8").replace("</rdf:RDF>", wrong))
+        assert "inconsistent" in inconsistency(
+            METAMODEL.read_text(encoding="utf-8").replace("</rdf:RDF>", wrong)
+        )

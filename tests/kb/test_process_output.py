@@ -50,7 +50,9 @@ def test_a_flood_stays_within_the_limit_and_off_the_console(capfd, tmp_path):
         path = processes.output("camera")
         wait_for(lambda: path.with_name("camera.log.1").exists())
         before = inode(path.with_name("camera.log.1"))
-        wait_for(lambda: inode(path.with_name("camera.log.1")) not in (None, before))  # it went around once more
+        wait_for(
+            lambda: inode(path.with_name("camera.log.1")) not in (None, before)
+        )  # it went around once more
     assert sum(one.stat().st_size for one in tmp_path.iterdir()) <= MOST
     assert sorted(one.name for one in tmp_path.iterdir()) == ["camera.log", "camera.log.1"]
     assert {stat.S_IMODE(one.stat().st_mode) for one in tmp_path.iterdir()} == {0o600}
@@ -64,7 +66,10 @@ def test_the_last_lines_are_in_the_reason_of_the_failure():
         kb.request_action("look")
         wait_for(lambda: (manager.update(), kb.components["camera"].status == "failure")[1])
         said = str(kb.explain("camera"))
-    assert "(exit status 3); it last wrote: started | [31mno camera at /dev/video0[0m | giving up" in said
+    assert (
+        "(exit status 3); it last wrote: started | [31mno camera at /dev/video0[0m | giving up"
+        in said
+    )
 
 
 def test_an_end_between_two_monitors_has_its_reason_and_its_restart_too():
@@ -76,16 +81,22 @@ def test_an_end_between_two_monitors_has_its_reason_and_its_restart_too():
                 os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
     kb, ended = kb_of(), []
-    with ProcessComponents({"camera": python("import time; time.sleep(600)", restarts=1, back_off=0.0)}) as processes:
+    with ProcessComponents(
+        {"camera": python("import time; time.sleep(600)", restarts=1, back_off=0.0)}
+    ) as processes:
         manager = ConfigurationManager(kb, processes, monitors=[processes, Ending()])
         kb.request_action("look")
         wait_for(lambda: (manager.update(), len(kb.processes) == 2)[1])
         assert kb.components["camera"].status != "failure"
-        assert "ended by itself (SIGKILL)" in str([event for event in kb.log if event.verb == "component_active"])
+        assert "ended by itself (SIGKILL)" in str(
+            [event for event in kb.log if event.verb == "component_active"]
+        )
 
 
 def test_without_a_folder_the_output_is_private_and_goes_when_it_is_closed():
-    with ProcessComponents({"camera": python("print('hello'); import time; time.sleep(600)")}) as processes:
+    with ProcessComponents(
+        {"camera": python("print('hello'); import time; time.sleep(600)")}
+    ) as processes:
         path = processes.output("camera")
         assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
     assert not path.parent.exists()

@@ -82,7 +82,11 @@ def managed(programs, store=None, **options):
     kb = KnowledgeBase(rover(), clock=time.monotonic, store=store)
     processes = ProcessComponents(programs)
     executor = StagedExecutor(processes, back_off=0.01, **options)
-    return kb, processes, ConfigurationManager(kb, processes, executor=executor, monitors=[processes])
+    return (
+        kb,
+        processes,
+        ConfigurationManager(kb, processes, executor=executor, monitors=[processes]),
+    )
 
 
 def turned(manager, condition):
@@ -112,7 +116,9 @@ def test_a_required_component_runs_as_a_process_and_ends_when_nothing_requires_i
         assert kb.components["camera"].status is Status.FEASIBLE
 
 
-def test_a_program_finds_its_parameters_in_arguments_and_environment_and_no_shell_reads_them(tmp_path):
+def test_a_program_finds_its_parameters_in_arguments_and_environment_and_no_shell_reads_them(
+    tmp_path,
+):
     seen = tmp_path / "seen"
     code = f"""
 import json, os, sys, time
@@ -122,7 +128,9 @@ os.rename({str(seen)!r} + ".part", {str(seen)!r})
 time.sleep(600)
 """
     arguments = ["--rate={rate}", "{label}", "$(exit 1); * > x", "{{rate}}"]
-    program = python(code, *arguments, environment={"GAIN": "{rate} of {label}"}, directory=tmp_path)
+    program = python(
+        code, *arguments, environment={"GAIN": "{rate} of {label}"}, directory=tmp_path
+    )
     kb, processes, manager = managed({"camera": program, "lidar": python(SLEEP)})
     with processes:
         kb.measure("light", 0.9)
@@ -157,7 +165,9 @@ def test_a_component_that_ends_by_itself_has_failed_and_the_next_best_takes_over
 
 @pytest.mark.parametrize("status", [0, 3])
 def test_a_program_that_never_stays_is_tried_a_few_times_and_then_given_up(status):
-    kb, processes, manager = managed({"camera": python(f"raise SystemExit({status})"), "lidar": python(SLEEP)})
+    kb, processes, manager = managed(
+        {"camera": python(f"raise SystemExit({status})"), "lidar": python(SLEEP)}
+    )
     with processes:
         kb.request_action("explore")
         turned(manager, lambda: is_solved(kb)() and kb.components["lidar"].is_active)
@@ -165,7 +175,9 @@ def test_a_program_that_never_stays_is_tried_a_few_times_and_then_given_up(statu
         assert len([one for one in kb.processes if one.component == "camera"]) <= 3
 
 
-def test_a_component_with_restarts_is_started_again_with_its_parameters_and_has_not_failed(tmp_path):
+def test_a_component_with_restarts_is_started_again_with_its_parameters_and_has_not_failed(
+    tmp_path,
+):
     log = tmp_path / "starts"
     code = f"""
 import sys, time
@@ -184,7 +196,11 @@ time.sleep(600)
         kb.request_action("explore")
         turned(manager, lambda: log.exists() and len(log.read_text().split()) == 3)
         turned(manager, lambda: is_solved(kb)() and len(kb.processes) == 3)
-        assert log.read_text().split() == ["1", "1", "1"] or log.read_text().split() == ["5", "5", "5"]
+        assert log.read_text().split() == ["1", "1", "1"] or log.read_text().split() == [
+            "5",
+            "5",
+            "5",
+        ]
         assert [one.end is None for one in kb.processes] == [False, False, True]
     assert failures == []
 
@@ -245,7 +261,9 @@ def test_a_component_that_is_started_while_it_ends_is_started_once_it_has_ended(
 def test_parameters_reach_a_running_program_only_by_a_function_of_its_own():
     told = []
     programs = {
-        "camera": python(SLEEP, configure=lambda parameters, pid: told.append((dict(parameters), pid))),
+        "camera": python(
+            SLEEP, configure=lambda parameters, pid: told.append((dict(parameters), pid))
+        ),
         "lidar": python(SLEEP),
     }
     with ProcessComponents(programs) as processes:
@@ -263,15 +281,21 @@ def test_parameters_reach_a_running_program_only_by_a_function_of_its_own():
 
 def test_an_argument_without_its_parameter_is_refused_before_the_start():
     with ProcessComponents({"camera": python(SLEEP, "{rate}")}) as processes:
-        with pytest.raises(KnowledgeBaseError, match=r"needs the parameter 'rate'; given are: 'rat'"):
+        with pytest.raises(
+            KnowledgeBaseError, match=r"needs the parameter 'rate'; given are: 'rat'"
+        ):
             processes.set_parameters("camera", {"rat": 1})
-        with pytest.raises(KnowledgeBaseError, match=r"needs the parameter 'rate'; given are: none"):
+        with pytest.raises(
+            KnowledgeBaseError, match=r"needs the parameter 'rate'; given are: none"
+        ):
             processes.activate("camera")
         assert not processes.is_active("camera")
 
 
 def test_a_plan_that_starts_again_what_ended_by_itself_says_so():
-    kb, processes, manager = managed({"camera": python(SLEEP, restarts=1, back_off=0.01), "lidar": python(SLEEP)})
+    kb, processes, manager = managed(
+        {"camera": python(SLEEP, restarts=1, back_off=0.01), "lidar": python(SLEEP)}
+    )
     with processes:
         kb.request_action("explore")
         turned(manager, lambda: is_solved(kb)() and kb.processes)
@@ -290,11 +314,16 @@ def test_a_script_without_its_interpreter_has_failed_with_what_to_do(tmp_path):
     script = tmp_path / "script"
     script.write_text("#!/nowhere/interpreter\n")
     script.chmod(0o755)
-    kb, processes, manager = managed({"camera": Program([str(script)]), "lidar": python(SLEEP)}, attempts=1)
+    kb, processes, manager = managed(
+        {"camera": Program([str(script)]), "lidar": python(SLEEP)}, attempts=1
+    )
     with processes:
         kb.request_action("explore")
         turned(manager, is_solved(kb))
-    assert "see whether its first line names an interpreter" in kb.explain(kb.components["camera"]).reason
+    assert (
+        "see whether its first line names an interpreter"
+        in kb.explain(kb.components["camera"]).reason
+    )
 
 
 # the end, and a knowledge base with a past
@@ -343,7 +372,9 @@ DEAF = "import signal, time; signal.signal(15, signal.SIG_IGN); time.sleep(600)"
 
 
 @pytest.mark.parametrize("with_guardian", [True, False])
-def test_after_a_kill_the_facts_are_put_right_and_what_is_needed_runs_again(with_guardian, tmp_path):
+def test_after_a_kill_the_facts_are_put_right_and_what_is_needed_runs_again(
+    with_guardian, tmp_path
+):
     store = tmp_path / "store"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}
     command = [sys.executable, "-c", MISSION, str(store), str(Path(__file__).parent), DEAF]
@@ -360,7 +391,9 @@ def test_after_a_kill_the_facts_are_put_right_and_what_is_needed_runs_again(with
         manager.update()
         (first,) = kb.processes
         assert first.end is not None
-        assert kb.latest_plan.reason == "the process of camera is no more; camera is needed by explore"
+        assert (
+            kb.latest_plan.reason == "the process of camera is no more; camera is needed by explore"
+        )
         turned(manager, lambda: is_solved(kb)() and len(kb.processes) == 2)
         assert not is_alive(old)
         assert is_alive(kb.processes[1].pid)
@@ -385,7 +418,9 @@ def test_a_stranger_that_has_got_the_number_of_a_process_is_left_alone(mark):
 
 
 def test_what_runs_already_goes_on_when_another_knowledge_base_looks(tmp_path):
-    kb, processes, manager = managed({"camera": python(SLEEP), "lidar": python(SLEEP)}, store=tmp_path / "store")
+    kb, processes, manager = managed(
+        {"camera": python(SLEEP), "lidar": python(SLEEP)}, store=tmp_path / "store"
+    )
     with processes:
         kb.request_action("explore")
         turned(manager, lambda: is_solved(kb)() and kb.processes)
@@ -437,7 +472,9 @@ if ending in ("SIGTERM", "SIGKILL", "SIGINT"):
 """
 
 
-@pytest.mark.parametrize("ending", ["end", "close", "error", "fork", "SIGINT", "SIGTERM", "SIGKILL"])
+@pytest.mark.parametrize(
+    "ending", ["end", "close", "error", "fork", "SIGINT", "SIGTERM", "SIGKILL"]
+)
 def test_nothing_is_left_behind_however_this_process_ends(ending, tmp_path):
     note = tmp_path / "pids"
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
@@ -474,7 +511,11 @@ time.sleep(600)
 
 
 def test_what_was_left_over_is_ended_even_if_who_has_found_it_is_killed_meanwhile(tmp_path):
-    gone = [sys.executable, "-c", "from kb.processes.guardian import new_mark; print(new_mark(), end='')"]
+    gone = [
+        sys.executable,
+        "-c",
+        "from kb.processes.guardian import new_mark; print(new_mark(), end='')",
+    ]
     mark = subprocess.run(gone, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     note, stubborn = tmp_path / "child", [sys.executable, "-c", STUBBORN, str(tmp_path / "child")]
     with subprocess.Popen(stubborn, env={**os.environ, MARK: mark}) as left:
@@ -484,7 +525,10 @@ def test_what_was_left_over_is_ended_even_if_who_has_found_it_is_killed_meanwhil
             assert finder.stdout.readline() == "found\n"
             finder.kill()
         try:
-            wait_for(lambda: not is_alive(left.pid) and not is_alive(int(note.read_text())), "it is left behind")
+            wait_for(
+                lambda: not is_alive(left.pid) and not is_alive(int(note.read_text())),
+                "it is left behind",
+            )
         finally:
             left.kill()
 
@@ -559,7 +603,11 @@ def test_names_that_nothing_has_are_refused():
 
 
 VALUES = st.one_of(
-    st.booleans(), st.integers(), st.floats(allow_nan=False, allow_infinity=False), st.text(), st.lists(st.integers())
+    st.booleans(),
+    st.integers(),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.text(),
+    st.lists(st.integers()),
 )
 
 

@@ -116,7 +116,9 @@ def test_an_answer_that_means_nothing_is_told_and_no_component_has_failed_by_it(
             manager.update()
         clock.now += 10.0
     assert kb.components["camera"].status is not Status.FAILURE
-    assert {one.result for one in kb.history.attempts if one.operation == "activate"} == {"abandoned"}
+    assert {one.result for one in kb.history.attempts if one.operation == "activate"} == {
+        "abandoned"
+    }
     assert all(one.end is not None for one in kb.history.attempts)
     managed.answer = None
     manager.update()
@@ -130,23 +132,41 @@ def test_a_look_that_answers_anything_else_is_told():
     managed.is_active = lambda component: "perhaps"
     manager = ConfigurationManager(kb, managed)
     kb.request_action("explore")
-    with pytest.raises(ProtocolError, match=r"is_active\('camera'\) of Scripted returned 'perhaps'"):
+    with pytest.raises(
+        ProtocolError, match=r"is_active\('camera'\) of Scripted returned 'perhaps'"
+    ):
         manager.update()
     assert kb.components["camera"].status is not Status.FAILURE
 
 
 def facts(kb):
-    return [(one.name, one.is_selected) for table in (kb.designs, kb.configurations) for one in table.values()]
+    return [
+        (one.name, one.is_selected)
+        for table in (kb.designs, kb.configurations)
+        for one in table.values()
+    ]
 
 
 @pytest.mark.parametrize(
     ("plan", "error", "said"),
     [
-        (lambda kb: kb.select({"see": "by camera"}), InvalidValue, "by camera cannot be selected: .* has failed"),
-        (lambda kb: kb.select({}, {"camera": "day"}), InvalidValue, "day cannot be selected: .* violates >= 0.5"),
+        (
+            lambda kb: kb.select({"see": "by camera"}),
+            InvalidValue,
+            "by camera cannot be selected: .* has failed",
+        ),
+        (
+            lambda kb: kb.select({}, {"camera": "day"}),
+            InvalidValue,
+            "day cannot be selected: .* violates >= 0.5",
+        ),
         (lambda kb: kb.select({"see": "by radar"}), UnknownName, "by radar"),
         (lambda kb: kb.select({"see": "day"}), UnknownName, "unknown function design 'day'"),
-        (lambda kb: Choice({"see": "by lidar"}, {}), ProtocolError, "returned Choice.* what kb.select returned"),
+        (
+            lambda kb: Choice({"see": "by lidar"}, {}),
+            ProtocolError,
+            "returned Choice.* what kb.select returned",
+        ),
         (lambda kb: later(), ProtocolError, "returned <coroutine"),
     ],
 )
@@ -169,7 +189,9 @@ def test_a_choice_that_has_become_unfeasible_meanwhile_is_no_slip_and_is_made_ag
         def plan(self, kb):
             chosen = kb.selectable_designs("see")[0] if kb.adaptable_functions() else None
             if self.is_first:
-                kb.component_failed("camera")  # as another thread may tell it, between the question and the choice
+                kb.component_failed(
+                    "camera"
+                )  # as another thread may tell it, between the question and the choice
                 self.is_first = False
             return kb.select({"see": chosen}) if chosen else None
 

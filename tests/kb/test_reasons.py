@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from models import Clock
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status
+from kb import (
+    InvalidValue,
+    KnowledgeBase,
+    KnowledgeBaseError,
+    Memory,
+    Model,
+    PriorityPlanner,
+    Status,
+)
 
 
 def rover():
@@ -52,7 +60,10 @@ def lives(request, tmp_path):
 # asserted statuses
 
 steps = st.lists(
-    st.tuples(st.sampled_from((0.5, 1.0, 4.0)), st.sampled_from((None, "retract", 0.5, 1.0, 3.0, math.inf))),
+    st.tuples(
+        st.sampled_from((0.5, 1.0, 4.0)),
+        st.sampled_from((None, "retract", 0.5, 1.0, 3.0, math.inf)),
+    ),
     max_size=20,
 )
 
@@ -83,8 +94,13 @@ def test_a_status_that_lapses_is_told_like_one_that_is_retracted():
     clock.now = 312.0
     assert kb.revision == before + 1
     (event,) = heard
-    assert (event.subject, event.text) == ("camera", "camera is no longer asserted unfeasible: its time is over")
-    assert ("camera", Status.UNFEASIBLE, Status.FEASIBLE) in [change[1:] for change in event.changes]
+    assert (event.subject, event.text) == (
+        "camera",
+        "camera is no longer asserted unfeasible: its time is over",
+    )
+    assert ("camera", Status.UNFEASIBLE, Status.FEASIBLE) in [
+        change[1:] for change in event.changes
+    ]
 
 
 @pytest.mark.parametrize("until", [math.nan, -math.inf, 300.0, 299.0, "soon", True])
@@ -117,7 +133,9 @@ def test_a_status_lapses_also_while_nobody_is_there(lives, reopened):
     lives.clock.now = 500.0
     assert kb.configurations["night"].status is Status.FEASIBLE
     asserted = "?s a :AssertedStatus ; :reason ?why ; :until ?until ; :start ?start ; :end ?end"
-    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [("it failed", 312.0, 300.0, 312.0)]
+    assert kb.query(f"SELECT ?why ?until ?start ?end {{ {asserted} }}") == [
+        ("it failed", 312.0, 300.0, 312.0)
+    ]
 
 
 def test_the_last_word_on_a_status_stands(lives):
@@ -160,7 +178,9 @@ def test_why_a_component_is_not_active_is_explained_and_is_the_reason_of_the_pla
     kb.component_failed("camera")
     carry_out(kb, PriorityPlanner().plan(kb))
     kb.component_active("lidar", False, "its process ended by itself (exit status 3)")
-    assert "it is required and not active (its process ended by itself (exit status 3))" in str(kb.explain("lidar"))
+    assert "it is required and not active (its process ended by itself (exit status 3))" in str(
+        kb.explain("lidar")
+    )
     plan = PriorityPlanner().plan(kb)
     assert plan.activate == ("lidar",)
     assert plan.reason == "its process ended by itself (exit status 3); lidar is needed by explore"
@@ -182,7 +202,9 @@ def carry_out(kb, plan):
 
 def test_the_reason_of_a_choice_is_kept_with_what_is_chosen_and_with_the_plan(lives):
     lives.kb.request_action("explore")
-    carry_out(lives.kb, lives.kb.select({"see": "by camera"}, {"camera": "day"}, "the least energy"))
+    carry_out(
+        lives.kb, lives.kb.select({"see": "by camera"}, {"camera": "day"}, "the least energy")
+    )
     kb = lives.again()
     (plan,) = kb.plans
     assert plan.reason.endswith("; the least energy")
@@ -195,7 +217,10 @@ def test_the_reason_of_a_choice_is_kept_with_what_is_chosen_and_with_the_plan(li
     }
     plan = kb.select({}, {"camera": "night"}, "the sharpest picture")
     assert plan.reason == "the sharpest picture"
-    assert (kb.configurations["day"].reason, kb.configurations["night"].reason) == ("", "the sharpest picture")
+    assert (kb.configurations["day"].reason, kb.configurations["night"].reason) == (
+        "",
+        "the sharpest picture",
+    )
     assert kb.select({}, {"camera": "day"}).reason == "day is feasible and preferred to night"
     assert kb.configurations["day"].reason == ""
 
@@ -248,20 +273,26 @@ def test_attempts_and_answers_are_on_record_and_can_be_asked_for(lives):
         "activate camera, attempt 1: failed: too slow",
         "configure camera, attempt 2: completed",
     ]
-    described = [attempt(one) for one in kb.history.attempts], [answer(one) for one in kb.history.answers]
-    kb = lives.again()
-    assert ([attempt(one) for one in kb.history.attempts], [answer(one) for one in kb.history.answers]) == described
-    assert kb.history.attempts[0].plan is kb.history.answers[0].plan is kb.plans[0]
-    asked = (
-        "?a a :Attempt ; :ofPlan ?plan ; :about ?c ; :operation ?what ; :number ?n ; :start ?s ; :end ?e ; :result ?r"
+    described = (
+        [attempt(one) for one in kb.history.attempts],
+        [answer(one) for one in kb.history.answers],
     )
+    kb = lives.again()
+    assert (
+        [attempt(one) for one in kb.history.attempts],
+        [answer(one) for one in kb.history.answers],
+    ) == described
+    assert kb.history.attempts[0].plan is kb.history.answers[0].plan is kb.plans[0]
+    asked = "?a a :Attempt ; :ofPlan ?plan ; :about ?c ; :operation ?what ; :number ?n ; :start ?s ; :end ?e ; :result ?r"
     rows = kb.query(f"SELECT ?name ?what ?n ?s ?e ?r {{ {asked} . ?c :name ?name }} ORDER BY ?n")
     assert rows == [
         ("camera", "activate", 1, 300.0, 301.0, "failed"),
         ("camera", "configure", 2, 300.0, 301.0, "completed"),
     ]
     vetoed = "?v a :VetoAnswer ; :ofPlan ?plan ; :isVetoed true ; :reason ?why ; :time ?t . ?plan :result ?result"
-    assert kb.query(f"SELECT ?why ?t ?result {{ {vetoed} }}") == [("not at night", 301.0, "abandoned")]
+    assert kb.query(f"SELECT ?why ?t ?result {{ {vetoed} }}") == [
+        ("not at night", 301.0, "abandoned")
+    ]
 
 
 def attempt(one):
@@ -276,7 +307,9 @@ def answer(one):
 def test_an_attempt_that_was_under_way_is_abandoned_when_a_store_is_opened_again(tmp_path):
     lives = Lives(tmp_path / "mission.sqlite3")
     lives.kb.request_action("explore")
-    lives.kb.record_attempt(lives.kb.select({"see": "by camera"}, {"camera": "night"}), "camera", "activate")
+    lives.kb.record_attempt(
+        lives.kb.select({"see": "by camera"}, {"camera": "night"}), "camera", "activate"
+    )
     lives.kb.flush()
     lives.clock.now = 350.0
     (one,) = lives.again().history.attempts
@@ -292,7 +325,9 @@ def test_the_newest_attempts_and_answers_are_remembered():
         kb.finish_attempt(kb.record_attempt(plan, "camera", "activate", number=number), "failed")
         kb.record_answer(plan, is_vetoed=False, reason=str(number))
         assert [one.number for one in kb.history.attempts][-5:] == list(range(1, number + 1))[-5:]
-        assert [one.reason for one in kb.history.answers][-5:] == [str(one) for one in range(1, number + 1)][-5:]
+        assert [one.reason for one in kb.history.answers][-5:] == [
+            str(one) for one in range(1, number + 1)
+        ][-5:]
         assert len(kb.history.attempts) <= 11  # with the one that was under way
         assert len(kb.history.answers) <= 10
 
@@ -384,7 +419,10 @@ def test_the_time_is_that_of_the_clock(lives):
 def test_an_attribute_is_explained_by_what_is_known_of_it_and_what_needs_it():
     clock = Clock(10.0)
     kb = KnowledgeBase(rover(), clock=clock)
-    assert str(kb.explain("light")) == "light is not measured; configuration day needs light >= 0.5: not evaluated"
+    assert (
+        str(kb.explain("light"))
+        == "light is not measured; configuration day needs light >= 0.5: not evaluated"
+    )
     kb.measure("light", 0.5 - 1e-15)
     clock.now = 12.0
     explanation = kb.explain(kb.attributes["light"])

@@ -7,7 +7,9 @@ from models import Clock, Twins, choices, events, models, stories
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
 
-slow_to_generate = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
+slow_to_generate = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
+)
 
 
 def lived(story):
@@ -21,10 +23,16 @@ def lived(story):
 def check_selected(kb, designs, configurations):
     """Assert that what is chosen is the only one selected of its function or component."""
     for function, chosen in designs.items():
-        of_it = [one.name for one in kb.designs.values() if one.function == function and one.is_selected]
+        of_it = [
+            one.name for one in kb.designs.values() if one.function == function and one.is_selected
+        ]
         assert of_it == ([chosen] if kb.functions[function].is_required else [])
     for component, chosen in configurations.items():
-        of_it = [one.name for one in kb.configurations.values() if one.component == component and one.is_selected]
+        of_it = [
+            one.name
+            for one in kb.configurations.values()
+            if one.component == component and one.is_selected
+        ]
         assert of_it in ([chosen], [])
 
 
@@ -250,7 +258,11 @@ def test_a_plan_that_completes_abandons_every_open_plan_that_started_before_its_
     third = kb.select({"see": "by lidar"})
     clock.now += 1
     assert kb.finish_plan(second, "completed")
-    assert [plan.result for plan in (first, second, third)] == ["abandoned", "completed", "abandoned"]
+    assert [plan.result for plan in (first, second, third)] == [
+        "abandoned",
+        "completed",
+        "abandoned",
+    ]
     assert first.end == third.end == clock.now
     assert kb.pending_plan is None
 
@@ -291,7 +303,9 @@ def test_a_plan_of_another_knowledge_base_is_refused(kb, rover):
         ({}, {"camra": "night"}, "camera"),
     ],
 )
-def test_selecting_an_unknown_name_says_which_is_near_and_selects_nothing(kb, designs, configurations, words):
+def test_selecting_an_unknown_name_says_which_is_near_and_selects_nothing(
+    kb, designs, configurations, words
+):
     kb.request_action("explore")
     with pytest.raises(UnknownName, match=words):
         kb.select({"see": "by camera", **designs}, {"camera": "day", **configurations})

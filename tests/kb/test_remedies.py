@@ -16,7 +16,9 @@ from kb.status import STATUSES
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
 """The thresholds of random models, and numbers between and beyond them."""
 IMPOSSIBLE = (Status.UNFEASIBLE, Status.FAILURE)
-SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60)
+SLOW = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
+)
 
 
 def subject(fact):
@@ -50,14 +52,19 @@ def changed(state, changes):
 
 def values_in(interval):
     """Some values in an interval, those at its ends among them."""
-    low, high = (math.nextafter(end, side * math.inf) if side else end for end, side in (interval.low, interval.high))
+    low, high = (
+        math.nextafter(end, side * math.inf) if side else end
+        for end, side in (interval.low, interval.high)
+    )
     ends = [end for end in (low, high, low + 1.0, high - 1.0, (low + high) / 2) if end in interval]
     return [end for end in ends if math.isfinite(end)]
 
 
 def ways(remedy):
     """Ways to bring a remedy about: as (what to change, to what)."""
-    options = [values_in(fact.interval) if isinstance(fact, Measured) else [None] for fact in remedy.facts]
+    options = [
+        values_in(fact.interval) if isinstance(fact, Measured) else [None] for fact in remedy.facts
+    ]
     for values in product(*options):
         yield dict(zip(map(subject, remedy.facts), values, strict=True))
 
@@ -66,7 +73,10 @@ def constrained_model(chance):
     """A model in which much depends on two attributes."""
     model = Model("constrained")
     ages = {"max_age": 1.0, "when_stale": chance.choice(("not evaluated", "violated"))}
-    light, dust = model.environmental_attribute("light", **ages), model.environmental_attribute("dust")
+    light, dust = (
+        model.environmental_attribute("light", **ages),
+        model.environmental_attribute("dust"),
+    )
     for component in [model.component(f"c{number}") for number in range(3)]:
         for number in range(chance.randint(0, 2)):
             component.configuration(f"{component.name}.{number}")
@@ -120,7 +130,11 @@ def test_each_remedy_makes_it_feasible_and_no_fact_of_it_is_idle(chance):
                 if not lacks_design:
                     assert changed(state, changes).status[node.index] not in IMPOSSIBLE, remedy
                 for dropped in changes:
-                    rest = {what: value for what, value in changes.items() if what != dropped and not lacks(what)}
+                    rest = {
+                        what: value
+                        for what, value in changes.items()
+                        if what != dropped and not lacks(what)
+                    }
                     assert changed(state, rest).status[node.index] in IMPOSSIBLE, (remedy, dropped)
 
 
@@ -137,7 +151,9 @@ def worlds(state):
     assume(len(repairs) <= 4)
     attributes = list(network.attributes)
     for values in product((None, *GRID), repeat=len(attributes)):
-        measured = {name: value for name, value in zip(attributes, values, strict=True) if value is not None}
+        measured = {
+            name: value for name, value in zip(attributes, values, strict=True) if value is not None
+        }
         for count in range(len(repairs) + 1):
             for chosen in combinations(repairs, count):
                 changes = measured | dict.fromkeys(chosen)
@@ -154,14 +170,20 @@ def test_the_remedies_are_the_smallest_sets_of_facts_that_trying_everything_find
         good = [changes for changes, world in tried if world.status[node.index] not in IMPOSSIBLE]
         sets = {frozenset(changes) for changes in good}
         smallest = {one for one in sets if not any(other < one for other in sets)}
-        found = [remedy for remedy in remedies(state, node)[0] if not any(lacks(fact) for fact in remedy.facts)]
+        found = [
+            remedy
+            for remedy in remedies(state, node)[0]
+            if not any(lacks(fact) for fact in remedy.facts)
+        ]
         assert {frozenset(map(subject, remedy.facts)) for remedy in found} == smallest
         for changes, world in tried:
             if frozenset(changes) in smallest:
                 covered = any(
                     frozenset(map(subject, remedy.facts)) == frozenset(changes)
                     and all(
-                        changes[fact.attribute] in fact.interval for fact in remedy.facts if isinstance(fact, Measured)
+                        changes[fact.attribute] in fact.interval
+                        for fact in remedy.facts
+                        if isinstance(fact, Measured)
                     )
                     for remedy in found
                 )
@@ -174,7 +196,9 @@ def test_remedies_come_smallest_first_and_say_each_thing_once(chance):
     state, unfeasible = what_is_wrong(chance)
     for node in unfeasible:
         found = remedies(state, node)[0]
-        assert [(len(one.facts), str(one)) for one in found] == sorted((len(one.facts), str(one)) for one in found)
+        assert [(len(one.facts), str(one)) for one in found] == sorted(
+            (len(one.facts), str(one)) for one in found
+        )
         assert len(set(found)) == len(found)
         assert remedies(state, node)[0] == found
     for node in state.network.nodes:
@@ -219,7 +243,9 @@ def test_what_cannot_be_satisfied_without_violating_something_else_has_no_remedy
     kb = KnowledgeBase(model, clock=Clock())
     kb.measure("light", 0.1)
     assert told(kb, "look") == []
-    assert str(kb.explain("look")).endswith("; nothing that can be measured or repaired would make it feasible")
+    assert str(kb.explain("look")).endswith(
+        "; nothing that can be measured or repaired would make it feasible"
+    )
 
 
 def test_a_failed_component_is_to_be_recovered_or_gone_without(model):
@@ -232,7 +258,9 @@ def test_a_failed_component_is_to_be_recovered_or_gone_without(model):
     assert told(kb, "go") == []
     kb.measure("battery_level", 0.1)
     assert told(kb, "go") == ["battery_level >= 0.5", "wheels recovered"]
-    assert str(kb.explain("go")).endswith("; it would be feasible with battery_level >= 0.5 or wheels recovered")
+    assert str(kb.explain("go")).endswith(
+        "; it would be feasible with battery_level >= 0.5 or wheels recovered"
+    )
     assert told(kb, kb.components["wheels"]) == ["wheels recovered"]
     kb.component_failed("legs")
     assert told(kb, "go") == ["wheels recovered", "battery_level >= 0.5 and legs recovered"]
@@ -241,7 +269,9 @@ def test_a_failed_component_is_to_be_recovered_or_gone_without(model):
 def test_a_function_without_a_design_lacks_one(model):
     model.function("dream")
     model.action("imagine", requires=["dream"])
-    assert str(KnowledgeBase(model).explain("imagine")).endswith("; it would be feasible with a design for dream")
+    assert str(KnowledgeBase(model).explain("imagine")).endswith(
+        "; it would be feasible with a design for dream"
+    )
 
 
 def test_a_stale_measurement_that_counts_as_violated_has_to_be_taken_again(model):
@@ -279,4 +309,6 @@ def test_more_remedies_than_can_be_told_are_counted(model):
     explanation = kb.explain("move")
     assert len(explanation.remedies) == 16
     assert not explanation.has_all_remedies
-    assert str(explanation).endswith("wheel_0 recovered or wheel_1 recovered or wheel_10 recovered or at least 13 more")
+    assert str(explanation).endswith(
+        "wheel_0 recovered or wheel_1 recovered or wheel_10 recovered or at least 13 more"
+    )

@@ -32,7 +32,9 @@ def measured(network, values):
 
 
 def inside(box, values):
-    return not box.repairs and all(values[name] in interval for name, interval in box.intervals.items())
+    return not box.repairs and all(
+        values[name] in interval for name, interval in box.intervals.items()
+    )
 
 
 @given(models())
@@ -110,7 +112,9 @@ def test_what_contradicts_itself_across_a_chain_has_no_way():
     look = model.action("look", requires=["see"], constraints=[light < 0.5])
     network = Network(model)
     assert alternatives(network.find(look)) == ((), True)
-    assert alternatives(network.functions["see"]).boxes[0].intervals == {"light": Interval(low=(0.5, 0))}
+    assert alternatives(network.functions["see"]).boxes[0].intervals == {
+        "light": Interval(low=(0.5, 0))
+    }
 
 
 def many_ways(functions, share):

@@ -31,7 +31,12 @@ class Guard:
 
 
 def selection(kb):
-    return [one.name for views in (kb.designs, kb.configurations) for one in views.values() if one.is_selected]
+    return [
+        one.name
+        for views in (kb.designs, kb.configurations)
+        for one in views.values()
+        if one.is_selected
+    ]
 
 
 # veto
@@ -59,7 +64,10 @@ def test_a_plan_that_may_pass_is_executed_and_the_answer_is_on_record(answer):
         ("", "no reason was given"),
         (Broken("guard is broken"), "guard is broken"),
         (Broken(), "Broken"),
-        (3, "the veto function answered 3; it is to answer None or True to let a plan pass, else a reason"),
+        (
+            3,
+            "the veto function answered 3; it is to answer None or True to let a plan pass, else a reason",
+        ),
     ],
 )
 def test_a_vetoed_plan_is_abandoned_and_nothing_of_it_is_done_or_selected(answer, reason):
@@ -257,11 +265,17 @@ def test_a_planner_is_told_in_a_dry_run_of_the_mistakes_that_it_would_make(selec
 
 # laws
 
-in_life = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=80)
+in_life = settings(
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=80
+)
 
 
 def steps(plan):
-    return None if plan is None else (plan.activate, plan.deactivate, plan.parameters, plan.reason, plan.start)
+    return (
+        None
+        if plan is None
+        else (plan.activate, plan.deactivate, plan.parameters, plan.reason, plan.start)
+    )
 
 
 @in_life
@@ -274,7 +288,12 @@ def test_a_dry_run_is_the_plan_that_is_made_and_leaves_everything_as_it_was(mode
         before = (twins.statuses(), selection(twins.kb), len(twins.kb.plans), twins.kb.revision)
         foreseen = manager.dry_run()
         assert steps(manager.dry_run()) == steps(foreseen)
-        assert (twins.statuses(), selection(twins.kb), len(twins.kb.plans), twins.kb.revision) == before
+        assert (
+            twins.statuses(),
+            selection(twins.kb),
+            len(twins.kb.plans),
+            twins.kb.revision,
+        ) == before
         made = manager.update()
         if made is not None:
             assert steps(foreseen) == steps(made)
@@ -287,7 +306,9 @@ def test_under_a_veto_on_everything_nothing_is_ever_commanded(model, data):
     kb, managed = twins.kb, Scripted(twins.clock)
     planned = []
     manager = ConfigurationManager(kb, managed, veto=lambda plan: "no")
-    for event in data.draw(st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)):
+    for event in data.draw(
+        st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)
+    ):
         twins.happen(event)
         planned += turn(manager, twins.clock, 3)
     assert managed.log == []
@@ -300,7 +321,9 @@ def test_under_a_veto_on_everything_nothing_is_ever_commanded(model, data):
 @given(models(), st.data())
 def test_a_veto_that_lets_everything_pass_changes_nothing(model, data):
     lives = []
-    things = data.draw(st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15))
+    things = data.draw(
+        st.lists(events(model, asserting=False, selecting=False), min_size=5, max_size=15)
+    )
     for veto in (None, lambda plan: None):
         twins = Twins(model)
         managed = Scripted(twins.clock)

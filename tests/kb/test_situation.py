@@ -37,7 +37,10 @@ def kb(clock):
 def assumptions(model):
     return RANDOMS.map(
         lambda chance: {
-            "measured": {name: chance.choice((None, *NUMBERS)) for name in some_of(chance, model.attributes, 0, 2)},
+            "measured": {
+                name: chance.choice((None, *NUMBERS))
+                for name in some_of(chance, model.attributes, 0, 2)
+            },
             "failed": some_of(chance, model.components, 0, 2),
             "recovered": some_of(chance, model.components, 0, 2),
             "requested": some_of(chance, model.actions, 0, 2),
@@ -48,7 +51,16 @@ def assumptions(model):
 def supposed(naive, assumed):
     """The naive twin after what is assumed really happened."""
     twin = copy.copy(naive)
-    for facts in ("value", "time", "failed", "asserted", "open_actions", "designs", "configurations", "active"):
+    for facts in (
+        "value",
+        "time",
+        "failed",
+        "asserted",
+        "open_actions",
+        "designs",
+        "configurations",
+        "active",
+    ):
         setattr(twin, facts, copy.copy(getattr(naive, facts)))
     for name, value in assumed["measured"].items():
         twin.value.pop(name, None)
@@ -105,7 +117,10 @@ def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_
     dark = kb.situation(light=0.3)
     assert kb.best_configuration("explore")[:2] == ({"see": "by camera"}, {"camera": "day"})
     assert dark.best_configuration("explore")[:2] == ({"see": "by camera"}, {"camera": "night"})
-    assert dark.situation(failed=["camera"]).best_configuration("explore")[:2] == ({"see": "by lidar"}, {})
+    assert dark.situation(failed=["camera"]).best_configuration("explore")[:2] == (
+        {"see": "by lidar"},
+        {},
+    )
     night = dark.situation({"energy left": 0.1}, light=0.0)
     assert night.selectable_actions() == ("rest",)
     assert night.best_configuration("explore") is None
@@ -115,7 +130,11 @@ def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_
 
 
 def test_a_later_assumption_goes_before_an_earlier_one(kb):
-    assert kb.situation(light=0.0, failed=["lidar"]).situation(light=1.0, recovered=["lidar"]).is_feasible("explore")
+    assert (
+        kb.situation(light=0.0, failed=["lidar"])
+        .situation(light=1.0, recovered=["lidar"])
+        .is_feasible("explore")
+    )
 
 
 def test_a_name_by_itself_is_not_taken_for_its_letters(kb):

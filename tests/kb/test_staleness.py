@@ -68,8 +68,14 @@ def test_one_who_listens_hears_that_a_measurement_is_stale(kb, clock):
     clock.now += 6.0
     assert kb.revision == before + 1
     (event,) = heard
-    assert (event.subject, event.text) == ("light", "light is stale: measured 5.0 s ago, at most 5 s")
-    assert [(one.name, one.new) for one in event.changes] == [("light >= 0.5", "not evaluated"), ("look", "feasible")]
+    assert (event.subject, event.text) == (
+        "light",
+        "light is stale: measured 5.0 s ago, at most 5 s",
+    )
+    assert [(one.name, one.new) for one in event.changes] == [
+        ("light >= 0.5", "not evaluated"),
+        ("look", "feasible"),
+    ]
 
 
 def test_a_maximum_age_may_change_while_the_base_is_at_work(kb, clock):

@@ -31,11 +31,17 @@ COMPONENT = [
     (
         "unfeasible",
         lambda it: (
-            (len(it["configurations"]) > 0 and not [one for one in it["configurations"] if one[0] != "unfeasible"])
+            (
+                len(it["configurations"]) > 0
+                and not [one for one in it["configurations"] if one[0] != "unfeasible"]
+            )
             or "violated" in it["constraints"]
         ),
     ),
-    ("configuration error", lambda it: it["required"] and ("unfeasible", True) in it["configurations"]),
+    (
+        "configuration error",
+        lambda it: it["required"] and ("unfeasible", True) in it["configurations"],
+    ),
     (
         "unsolved",
         lambda it: (
@@ -54,10 +60,20 @@ COMPONENT = [
 DESIGN = [
     (
         "unfeasible",
-        lambda it: "violated" in it["constraints"] or "failure" in it["components"] or "unfeasible" in it["components"],
+        lambda it: (
+            "violated" in it["constraints"]
+            or "failure" in it["components"]
+            or "unfeasible" in it["components"]
+        ),
     ),
-    ("implicit configuration error", lambda it: it["selected"] and "configuration error" in it["components"]),
-    ("unsolved", lambda it: it["selected"] and [one for one in it["components"] if one != "solved"]),
+    (
+        "implicit configuration error",
+        lambda it: it["selected"] and "configuration error" in it["components"],
+    ),
+    (
+        "unsolved",
+        lambda it: it["selected"] and [one for one in it["components"] if one != "solved"],
+    ),
     ("solved", lambda it: it["selected"]),
     ("feasible", lambda it: True),
 ]
@@ -70,10 +86,16 @@ def chosen(it):
 FUNCTION = [
     (
         "unfeasible",
-        lambda it: not it["designs"] or not [status for status, _ in it["designs"] if status != "unfeasible"],
+        lambda it: (
+            not it["designs"]
+            or not [status for status, _ in it["designs"] if status != "unfeasible"]
+        ),
     ),
     ("configuration error", lambda it: it["required"] and "unfeasible" in chosen(it)),
-    ("implicit configuration error", lambda it: it["required"] and "implicit configuration error" in chosen(it)),
+    (
+        "implicit configuration error",
+        lambda it: it["required"] and "implicit configuration error" in chosen(it),
+    ),
     ("solved", lambda it: it["required"] and "solved" in chosen(it)),
     ("unsolved", lambda it: it["required"]),
     ("feasible", lambda it: True),
@@ -84,7 +106,10 @@ ACTION = [
         "implicit configuration error",
         lambda it: (
             it["required"]
-            and ("configuration error" in it["functions"] or "implicit configuration error" in it["functions"])
+            and (
+                "configuration error" in it["functions"]
+                or "implicit configuration error" in it["functions"]
+            )
         ),
     ),
     ("unsolved", lambda it: it["required"] and [one for one in it["functions"] if one != "solved"]),
@@ -104,7 +129,9 @@ def some(options, most):
 
 
 def cases(**spaces):
-    return [dict(zip(spaces, values, strict=True)) for values in itertools.product(*spaces.values())]
+    return [
+        dict(zip(spaces, values, strict=True)) for values in itertools.product(*spaces.values())
+    ]
 
 
 def of(case, parts):
@@ -124,7 +151,11 @@ TABLES = {
     "constraint": (
         lambda it: constraint_status(it["measured"], it["relation"], it["threshold"]),
         CONSTRAINT,
-        cases(measured=(None, -1.5, -0.0, 0.0, 0.25, 1e300), relation=tuple(OPERATORS), threshold=(-1.5, 0.0, 0.25)),
+        cases(
+            measured=(None, -1.5, -0.0, 0.0, 0.25, 1e300),
+            relation=tuple(OPERATORS),
+            threshold=(-1.5, 0.0, 0.25),
+        ),
     ),
     "configuration": (
         lambda it: configuration_status(it["constraints"]),
@@ -166,7 +197,11 @@ PRECEDENCES = [
 ]
 NEVER_TOGETHER = {
     ("constraint", 0, 1),  # what is not measured satisfies nothing
-    ("function", 0, 2),  # a selected design that is unfeasible is not in implicit configuration error
+    (
+        "function",
+        0,
+        2,
+    ),  # a selected design that is unfeasible is not in implicit configuration error
     ("function", 0, 3),  # nor is it solved
 }
 
@@ -174,7 +209,9 @@ NEVER_TOGETHER = {
 def as_statuses(case):
     """Replace words by statuses, wherever they are."""
     if isinstance(case, dict):
-        return {key: value if key == "relation" else as_statuses(value) for key, value in case.items()}
+        return {
+            key: value if key == "relation" else as_statuses(value) for key, value in case.items()
+        }
     if isinstance(case, tuple):
         return tuple(as_statuses(one) for one in case)
     return Status(case) if isinstance(case, str) else case
@@ -229,7 +266,9 @@ def test_the_order_of_parts_does_not_matter(kind):
     collections = [key for key, value in space[0].items() if isinstance(value, tuple)]
     assert collections
     for case in space:
-        mirrored = {key: value[::-1] if key in collections else value for key, value in case.items()}
+        mirrored = {
+            key: value[::-1] if key in collections else value for key, value in case.items()
+        }
         assert table(as_statuses(case)) is table(as_statuses(mirrored)), case
 
 

@@ -148,7 +148,9 @@ def test_store_holds_the_newest_measurements_and_does_not_grow_beyond_them(tmp_p
         for number in range(times):
             clock.now += 0.1
             kb.measure("load", clock.now)
-            if number % 200 == 199:  # what is written at once is in the file for a moment, before the old is dropped
+            if (
+                number % 200 == 199
+            ):  # what is written at once is in the file for a moment, before the old is dropped
                 assert kb.flush(120.0)
 
     with kept(robot(), path, clock=clock, keep=100) as kb:
@@ -183,13 +185,19 @@ def amend(model):
     model.action("film", requires=["see"], constraints=[bright, bright.steady(dwell=2.0)])
     model.change(model.constraints[-2], value=0.8, hysteresis=0.05)
     model.change(model.attributes["light"], max_age=float("inf"), when_stale="not evaluated")
-    model.change(model.configurations["day"], parameters={"exposure": 1, "mode": ["x", "\u00e9"]}, priority=None)
+    model.change(
+        model.configurations["day"],
+        parameters={"exposure": 1, "mode": ["x", "\u00e9"]},
+        priority=None,
+    )
     model.remove(model.constraints[0])
     model.remove(model.actions["rest"])
     model.components["lidar"].estimate("energy", 2.0)
     model.change(model.estimations[-1], value=3.0)
     model.remove(model.estimations[0])
-    model.constrain([model.actions["film"], model.components["lidar"]], model.attributes["load"] <= 3.0)
+    model.constrain(
+        [model.actions["film"], model.components["lidar"]], model.attributes["load"] <= 3.0
+    )
     model.remove(model.actions["film"])
 
 
@@ -302,7 +310,9 @@ import sys; sys.path.insert(0, {HERE!r})
 from kept import robot
 from kb import KnowledgeBase
 KnowledgeBase(robot(), store={str(path)!r})"""
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=False
+        )
         assert "StoreError" in done.stderr
         assert "in use by another knowledge base or process" in done.stderr
         kb.measure("load", 2.0)
@@ -402,24 +412,34 @@ def test_full_disk_is_said_and_the_mission_goes_on(tmp_path, caplog):
         with files_no_longer_than(100_000):
             fill(kb)
             assert kb.query(failures) == [(5.0,), (5.0,)]
-            assert kb.query("SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }") == [("see",)]
+            assert kb.query(
+                "SELECT ?n { ?x a :AssertedRequirement ; :about ?f . ?f :name ?n }"
+            ) == [("see",)]
             assert "nothing has been saved since event" in kb.store.error
-            assert soon(lambda: any("nothing has been saved" in text for text in told))  # the writer tells it
+            assert soon(
+                lambda: any("nothing has been saved" in text for text in told)
+            )  # the writer tells it
             assert "it is tried again every second" in caplog.text
             kb.component_recovered("camera")
             assert kb.request_action("explore")
             assert PriorityPlanner().plan(kb).activate == ("camera",)
-            assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
+            assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [
+                (2999.0,)
+            ]
             assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
             for _ in range(2):
-                with pytest.raises(StoreError, match=r"\d+ events are not saved; make room, and close it again"):
+                with pytest.raises(
+                    StoreError, match=r"\d+ events are not saved; make room, and close it again"
+                ):
                     kb.close()
             with pytest.raises(KnowledgeBaseError, match="closed"):
                 kb.measure("load", 1.0)
             last = kb.log.last
         kb.close()  # there is room again
         assert kb.query("SELECT ?end { ?f a :Failure ; :end ?end }") == [(5.0,)]
-        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(2999.0,)]
+        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [
+            (2999.0,)
+        ]
         assert kb.saved == kb.log.last >= last > saved
     with kept(robot(), path) as kb:
         assert kb.log.last > last
@@ -462,7 +482,9 @@ def test_waiting_for_room_is_given_up_when_too_much_waits(tmp_path, monkeypatch)
         kb.measure("load", 5000.0)
         assert not kb.flush(1.5)
         assert "nothing will be saved any more" in kb.store.error
-        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [(5000.0,)]
+        assert kb.query("SELECT (MAX(?v) AS ?most) { ?m a :Measurement ; :value ?v }") == [
+            (5000.0,)
+        ]
         with pytest.raises(StoreError, match=r"\d+ events are lost; the file is sound"):
             kb.close()
 
@@ -497,14 +519,28 @@ def open_folder():
 @pytest.mark.parametrize(
     ("of_folder", "of_file", "message"),
     [
-        (0o777, 0o444, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
-        (0o555, 0o444, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
-        (0o555, 0o666, "cannot be opened for writing: attempt to write a readonly database; see who may write it"),
+        (
+            0o777,
+            0o444,
+            "cannot be opened for writing: attempt to write a readonly database; see who may write it",
+        ),
+        (
+            0o555,
+            0o444,
+            "cannot be opened for writing: attempt to write a readonly database; see who may write it",
+        ),
+        (
+            0o555,
+            0o666,
+            "cannot be opened for writing: attempt to write a readonly database; see who may write it",
+        ),
         (0o777, 0o000, "cannot be read: Permission denied"),
         (0o555, None, "cannot be made: Permission denied; see who may write in that folder"),
     ],
 )
-def test_file_that_may_not_be_written_is_an_error_and_untouched(of_folder, of_file, message, open_folder):
+def test_file_that_may_not_be_written_is_an_error_and_untouched(
+    of_folder, of_file, message, open_folder
+):
     path = open_folder / "m.sqlite3"
     with kept(robot(), path):
         pass
@@ -516,7 +552,9 @@ def test_file_that_may_not_be_written_is_an_error_and_untouched(of_folder, of_fi
     open_folder.chmod(of_folder)
     with nobody(), pytest.raises(StoreError, match=message):
         KnowledgeBase(robot(), store=path)
-    assert [one.read_bytes() for one in open_folder.iterdir()] == ([] if of_file is None else [content])
+    assert [one.read_bytes() for one in open_folder.iterdir()] == (
+        [] if of_file is None else [content]
+    )
 
 
 @pytest.fixture(scope="module")
@@ -541,7 +579,8 @@ def test_damaged_file_is_refused_and_untouched(data, lived, folder):
         content = lived[: number * page] + bytes([255]) * page + lived[number * page + page :]
     path.write_bytes(content)
     with pytest.raises(
-        StoreError, match=r"the store is damaged: .*; `rosa store repair .* writes what is sound to a new file"
+        StoreError,
+        match=r"the store is damaged: .*; `rosa store repair .* writes what is sound to a new file",
     ):
         KnowledgeBase(robot(), store=path)
     assert path.read_bytes() == content
@@ -631,7 +670,10 @@ def test_store_is_opened_from_its_last_snapshot_and_goes_on_with_the_tail(tmp_pa
     with kept(robot(), path, clock=clock, keep=100) as kb:
         assert kb.log.last == last
         assert answers(kb) == expected
-        assert [one.verb for one in kb.store.events(last - 2)] == ["request_action", "component_failed"]
+        assert [one.verb for one in kb.store.events(last - 2)] == [
+            "request_action",
+            "component_failed",
+        ]
 
 
 def test_store_that_is_closed_at_rest_keeps_what_is_known_and_no_tail(tmp_path):
@@ -701,7 +743,9 @@ kb.close()
 def test_child_of_a_fork_is_told_to_open_its_own_store_and_neither_hangs_nor_writes(tmp_path):
     path = tmp_path / "m.sqlite3"
     code = FORKED.format(here=HERE, path=str(path))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False
+    )
     assert (done.stdout, done.returncode) == ("True True True\n", 0), done.stderr
     with kept(robot(), path) as kb:
         assert kb.attributes["load"].value == 2.0
@@ -729,9 +773,13 @@ def test_a_fork_waits_for_the_file_since_sqlite_has_locks_that_a_child_would_inh
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_history_that_is_too_long_to_be_checked_at_once_is_checked_as_it_is_read(tmp_path, monkeypatch):
+def test_history_that_is_too_long_to_be_checked_at_once_is_checked_as_it_is_read(
+    tmp_path, monkeypatch
+):
     path = tmp_path / "m.sqlite3"
-    with kept(robot(), path, keep=20_000) as kb:  # however many are written together, none is dropped
+    with kept(
+        robot(), path, keep=20_000
+    ) as kb:  # however many are written together, none is dropped
         kb.component_failed("camera", "rain")
         for number in range(12_000):
             kb.measure("load", float(number))

@@ -19,7 +19,16 @@ from kept import Life, robot
 from models import Clock, Twins, stories
 from test_files import odd_models
 
-from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Memory, Model, PriorityPlanner, Status, UnknownName
+from kb import (
+    InvalidValue,
+    KnowledgeBase,
+    KnowledgeBaseError,
+    Memory,
+    Model,
+    PriorityPlanner,
+    Status,
+    UnknownName,
+)
 from kb.facts import StatusFact
 from kb.owl import BASE
 from kb.owl.files import inconsistency
@@ -50,7 +59,8 @@ def base(request, tmp_path):
 def named(kb, what):
     """Return kind, name and what is asked of all elements of the five kinds that have a status."""
     every = " UNION ".join(
-        f"{{ ?x a :{name} ; :name ?name ; {what} BIND('{kind}' AS ?kind) }}" for kind, name in CLASSES.items()
+        f"{{ ?x a :{name} ; :name ?name ; {what} BIND('{kind}' AS ?kind) }}"
+        for kind, name in CLASSES.items()
     )
     rows = kb.query(f"SELECT ?kind ?name ?what {{ {every} }}")
     assert len(rows) == sum(len(getattr(kb, f"{kind}s")) for kind in CLASSES)
@@ -65,7 +75,11 @@ def test_inferred_statuses_are_those_of_the_base(story):
     for number, event in enumerate(events):
         twins.happen(event)
         if number % 3 == 0:
-            told = {(kind, name, str(status)) for (kind, name), status in twins.statuses().items() if kind in CLASSES}
+            told = {
+                (kind, name, str(status))
+                for (kind, name), status in twins.statuses().items()
+                if kind in CLASSES
+            }
             assert set(named(twins.kb, ":status ?what")) == told
     twins.kb.close()
 
@@ -98,7 +112,9 @@ def test_history_can_be_asked(base):
             kb.finish_plan(plan, "failed" if light == 0.3 else "completed")
     clock.now = 4.0
     kb.cancel_action("explore", "completed", "enough")
-    failed = kb.query('SELECT ?s ?e { ?p a :ReconfigurationPlan ; :result "failed" ; :start ?s ; :end ?e }')
+    failed = kb.query(
+        'SELECT ?s ?e { ?p a :ReconfigurationPlan ; :result "failed" ; :start ?s ; :end ?e }'
+    )
     assert failed == [(2.0, 2.0)]
     selected = kb.query(
         'SELECT ?s ?e { ?c :name "day" . ?x a :Selection ; :about ?c ; :start ?s . OPTIONAL { ?x :end ?e } }'
@@ -110,9 +126,9 @@ def test_history_can_be_asked(base):
         ?m a :Measurement ; :measures ?a ; :value ?v ; :time ?t . ?a :name "light" . FILTER(?t >= ?s && ?t < ?e) }"""
     )
     assert mean[0] == pytest.approx((0.9 + 0.3 + 0.8) / 3)
-    assert kb.query("SELECT ?n ?w { ?r :hasPreference ?p . ?p :prefers ?a ; :weight ?w . ?a :name ?n }") == [
-        ("energy", 2.0)
-    ]
+    assert kb.query(
+        "SELECT ?n ?w { ?r :hasPreference ?p . ?p :prefers ?a ; :weight ?w . ?a :name ?n }"
+    ) == [("energy", 2.0)]
     assert kb.query("SELECT ?why { ?r a :RequiredAction ; :reason ?why }") == [("enough",)]
 
 
@@ -132,7 +148,9 @@ def test_stated_failure_has_ended_once_the_component_is_recovered(base):
     model = robot()
     model.add_fact(StatusFact(model.components["camera"], Status.FAILURE))
     kb = base(model, Clock(5.0))
-    query = "SELECT ?status ?end { ?a a :AssertedStatus ; :status ?status . OPTIONAL { ?a :end ?end } }"
+    query = (
+        "SELECT ?status ?end { ?a a :AssertedStatus ; :status ?status . OPTIONAL { ?a :end ?end } }"
+    )
     assert kb.query(query) == [("failure", None)]
     kb.component_recovered("camera")
     assert kb.query(query) == [("failure", 5.0)]
@@ -185,15 +203,39 @@ def test_query_that_would_change_something_is_refused(update, base):
         ("PREFIX x: <http://x#>", "there is none"),
         ("what can it do?", "a query begins with SELECT, .*not with what"),
         ("SELECT", "line 1, column 7 of the query, after 'SELECT': the query ends too early"),
-        ("SELECT ?x {\n?x a :Action ;", "line 2, column 15 of the query, after .*: the query ends too early"),
-        ("SELECT ?x {\n?x a :Action } }", "line 2, column 17 of the query, after .* } }': .* this cannot stand here"),
-        ("SELECT ?x { ?x a :Action FILTER(1 > 0] }", "line 1, column 41 of the query, after .*1 > 0\\] }': "),
-        ("SELECT ?x { ?x :name 'explore }", "line 1, column 32 of the query, after .*: the query ends too early"),
-        (r"SELECT ?x { ?x :name 'a\c' }", "line 1, column 25 of the query, after .*: from .* this is not understood"),
-        ("SELECT ?x { ?x a nope:Action }", "column 29 of the query, after .* a nope:Action': Prefix not found"),
-        ("SELECT ?n (COUNT(?x) AS ?c) { ?x :name ?n }", "The SELECT contains a variable that is unbound"),
+        (
+            "SELECT ?x {\n?x a :Action ;",
+            "line 2, column 15 of the query, after .*: the query ends too early",
+        ),
+        (
+            "SELECT ?x {\n?x a :Action } }",
+            "line 2, column 17 of the query, after .* } }': .* this cannot stand here",
+        ),
+        (
+            "SELECT ?x { ?x a :Action FILTER(1 > 0] }",
+            "line 1, column 41 of the query, after .*1 > 0\\] }': ",
+        ),
+        (
+            "SELECT ?x { ?x :name 'explore }",
+            "line 1, column 32 of the query, after .*: the query ends too early",
+        ),
+        (
+            r"SELECT ?x { ?x :name 'a\c' }",
+            "line 1, column 25 of the query, after .*: from .* this is not understood",
+        ),
+        (
+            "SELECT ?x { ?x a nope:Action }",
+            "column 29 of the query, after .* a nope:Action': Prefix not found",
+        ),
+        (
+            "SELECT ?n (COUNT(?x) AS ?c) { ?x :name ?n }",
+            "The SELECT contains a variable that is unbound",
+        ),
         ("SELECT ?x {\n ?x a :Action } ; DROP ALL", "line 2, column .* of the query, after "),
-        ("SELECT ?x { SERVICE <http://x> { ?x a :Component } }", "SERVICE is not supported; leave it out"),
+        (
+            "SELECT ?x { SERVICE <http://x> { ?x a :Component } }",
+            "SERVICE is not supported; leave it out",
+        ),
         ("SELECT ?x { ?x a :Action } # \ud800", "cannot be answered"),
     ],
 )
@@ -212,7 +254,9 @@ def test_every_kind_of_question_is_answered(base):
     assert kb.query("DESCRIBE ?x { ?x a :Action }")
     own = "PREFIX : <http://x#> SELECT ?x { ?x a :Nothing }"
     assert kb.query(own) == []
-    assert kb.query("SELECT ?service { ?service a :Action # SERVICE\n; :name 'SERVICE :what' }") == []
+    assert (
+        kb.query("SELECT ?service { ?service a :Action # SERVICE\n; :name 'SERVICE :what' }") == []
+    )
 
 
 def awkward():
@@ -241,8 +285,12 @@ def test_text_of_any_characters_is_found_as_it_is(name):
     written = json.dumps(name)
     assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name {written} ; :name ?n }}") == [(name,)]
     assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(?n = {written}) }}") == [(name,)]
-    assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(?n IN ({written}, 'z')) }}") == [(name,)]
-    others = kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER NOT EXISTS {{ ?x :name {written} }} }}")
+    assert kb.query(f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER(?n IN ({written}, 'z')) }}") == [
+        (name,)
+    ]
+    others = kb.query(
+        f"SELECT ?n {{ ?x a :Action ; :name ?n FILTER NOT EXISTS {{ ?x :name {written} }} }}"
+    )
     assert sorted(others) == sorted((one,) for one in awkward() if one != name)
     kb.close()
 
@@ -290,7 +338,10 @@ def as_graph(kb):
     for triple in kb.query("SELECT ?s ?p ?o { ?s ?p ?o }"):
         iris = (str(one).startswith(("http://", "_:")) for one in triple)
         graph.add(
-            tuple(rdflib.URIRef(one) if iri else rdflib.Literal(one) for one, iri in zip(triple, iris, strict=True))
+            tuple(
+                rdflib.URIRef(one) if iri else rdflib.Literal(one)
+                for one, iri in zip(triple, iris, strict=True)
+            )
         )
     return graph
 
@@ -307,8 +358,22 @@ def test_all_that_a_life_tells_is_in_the_words_of_the_ontology_and_contradicts_n
     for kind in life.kb.query("SELECT DISTINCT ?k { ?x a ?k . ?k rdfs:subClassOf+ :Fact }"):
         kinds.add(kind[0].removeprefix(ROSA))
     assert kinds == {
-        *("Measurement", "RequiredAction", "ReconfigurationPlan", "Attempt", "VetoAnswer", "ComponentProcess"),
-        *("Activity", "Failure", "Selection", "AssertedStatus", "AssertedRequirement", "ParametersInForce"),
+        *(
+            "Measurement",
+            "RequiredAction",
+            "ReconfigurationPlan",
+            "Attempt",
+            "VetoAnswer",
+            "ComponentProcess",
+        ),
+        *(
+            "Activity",
+            "Failure",
+            "Selection",
+            "AssertedStatus",
+            "AssertedRequirement",
+            "ParametersInForce",
+        ),
     }
     if shutil.which("java"):
         told = rdflib.Graph().parse(data=METAMODEL.read_text(encoding="utf-8"), format="xml")
@@ -339,11 +404,15 @@ def told(request, tmp_path_factory):
 def test_answers_are_those_of_an_independent_engine(question, told):
     kb, graph = told
     words = {"": ROSA, "rdfs": "http://www.w3.org/2000/01/rdf-schema#"}
-    expected = sorted((tuple(map(plain, row)) for row in graph.query(question, initNs=words)), key=str)
+    expected = sorted(
+        (tuple(map(plain, row)) for row in graph.query(question, initNs=words)), key=str
+    )
     found = sorted(kb.query(question), key=str)
     assert expected
     assert found == expected
-    assert [[type(one) for one in row] for row in found] == [[type(one) for one in row] for row in expected]
+    assert [[type(one) for one in row] for row in found] == [
+        [type(one) for one in row] for row in expected
+    ]
 
 
 def plain(term):
@@ -351,7 +420,13 @@ def plain(term):
     if term is None or not hasattr(term, "toPython"):
         return term
     value = term.toPython()
-    return float(value) if isinstance(value, Decimal) else value if isinstance(value, int | float) else str(value)
+    return (
+        float(value)
+        if isinstance(value, Decimal)
+        else value
+        if isinstance(value, int | float)
+        else str(value)
+    )
 
 
 def test_query_cannot_change_what_is_asked_even_by_a_trick(base):
@@ -403,7 +478,9 @@ def test_a_store_is_asked_as_soon_as_it_is_opened(tmp_path):
     path = tmp_path / "m.sqlite3"
     for expected in (0, 1, 1):
         kb = KnowledgeBase(robot(), store=path)
-        assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=120.0) == [(expected,)]
+        assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }", timeout=120.0) == [
+            (expected,)
+        ]
         kb.component_failed("camera")
         kb.close()
 
@@ -477,12 +554,14 @@ def test_what_is_so_now_is_in_the_world_however_long_ago_it_was_told():
         "RequiredAction": {"explore"},
     }.items():
         assert {name for (name,) in kb.query(about % word, timeout=120.0)} == names, word
-    assert kb.query("SELECT ?why { ?f a :Failure ; :reason ?why FILTER NOT EXISTS { ?f :end ?e } }") == [("dust",)]
+    assert kb.query(
+        "SELECT ?why { ?f a :Failure ; :reason ?why FILTER NOT EXISTS { ?f :end ?e } }"
+    ) == [("dust",)]
     given = "SELECT ?k ?v { ?f a :ParametersInForce ; :hasParameter ?p . ?p :key ?k ; :parameterValue ?v }"
     assert kb.query(given) == [("exposure", "0.5")]
-    assert kb.query("SELECT ?s { ?p a :ReconfigurationPlan ; :start ?s FILTER NOT EXISTS { ?p :end ?e } }") == [
-        (plan.start,)
-    ]
+    assert kb.query(
+        "SELECT ?s { ?p a :ReconfigurationPlan ; :start ?s FILTER NOT EXISTS { ?p :end ?e } }"
+    ) == [(plan.start,)]
     assert kb.query("SELECT ?t { ?m :historyBegins ?t }") == [(2.0,)]
 
 
@@ -503,7 +582,9 @@ def answering():
     return lambda: [one for one in answering_for(os.getpid()) if one not in others]
 
 
-ENDLESS = "SELECT (COUNT(?a) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l . ?m ?n ?o . ?p ?q ?r }"
+ENDLESS = (
+    "SELECT (COUNT(?a) AS ?n) { ?a ?b ?c . ?d ?e ?f . ?g ?h ?i . ?j ?k ?l . ?m ?n ?o . ?p ?q ?r }"
+)
 
 
 def test_process_is_kept_with_its_world_until_something_is_told(base, answering):
@@ -627,7 +708,9 @@ def killed():
 @pytest.mark.parametrize("way", ["interrupted", "forked", "killed", "str"])
 def test_nothing_is_left_behind_however_a_program_ends(way):
     program = PROGRAM.format(folder=str(Path(__file__).parent), endless=ENDLESS, way=way)
-    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.DEVNULL, start_new_session=True) as asking:
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.DEVNULL, start_new_session=True
+    ) as asking:
         try:
             assert asking.wait(60.0) == (-signal.SIGKILL if way == "killed" else 0)
             deadline = time.monotonic() + 10.0
@@ -640,7 +723,9 @@ def test_nothing_is_left_behind_however_a_program_ends(way):
 
 
 def test_no_event_is_missing_if_memory_forgets_it_while_the_store_is_read(tmp_path, monkeypatch):
-    kb = KnowledgeBase(robot(), clock=Clock(1.0), store=tmp_path / "m.sqlite3", memory=Memory(events=100))
+    kb = KnowledgeBase(
+        robot(), clock=Clock(1.0), store=tmp_path / "m.sqlite3", memory=Memory(events=100)
+    )
 
     def fail(times):
         for number in range(times):

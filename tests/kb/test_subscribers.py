@@ -91,7 +91,9 @@ def test_bases_whose_subscribers_ask_each_other_never_wait_for_each_other():
             with kb.reading():
                 kb.component_active("camera", turn % 2 == 1)
 
-    threads = [threading.Thread(target=tell, args=(kb,), daemon=True) for kb in bases for _ in range(2)]
+    threads = [
+        threading.Thread(target=tell, args=(kb,), daemon=True) for kb in bases for _ in range(2)
+    ]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -106,7 +108,9 @@ def test_no_lock_is_held_while_the_code_of_others_runs(where):
     def asks_by_another_thread(*_):
         if not answered:
             answered.append(None)
-            thread = threading.Thread(target=lambda: answered.append(kb.is_feasible("explore")), daemon=True)
+            thread = threading.Thread(
+                target=lambda: answered.append(kb.is_feasible("explore")), daemon=True
+            )
             thread.start()
             thread.join(60.0)
         return 1.0
@@ -146,7 +150,11 @@ def test_child_of_fork_is_told_to_open_a_store_of_its_own(tmp_path):
     kb.measure("light", 0.7)
 
     def child():
-        for call in (lambda: kb.measure("light", 0.1), lambda: kb.component_failed("camera"), kb.flush):
+        for call in (
+            lambda: kb.measure("light", 0.1),
+            lambda: kb.component_failed("camera"),
+            kb.flush,
+        ):
             with pytest.raises(KnowledgeBaseError, match="forked"):
                 call()
         kb.close()

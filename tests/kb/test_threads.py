@@ -77,7 +77,9 @@ def test_an_action_that_is_always_possible_is_never_answered_to_be_impossible(kb
             assert kb.actions["look"].status is not Status.UNFEASIBLE
             assert kb.selectable_actions() == ("look",)
             assert situation.is_feasible("look")
-            assert kb.situation({"light 1": 1.0}).best_configuration("look").designs == {"see": "by eye 1"}
+            assert kb.situation({"light 1": 1.0}).best_configuration("look").designs == {
+                "see": "by eye 1"
+            }
             assert kb.best_configuration("look").designs["see"] in ("by eye 1", "by eye 2")
 
     run_together(monitor, tree)
@@ -97,7 +99,9 @@ def test_facts_told_by_many_threads_are_all_kept_and_the_answers_are_those_of_th
         planner = PriorityPlanner()
         for _ in range(200):
             plan = None
-            with contextlib.suppress(InvalidValue):  # what was chosen became unfeasible before it was selected
+            with contextlib.suppress(
+                InvalidValue
+            ):  # what was chosen became unfeasible before it was selected
                 plan = planner.plan(kb)
             if plan:
                 kb.finish_plan(plan, "completed")
@@ -114,7 +118,9 @@ def test_facts_told_by_many_threads_are_all_kept_and_the_answers_are_those_of_th
         assert kb.components[f"eye {number}"].status is not Status.FAILURE
     monitored = [event for event in events if event.kind is EventKind.MONITORING_DATA]
     assert sum("selected" not in event.text for event in monitored) == 2 * 3 * 300
-    assert sum(event.kind is EventKind.ACTION_UPDATE for event in events) == 2 * len(kb.history.actions)
+    assert sum(event.kind is EventKind.ACTION_UPDATE for event in events) == 2 * len(
+        kb.history.actions
+    )
     assert kb.is_feasible("look")
 
 
@@ -133,7 +139,9 @@ def test_a_model_may_grow_on_one_thread_while_others_tell_and_ask(kb):
 
     def author():
         for turn in range(150):
-            model.action(f"walk {turn}", requires=["see"], constraints=[model.attributes["light 1"] <= 2.0])
+            model.action(
+                f"walk {turn}", requires=["see"], constraints=[model.attributes["light 1"] <= 2.0]
+            )
             extra = model.functions["see"].design(f"extra {turn}", ["eye 1"], priority=3)
             if turn % 2:
                 model.remove(extra)
@@ -145,7 +153,9 @@ def test_a_model_may_grow_on_one_thread_while_others_tell_and_ask(kb):
     def tree():
         for _ in range(150):
             assert "look" in kb.selectable_actions()
-            assert all(kb.is_feasible(name) for name in kb.situation({"light 1": 1.0}).selectable_actions())
+            assert all(
+                kb.is_feasible(name) for name in kb.situation({"light 1": 1.0}).selectable_actions()
+            )
 
     kb.measure("light 2", 1.0)
     run_together(author, monitor, tree)
@@ -204,7 +214,13 @@ def test_what_became_due_while_the_clock_was_read_is_told_before_the_fact():
 
     kb._knowledge.clock = read_slowly
     kb.component_recovered("eye")
-    assert [one.verb for one in kb.log] == ["measure", "component_failed", "amend", "stale", "component_recovered"]
+    assert [one.verb for one in kb.log] == [
+        "measure",
+        "component_failed",
+        "amend",
+        "stale",
+        "component_recovered",
+    ]
 
 
 def test_an_attribute_that_is_removed_while_the_clock_is_read_is_not_measured(kb):
@@ -218,7 +234,9 @@ def test_an_attribute_that_is_removed_while_the_clock_is_read_is_not_measured(kb
     kb._knowledge.clock = read_slowly
     with pytest.raises(UnknownName, match="wind"):
         kb.measure("wind", 1.0)
-    assert [one.verb for one in kb.log] == ["amend", "amend"], "a measurement of nothing could not be told again"
+    assert [one.verb for one in kb.log] == ["amend", "amend"], (
+        "a measurement of nothing could not be told again"
+    )
 
 
 def test_what_another_thread_tells_while_the_model_changes_is_so_by_the_model_before_or_after():

@@ -19,9 +19,7 @@ $c isa Component, has component-name 'motor';
 $q isa QualityAttribute, has attribute-name 'charge';
 """  # what follows begins in line 6
 DESIGN = "(function: $f, required-component: $c) isa function-design"
-PARAMETER = (
-    "(component: $c, parameter: $p) isa component-configuration; $p isa ComponentParameter, has parameter-key 'k'"
-)
+PARAMETER = "(component: $c, parameter: $p) isa component-configuration; $p isa ComponentParameter, has parameter-key 'k'"
 CONSTRAINT = "(attribute: $q, constrained: $a) isa constraint"
 
 
@@ -108,7 +106,9 @@ MEANING = {
     "$c has pid " + "9" * 5000 + ";": "6:12: `9999.* is not a value",
     "define x sub y; y sub x;": "x is declared a subtype of itself|y is declared a subtype of itself",
     "define "
-    + " ".join(f"t{n} sub t{n + 1};" for n in range(200)): "more than 100 types are below one another; declare",
+    + " ".join(
+        f"t{n} sub t{n + 1};" for n in range(200)
+    ): "more than 100 types are below one another; declare",
     "define x sub nothing-known;": "6:14: unknown type 'nothing-known'",
     "match $x isa Component, has component-name 'moter'; insert $x has is-active true;": "6:7: `match` finds nothing: "
     "unknown component 'moter'; did you mean 'motor'",
@@ -152,12 +152,16 @@ def test_wrong_statement_is_an_error_with_its_place(tmp_path, text):
     ],
 )
 def test_key_given_twice_is_a_duplicate_name(tmp_path, text):
-    with pytest.raises(DuplicateName, match=r"is declared already at .*robot\.tql:\d:\d+") as caught:
+    with pytest.raises(
+        DuplicateName, match=r"is declared already at .*robot\.tql:\d:\d+"
+    ) as caught:
         load(tmp_path, ROBOT + text)
     assert isinstance(caught.value, ModelFileError)
 
 
-@pytest.mark.parametrize("opening", ["(", "{", "[", "()", "{}", "insert (", "define rule r: when {", "match {"])
+@pytest.mark.parametrize(
+    "opening", ["(", "{", "[", "()", "{}", "insert (", "define rule r: when {", "match {"]
+)
 def test_file_of_brackets_is_an_error(tmp_path, opening):
     with pytest.raises(ModelFileError):
         load(tmp_path, opening + opening[-1] * 1_000_000)
@@ -219,9 +223,15 @@ def test_spoilt_file_is_a_model_or_a_model_error(tmp_path_factory, data):
 @pytest.mark.parametrize(
     ("text", "note"),
     [
-        ("$c has component-status 'failur';", "6:8: unknown status of a Component 'failur'; did you mean 'failure'"),
+        (
+            "$c has component-status 'failur';",
+            "6:8: unknown status of a Component 'failur'; did you mean 'failure'",
+        ),
         ("$c has component-status 'odd';", "known: 'failure', 'unfeasible'"),
-        ("$c has compnent-nme 'x';", "6:8: unknown attribute of Component 'compnent-nme'; known: 'name'"),
+        (
+            "$c has compnent-nme 'x';",
+            "6:8: unknown attribute of Component 'compnent-nme'; known: 'name'",
+        ),
         ("$c has is-activ true;", "did you mean 'is-active'"),
         (f"{DESIGN};", "6:44: this function-design has no name; it is called 'move design 1'"),
         ("(component: $c) isa component-configuration;", "it is called 'motor configuration 1'"),

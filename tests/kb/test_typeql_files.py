@@ -36,21 +36,34 @@ def test_elements_have_what_the_file_says():
     assert list(model.functions) == ["generate_search_path", "maintain_motion", "follow_pipeline"]
     assert [one.always_improve for one in model.functions.values()] == [True, False, False]
     spiral = model.components["spiral_search"]
-    assert (spiral.kind, spiral.package, spiral.executable) == ("lifecycle", "vehicle_nodes", "spiral_search")
+    assert (spiral.kind, spiral.package, spiral.executable) == (
+        "lifecycle",
+        "vehicle_nodes",
+        "spiral_search",
+    )
     assert spiral.always_improve
     kinds = [one.kind for one in model.components.values()]
     assert kinds == ["lifecycle", "process", "lifecycle", "plain", "plain"]
     assert model.designs["all_thrusters"].components == ("c_thruster_1", "c_thruster_2")
     assert [one.priority for one in model.designs.values()] == [1, 1, 2, None]
     assert model.attributes["water_visibility"].kind == "environmental"
-    assert [str(one) for one in model.constraints] == ["water_visibility >= 3.25", "water_visibility >= 1.25"]
+    assert [str(one) for one in model.constraints] == [
+        "water_visibility >= 3.25",
+        "water_visibility >= 1.25",
+    ]
     assert not model.notes
 
 
 def test_parameters_are_typed_and_may_be_shared():
     configurations = load("underwater").configurations
-    assert dict(configurations["high altitude"].parameters) == {"spiral_altitude": 3.0, "topics": ["teste", "teste2"]}
-    assert dict(configurations["low altitude"].parameters) == {"spiral_altitude": 1.0, "topics": ["teste", "teste2"]}
+    assert dict(configurations["high altitude"].parameters) == {
+        "spiral_altitude": 3.0,
+        "topics": ["teste", "teste2"],
+    }
+    assert dict(configurations["low altitude"].parameters) == {
+        "spiral_altitude": 1.0,
+        "topics": ["teste", "teste2"],
+    }
 
 
 def test_later_file_extends_an_earlier_one():
@@ -59,7 +72,11 @@ def test_later_file_extends_an_earlier_one():
     (shared,) = (one for one in model.constraints if one.attribute == "battery_level")
     assert [one.name for one in shared.constrained] == ["search_pipeline", "inspect_pipeline"]
     (estimation,) = model.estimations
-    assert (estimation.causer.name, estimation.value, estimation.kind) == ("recover", 0.1, "negative")
+    assert (estimation.causer.name, estimation.value, estimation.kind) == (
+        "recover",
+        0.1,
+        "negative",
+    )
     improved = {name for name, one in model.components.items() if one.always_improve}
     assert improved == {"spiral_search", "follow_pipeline", "recover_thrusters", "recharge"}
     assert not model.facts
@@ -73,7 +90,9 @@ def test_loaded_model_answers():
 
 
 def test_extension_without_what_it_extends_is_an_error():
-    with pytest.raises(ValueError, match=r"underwater_extended.tql:3:5: `match` finds nothing: .*'maintain_motion'"):
+    with pytest.raises(
+        ValueError, match=r"underwater_extended.tql:3:5: `match` finds nothing: .*'maintain_motion'"
+    ):
         load("underwater_extended")
 
 
@@ -112,7 +131,10 @@ def test_constraint_that_only_carries_a_status_is_given_an_attribute_and_noted()
 
 def test_types_of_the_file_are_understood():
     model = load("mobile_robot")
-    assert {name: one.kind for name, one in model.components.items()} == {"kinect": "plain", "drive": "lifecycle"}
+    assert {name: one.kind for name, one in model.components.items()} == {
+        "kinect": "plain",
+        "drive": "lifecycle",
+    }
     assert model.designs["by kinect"].function == "see"
     assert model.designs["by kinect"].components == ("kinect", "drive")
     assert model.actions["go"].functions == ("see",)

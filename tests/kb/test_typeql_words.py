@@ -48,16 +48,23 @@ def test_every_attribute_is_known_by_its_endings(kind):
     assert field_of(kind, "colour") is None
 
 
-@pytest.mark.parametrize("label", ["ROSNode", "RosNode", "ros_node", "ros-node", "LifeCycleNode", "lifecyclenode"])
+@pytest.mark.parametrize(
+    "label", ["ROSNode", "RosNode", "ros_node", "ros-node", "LifeCycleNode", "lifecyclenode"]
+)
 def test_type_is_known_in_other_spellings(load, label):
     model = load(f"insert $c isa {label}, has component-name 'driver';")
     assert model.components["driver"].kind in ("process", "lifecycle")
 
 
-@pytest.mark.parametrize("label", ["Attribute", "Measure", "measure", "QualityAttribute", "quality_attribute"])
+@pytest.mark.parametrize(
+    "label", ["Attribute", "Measure", "measure", "QualityAttribute", "quality_attribute"]
+)
 def test_attribute_is_of_the_robot_unless_it_is_environmental(load, label):
     assert load(f"insert $q isa {label}, has attribute-name 'x';").attributes["x"].kind == "quality"
-    assert load("insert $q isa EnvironmentalAttribute, has name 'x';").attributes["x"].kind == "environmental"
+    assert (
+        load("insert $q isa EnvironmentalAttribute, has name 'x';").attributes["x"].kind
+        == "environmental"
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,7 +84,10 @@ def test_attribute_is_of_the_robot_unless_it_is_environmental(load, label):
 def test_roles_of_a_constraint_are_known_in_other_spellings(load, relation):
     model = load(ROBOT + f"{relation} isa constraint, has value 0.5, has operator '<';")
     (constraint,) = model.constraints
-    assert (str(constraint), [one.name for one in constraint.constrained]) == ("charge < 0.5", ["go"])
+    assert (str(constraint), [one.name for one in constraint.constrained]) == (
+        "charge < 0.5",
+        ["go"],
+    )
 
 
 @pytest.mark.parametrize(
@@ -93,11 +103,17 @@ def test_roles_of_a_constraint_are_known_in_other_spellings(load, relation):
 )
 def test_roles_of_an_estimation_are_known_in_other_spellings(load, relation):
     (estimation,) = load(ROBOT + f"{relation} isa estimation, has estimation-value -3;").estimations
-    assert (estimation.causer.name, estimation.attribute, estimation.value) == ("by motor", "charge", -3)
+    assert (estimation.causer.name, estimation.attribute, estimation.value) == (
+        "by motor",
+        "charge",
+        -3,
+    )
     assert estimation.kind == "positive"
 
 
-@pytest.mark.parametrize(("written", "meant"), [("2", 2), ("-3", -3), ("1.5", 1.5), ("2.0", 2.0), ("1e3", 1000.0)])
+@pytest.mark.parametrize(
+    ("written", "meant"), [("2", 2), ("-3", -3), ("1.5", 1.5), ("2.0", 2.0), ("1e3", 1000.0)]
+)
 def test_priority_is_any_finite_number(load, written, meant):
     model = load(f"{ROBOT}($f, $c) isa function-design, has name 'other', has priority {written};")
     assert model.designs["other"].priority == meant
@@ -105,7 +121,9 @@ def test_priority_is_any_finite_number(load, written, meant):
 
 def test_requirements_of_one_action_add_up(load):
     more = "$g isa Function, has function-name 'see'; (actions: $a, required-functions: $f) isa functional-requirement;"
-    model = load(ROBOT + more + "(action: $a, function: $f, function: $g) isa functional-requirement;")
+    model = load(
+        ROBOT + more + "(action: $a, function: $f, function: $g) isa functional-requirement;"
+    )
     assert model.actions["go"].functions == ("move", "see")
 
 
@@ -117,7 +135,10 @@ def measurement(value, rest=""):
     ("told", "latest"),
     [
         ([measurement(1), measurement(2)], [False, True]),
-        ([measurement(1, ", has time 2024-01-02"), measurement(2, ", has time 2024-01-01")], [True, False]),
+        (
+            [measurement(1, ", has time 2024-01-02"), measurement(2, ", has time 2024-01-01")],
+            [True, False],
+        ),
         ([measurement(1, ", has latest true"), measurement(2)], [True, False]),
         ([measurement(1), measurement(2, ", has latest false")], [True, False]),
         ([measurement(1, ", has latest false")], [False]),
@@ -133,7 +154,9 @@ def test_newest_measurement_is_the_latest_unless_the_file_says_which(load, told,
 
 def test_preference_may_be_weighted(load):
     told = "($a, $q) isa required-action, has preference-weights '[0.5]', has result 'success';"
-    assert load(ROBOT + told).facts == (RequiredActionFact("go", {"charge": 0.5}, result="completed"),)
+    assert load(ROBOT + told).facts == (
+        RequiredActionFact("go", {"charge": 0.5}, result="completed"),
+    )
 
 
 def test_component_with_a_pid_is_a_process(load):
@@ -219,8 +242,12 @@ MATCHES = {
     "match $c isa Component; insert $c has always-improve true;": {"motor", "node"},
     "match $c isa ROSNode; insert $c has always-improve true;": {"node"},
     "match $c has component-name 'motor'; insert $c has always-improve true;": {"motor"},
-    "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {"motor"},
-    "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {"motor"},
+    "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {
+        "motor"
+    },
+    "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {
+        "motor"
+    },
     "match $d ($f, required-component: $c) isa function-design, has name 'by motor';"
     " insert $c has always-improve true;": {"motor"},
     "match $c isa Component, has is-active true; insert $c has always-improve true;": {"node"},
@@ -236,7 +263,10 @@ def test_match_finds_all_that_its_patterns_say(load, text):
 def test_each_answer_inserts_once(load):
     text = "match $c isa Component; $q isa Attribute; insert (causer: $c, affected: $q) isa estimation, has value 1;"
     model = load(ROBOT + "$n isa ROSNode, has component-name 'node';", text)
-    assert [(one.causer.name, one.attribute) for one in model.estimations] == [("motor", "charge"), ("node", "charge")]
+    assert [(one.causer.name, one.attribute) for one in model.estimations] == [
+        ("motor", "charge"),
+        ("node", "charge"),
+    ]
 
 
 def test_players_that_are_found_in_two_ways_insert_once(load):
@@ -268,6 +298,8 @@ def test_schema_that_declares_what_rosa_has_changes_nothing(load):
         constraint sub relation, relates constrained, relates attribute;
         rule one: when { $c isa! Component, has status $s; $s like 'a|b'; } then { $c has status 'x'; };
     """
-    model = load(schema, ROBOT + "(attribute: $q, constrained: $c) isa constraint, has constraint-value 1;")
+    model = load(
+        schema, ROBOT + "(attribute: $q, constrained: $c) isa constraint, has constraint-value 1;"
+    )
     assert [str(one) for one in model.constraints] == ["charge >= 1"]
     assert list(model.components) == ["motor"]

@@ -14,7 +14,9 @@ from kb.facts import MeasurementFact
 
 def boat(**attribute):
     model = Model("boat")
-    voltage = model.quality_attribute("battery_voltage", **{"unit": "V", "low": 0, "high": 17, **attribute})
+    voltage = model.quality_attribute(
+        "battery_voltage", **{"unit": "V", "low": 0, "high": 17, **attribute}
+    )
     model.action("sail", requires=[model.function("steer")], constraints=[voltage >= 11.5])
     model.functions["steer"].design("by rudder", [model.component("rudder")])
     return model
@@ -40,7 +42,11 @@ def test_a_value_out_of_range_is_refused_with_the_range(tell, value):
     revision = kb.revision
     with pytest.raises(InvalidValue, match="battery_voltage is from 0 to 17 V"):
         tell(kb, value)
-    assert (kb.attributes["battery_voltage"].value, kb.revision, kb.model.facts) == (12.0, revision, ())
+    assert (kb.attributes["battery_voltage"].value, kb.revision, kb.model.facts) == (
+        12.0,
+        revision,
+        (),
+    )
 
 
 def test_diagnostics_out_of_range_are_a_problem_with_the_range():
@@ -114,11 +120,18 @@ BOUNDS = st.floats(allow_nan=False) | st.integers(-(10**6), 10**6)
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.text(st.characters(exclude_categories=["Cs"]), max_size=12), BOUNDS, BOUNDS, st.sampled_from(("tql", "owl")))
+@given(
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=12),
+    BOUNDS,
+    BOUNDS,
+    st.sampled_from(("tql", "owl")),
+)
 def test_units_and_ranges_survive_a_file(tmp_path_factory, unit, one, other, suffix):
     low, high = sorted((float(one), float(other)))
     assume(low < math.inf and high > -math.inf)
-    unit = "" if suffix == "owl" and not unit.isprintable() else unit  # no XML has control characters
+    unit = (
+        "" if suffix == "owl" and not unit.isprintable() else unit
+    )  # no XML has control characters
     model = Model("boat")
     model.quality_attribute("voltage", unit=unit, low=low, high=high)
     path = tmp_path_factory.mktemp("units") / f"boat.{suffix}"

@@ -57,7 +57,9 @@ class Wire:
 
     def close(self):
         with suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)  # who waits for the next is woken, and lets go of the port
+            self._listening.shutdown(
+                socket.SHUT_RDWR
+            )  # who waits for the next is woken, and lets go of the port
         self._listening.close()
         self.cut()
 
@@ -78,7 +80,9 @@ def requests_through_cuts(seed, *, cuts):
             try:
                 acknowledged.append(node.call("/do", "x", {"number": number}).result(60)["number"])
             except RosError:
-                time.sleep(0.01)  # it is not known whether it was done: it is told as failed and never sent again
+                time.sleep(
+                    0.01
+                )  # it is not known whether it was done: it is told as failed and never sent again
             node.publish("/events", "x", {"number": number})
 
     thread = threading.Thread(target=request)

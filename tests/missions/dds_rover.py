@@ -165,7 +165,9 @@ class SetResponse(IdlStruct, typename="rcl_interfaces.srv.dds_.SetParametersAtom
 
 
 RELIABLE = Qos(Policy.Reliability.Reliable(duration(seconds=1)), Policy.History.KeepLast(10))
-LOSSY = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10))  # as sensors of ROS 2 publish
+LOSSY = Qos(
+    Policy.Reliability.BestEffort, Policy.History.KeepLast(10)
+)  # as sensors of ROS 2 publish
 
 
 class Rover:
@@ -174,14 +176,27 @@ class Rover:
         self.states = dict.fromkeys(("/front/camera", "/lidar", "/navigator"), 1)
         self.services = []
         for node in self.states:
-            self.serve(f"{node}/get_state", GetStateRequest, GetStateResponse, lambda _, n=node: State(self.states[n]))
             self.serve(
-                f"{node}/change_state", ChangeStateRequest, ChangeStateResponse, lambda one, n=node: self.change(n, one)
+                f"{node}/get_state",
+                GetStateRequest,
+                GetStateResponse,
+                lambda _, n=node: State(self.states[n]),
             )
             self.serve(
-                f"{node}/set_parameters_atomically", SetRequest, SetResponse, lambda one, n=node: self.set(n, one)
+                f"{node}/change_state",
+                ChangeStateRequest,
+                ChangeStateResponse,
+                lambda one, n=node: self.change(n, one),
             )
-        self.events = DataReader(self.participant, Topic(self.participant, "rt/rosa_kb/events", String), qos=RELIABLE)
+            self.serve(
+                f"{node}/set_parameters_atomically",
+                SetRequest,
+                SetResponse,
+                lambda one, n=node: self.set(n, one),
+            )
+        self.events = DataReader(
+            self.participant, Topic(self.participant, "rt/rosa_kb/events", String), qos=RELIABLE
+        )
         self.battery = self.writer("rt/battery_state", BatteryState, LOSSY)
         self.light = self.writer("rt/light_sensor", Illuminance, LOSSY)
         self.diagnostics = self.writer("rt/diagnostics", DiagnosticArray, RELIABLE)
@@ -190,8 +205,12 @@ class Rover:
         return DataWriter(self.participant, Topic(self.participant, name, kind), qos=quality)
 
     def serve(self, name, request, response, answer):
-        reader = DataReader(self.participant, Topic(self.participant, f"rq{name}Request", request), qos=RELIABLE)
-        self.services.append((reader, self.writer(f"rr{name}Reply", response, RELIABLE), response, answer))
+        reader = DataReader(
+            self.participant, Topic(self.participant, f"rq{name}Request", request), qos=RELIABLE
+        )
+        self.services.append(
+            (reader, self.writer(f"rr{name}Reply", response, RELIABLE), response, answer)
+        )
 
     def change(self, node, request):
         goal = {(1, 1): 2, (2, 3): 3, (3, 4): 2}.get((self.states[node], request.transition.id))
@@ -214,7 +233,9 @@ class Rover:
                 print(event.data, flush=True)
         header = Header(Time())
         cells = [float("nan")] * 3
-        self.battery.write(BatteryState(header, 12.0, 20.0, 0, 0, 0, 0, battery, 0, 0, 0, True, cells, [], "", ""))
+        self.battery.write(
+            BatteryState(header, 12.0, 20.0, 0, 0, 0, 0, battery, 0, 0, 0, True, cells, [], "", "")
+        )
         self.light.write(Illuminance(header, light, 0.0))
         values = [KeyValue(name, "failure") for name in failed]
         status = DiagnosticStatus(2, "watchdog", "Component status", "", values)
@@ -223,7 +244,9 @@ class Rover:
 
 def main():
     rover, lines, said = Rover(), Queue(), {"battery": 0.9, "light": 0.9, "failed": []}
-    Thread(target=lambda: [lines.put(line) for line in chain(sys.stdin, ["end"])], daemon=True).start()
+    Thread(
+        target=lambda: [lines.put(line) for line in chain(sys.stdin, ["end"])], daemon=True
+    ).start()
     while True:
         try:
             name, _, value = lines.get(timeout=0.05).strip().partition(" ")

@@ -84,20 +84,26 @@ def interrupted(name, task, seconds, whole):
     at_end = run.world.now
     acted = [one for one in mine if one[1] < at_end]
     if acted != whole[: len(acted)]:
-        lies.append(f"{next(pair for pair in zip(acted, whole, strict=False) if pair[0] != pair[1])} differ")
+        lies.append(
+            f"{next(pair for pair in zip(acted, whole, strict=False) if pair[0] != pair[1])} differ"
+        )
     if run.kb.required_actions:
         lies.append(f"still open: {run.kb.required_actions}")
     if not closed:
         lies.append("the world is not closed")
     done = threading.Event()
-    threading.Thread(target=lambda: (run.kb.is_feasible(next(iter(run.kb.actions))), done.set()), daemon=True).start()
+    threading.Thread(
+        target=lambda: (run.kb.is_feasible(next(iter(run.kb.actions))), done.set()), daemon=True
+    ).start()
     if not done.wait(60.0):
         lies.append("another thread waits for the knowledge base")
     end = time.monotonic() + 60.0
     while (threading.active_count() > threads or children() > processes) and time.monotonic() < end:
         time.sleep(0.01)
     if threading.active_count() > threads or children() > processes:
-        lies.append(f"left: {threading.active_count() - threads} threads, {children() - processes} processes")
+        lies.append(
+            f"left: {threading.active_count() - threads} threads, {children() - processes} processes"
+        )
     return lies, was
 
 
@@ -107,7 +113,12 @@ class Hostile(Listener):
     def __init__(self):
         model = Model("other")
         model.action("rest")
-        self.other, self.heard, self.calls, self.is_over = KnowledgeBase(model, clock=lambda: 0.0), [], 0, False
+        self.other, self.heard, self.calls, self.is_over = (
+            KnowledgeBase(model, clock=lambda: 0.0),
+            [],
+            0,
+            False,
+        )
         self.threads = []
 
     def beset(self, run):
@@ -140,7 +151,13 @@ class Hostile(Listener):
                 time.sleep(0.01)
 
         self.other.subscribe(answer)
-        for one in (fail, tell_back, dawdle, ask_another, lambda event: self.heard.append(event.number)):
+        for one in (
+            fail,
+            tell_back,
+            dawdle,
+            ask_another,
+            lambda event: self.heard.append(event.number),
+        ):
             kb.subscribe(one)
         self.threads = [threading.Thread(target=ask) for _ in range(3)]
         for one in self.threads:
@@ -157,7 +174,11 @@ def beset(name, task, seed):
         hostile.is_over = True
         for one in hostile.threads:
             one.join()
-    lies = [] if as_json(summary(run, verdict, seed, {})) == text(name, task, seed) else ["it decides otherwise"]
+    lies = (
+        []
+        if as_json(summary(run, verdict, seed, {})) == text(name, task, seed)
+        else ["it decides otherwise"]
+    )
     if hostile.heard != sorted(set(hostile.heard)) or len(hostile.heard) < 100:
         lies.append(f"one that does no harm heard {len(hostile.heard)} events")
     return lies
@@ -170,7 +191,15 @@ def campaign(folder, *options, most_bytes=None):
         if most_bytes is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, resource.RLIM_INFINITY))
 
-    command = [sys.executable, "-m", "missions", "campaign", *map(str, options), "--out", str(folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "missions",
+        "campaign",
+        *map(str, options),
+        "--out",
+        str(folder),
+    ]
     # each is a group of its own, so that all of it can be killed
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
     return subprocess.Popen(command, preexec_fn=limit, start_new_session=True, **pipes)

@@ -48,7 +48,9 @@ def main() -> None:
             report, target = DOCS / f"{one.name}.html", DOCS / f"{one.name}.png"
             write_report(report, recorded(one.mission, one.task))
             width, height = one.size
-            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=one.scheme)
+            page = browser.new_page(
+                viewport={"width": width, "height": height}, color_scheme=one.scheme
+            )
             page.goto(report.as_uri() + one.link)
             page.wait_for_selector(".chain")
             page.wait_for_timeout(500)  # canvases are drawn after the first paint

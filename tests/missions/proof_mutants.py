@@ -148,7 +148,9 @@ class Restless:
         if kb.components["camera"].is_required or kb.adaptable_functions():
             other = "night" if kb.configurations["day"].is_selected else "day"
             designs = {"see": "by_camera", "move": "by_wheels"}
-            is_possible = kb.configurations[other].status != "unfeasible" and kb.is_feasible("explore")
+            is_possible = kb.configurations[other].status != "unfeasible" and kb.is_feasible(
+                "explore"
+            )
             if is_possible and kb.designs["by_camera"].status != "unfeasible":
                 return kb.select(designs, {"camera": other})
         return PriorityPlanner().plan(kb)
@@ -165,7 +167,11 @@ class Half:
     """Chooses designs and no configurations."""
 
     def plan(self, kb):
-        return kb.select({"see": "by_camera"}, {"camera": "night"}) if "see" in kb.adaptable_functions() else None
+        return (
+            kb.select({"see": "by_camera"}, {"camera": "night"})
+            if "see" in kb.adaptable_functions()
+            else None
+        )
 
 
 @dataclass
@@ -193,7 +199,11 @@ def until(child):
 def either(kb, first=None, second=None, *, memory=False):
     """Explore if feasible, charge otherwise."""
     second = SuccessIsFailure("then go on", second or feasible_then_act(charge(kb)))
-    return until(Selector("mission", memory=memory, children=[first or feasible_then_act(explore(kb)), second]))
+    return until(
+        Selector(
+            "mission", memory=memory, children=[first or feasible_then_act(explore(kb)), second]
+        )
+    )
 
 
 def guarded(kb, condition, task, *, memory=False):
@@ -223,19 +233,25 @@ ONLY_IF_NEEDED = never(
 DAY = leads_to(
     "by day the camera is set for the day",
     lambda rig: (rig.measured("light") or 0) >= 0.5 and rig.kb.components["camera"].is_active,
-    lambda rig: rig.kb.configurations["day"].is_selected or not rig.kb.components["camera"].is_active,
+    lambda rig: (
+        rig.kb.configurations["day"].is_selected or not rig.kb.components["camera"].is_active
+    ),
     within=0,
 )
 ENOUGH = always(
     "it explores with enough energy only",
     lambda rig: not rig.is_required("explore") or (rig.measured("energy") or 1) >= 0.25,
 )
-STILL = eventually("it can explore again", lambda rig: rig.is_required("explore") or rig.root.status is Status.SUCCESS)
+STILL = eventually(
+    "it can explore again",
+    lambda rig: rig.is_required("explore") or rig.root.status is Status.SUCCESS,
+)
 
 CHARGED = never(
     "charged it can explore",
     lambda rig: (
-        rig.measured("energy") in (0.625, 0.1) and not (rig.kb.is_feasible("explore") or rig.surroundings.failed())
+        rig.measured("energy") in (0.625, 0.1)
+        and not (rig.kb.is_feasible("explore") or rig.surroundings.failed())
     ),
 )
 OVER = never(
@@ -254,23 +270,39 @@ def _give_way(kb, task=None, other=None, **given):
 MUTANTS = [
     # guards
     Case("no guard", lambda kb: either(kb, rough(kb)), broken=UNFEASIBLE),
-    Case("guard with memory", lambda kb: either(kb, guarded(kb, asks(kb), rough(kb), memory=True)), broken=UNFEASIBLE),
-    Case("guard asks another", lambda kb: either(kb, guarded(kb, asks(kb, "charge"), rough(kb))), broken=UNFEASIBLE),
+    Case(
+        "guard with memory",
+        lambda kb: either(kb, guarded(kb, asks(kb), rough(kb), memory=True)),
+        broken=UNFEASIBLE,
+    ),
+    Case(
+        "guard asks another",
+        lambda kb: either(kb, guarded(kb, asks(kb, "charge"), rough(kb))),
+        broken=UNFEASIBLE,
+    ),
     Case(
         "threshold too low",
-        lambda kb: either(kb, guarded(kb, Measurement("enough?", kb, "energy", ">=", 0.1), rough(kb))),
+        lambda kb: either(
+            kb, guarded(kb, Measurement("enough?", kb, "energy", ">=", 0.1), rough(kb))
+        ),
         broken=UNFEASIBLE,
     ),
     Case(
         "operator the wrong way",
-        lambda kb: either(kb, guarded(kb, Measurement("enough?", kb, "energy", "<", 0.25), explore(kb))),
+        lambda kb: either(
+            kb, guarded(kb, Measurement("enough?", kb, "energy", "<", 0.25), explore(kb))
+        ),
         broken=GOAL,
     ),
     Case(
         "unknown is enough",
         lambda kb: either(
             kb,
-            guarded(kb, Measurement("enough?", kb, "energy", ">=", 0.25, unknown=Status.SUCCESS), rough(kb)),
+            guarded(
+                kb,
+                Measurement("enough?", kb, "energy", ">=", 0.25, unknown=Status.SUCCESS),
+                rough(kb),
+            ),
         ),
         broken=UNFEASIBLE,
     ),
@@ -291,17 +323,24 @@ MUTANTS = [
     ),
     Case(
         "guard beside the action",
-        lambda kb: either(kb, Parallel("both", ParallelPolicy.SuccessOnAll(synchronise=True), [asks(kb), rough(kb)])),
+        lambda kb: either(
+            kb,
+            Parallel("both", ParallelPolicy.SuccessOnAll(synchronise=True), [asks(kb), rough(kb)]),
+        ),
         broken=UNFEASIBLE,
     ),
     Case(
         "guard asks for a status",
-        lambda kb: either(kb, guarded(kb, HasStatus("f?", kb, kb.actions["explore"], "feasible"), explore(kb))),
+        lambda kb: either(
+            kb, guarded(kb, HasStatus("f?", kb, kb.actions["explore"], "feasible"), explore(kb))
+        ),
         broken=WAVERS,
     ),
     Case(
         "guard asks for solved",
-        lambda kb: either(kb, guarded(kb, HasStatus("s?", kb, kb.actions["explore"], "solved"), explore(kb))),
+        lambda kb: either(
+            kb, guarded(kb, HasStatus("s?", kb, kb.actions["explore"], "solved"), explore(kb))
+        ),
         broken=GOAL,
     ),
     # order and memory
@@ -314,7 +353,9 @@ MUTANTS = [
     ),
     Case(
         "priority swapped",
-        lambda kb: until(Selector("m", memory=False, children=[SuccessIsFailure("on", charge(kb)), explore(kb)])),
+        lambda kb: until(
+            Selector("m", memory=False, children=[SuccessIsFailure("on", charge(kb)), explore(kb)])
+        ),
         wanted=(ONLY_IF_NEEDED,),
         broken="does not charge",
         given=WORKS,
@@ -327,7 +368,11 @@ MUTANTS = [
         broken="does not charge",
         given=WORKS,
     ),
-    Case("gives up for ever", lambda kb: either(kb, Latch("latch", feasible_then_act(explore(kb)))), broken=STUCK),
+    Case(
+        "gives up for ever",
+        lambda kb: either(kb, Latch("latch", feasible_then_act(explore(kb)))),
+        broken=STUCK,
+    ),
     Case(
         "charges once only",
         lambda kb: _give_way(kb, OneShot("once", explore(kb), OneShotPolicy.ON_COMPLETION)),
@@ -360,7 +405,11 @@ MUTANTS = [
         broken="over only when",
         wanted=(OVER,),
     ),
-    Case("success hidden", lambda kb: until(SuccessIsFailure("no", feasible_then_act(explore(kb)))), broken=GOAL),
+    Case(
+        "success hidden",
+        lambda kb: until(SuccessIsFailure("no", feasible_then_act(explore(kb)))),
+        broken=GOAL,
+    ),
     Case(
         "never long enough",
         lambda kb: either(kb, RunningIsFailure("now", feasible_then_act(explore(kb)))),
@@ -371,15 +420,31 @@ MUTANTS = [
     Case(
         "waits before it requests",
         lambda kb: until(
-            Sequence("m", memory=False, children=[HasStatus("ready?", kb, "explore", "solved"), explore(kb)])
+            Sequence(
+                "m",
+                memory=False,
+                children=[HasStatus("ready?", kb, "explore", "solved"), explore(kb)],
+            )
         ),
         broken=GOAL,
     ),
     # requests
-    Case("request kept", lambda kb: either(kb, feasible_then_act(Keeps("explore", kb, "explore"))), broken=RELEASED),
-    Case("request of the other kept", lambda kb: either(kb, second=Keeps("charge", kb, "charge")), broken=RELEASED),
+    Case(
+        "request kept",
+        lambda kb: either(kb, feasible_then_act(Keeps("explore", kb, "explore"))),
+        broken=RELEASED,
+    ),
+    Case(
+        "request of the other kept",
+        lambda kb: either(kb, second=Keeps("charge", kb, "charge")),
+        broken=RELEASED,
+    ),
     Case("request taken back", lambda kb: either(kb, Cancels("c", explore(kb))), broken=RELEASED),
-    Case("request beside the tree", lambda kb: either(kb, Requests("r", kb, "charge", explore(kb))), broken=RELEASED),
+    Case(
+        "request beside the tree",
+        lambda kb: either(kb, Requests("r", kb, "charge", explore(kb))),
+        broken=RELEASED,
+    ),
     Case(
         "child left running",
         lambda kb: until(Leaves("m", memory=False, children=[explore(kb), charge(kb)])),
@@ -387,18 +452,28 @@ MUTANTS = [
     ),
     Case(
         "both at once",
-        lambda kb: until(Parallel("m", ParallelPolicy.SuccessOnAll(synchronise=False), [explore(kb), charge(kb)])),
+        lambda kb: until(
+            Parallel("m", ParallelPolicy.SuccessOnAll(synchronise=False), [explore(kb), charge(kb)])
+        ),
         broken=TOGETHER,
     ),
     Case(
         "one of two is enough",
-        lambda kb: until(Parallel("m", ParallelPolicy.SuccessOnOne(), [charge(kb), feasible_then_act(explore(kb))])),
+        lambda kb: until(
+            Parallel(
+                "m", ParallelPolicy.SuccessOnOne(), [charge(kb), feasible_then_act(explore(kb))]
+            )
+        ),
         broken=TOGETHER,
     ),
     # models
     Case("no design", lambda kb: either(kb), rover_model(designs=False), GOAL),
     Case(
-        "constraint the wrong way", lambda kb: either(kb), rover_model(energy="<="), "enough energy", wanted=(ENOUGH,)
+        "constraint the wrong way",
+        lambda kb: either(kb),
+        rover_model(energy="<="),
+        "enough energy",
+        wanted=(ENOUGH,),
     ),
     Case(
         "threshold too high",
@@ -411,15 +486,35 @@ MUTANTS = [
     Case("threshold out of range", lambda kb: either(kb), rover_model(needed=1.5), GOAL),
     Case("configuration contradicts itself", lambda kb: either(kb), rover_model(dark=0.3), ADAPTS),
     Case("configuration never preferred", lambda kb: either(kb), rover_model(night=0.5), ADAPTS),
-    Case("design needs what failed", lambda kb: either(kb), rover_model(radar=("camera", "radar")), ADAPTS),
+    Case(
+        "design needs what failed",
+        lambda kb: either(kb),
+        rover_model(radar=("camera", "radar")),
+        ADAPTS,
+    ),
     Case("action that nothing does", lambda kb: either(kb), rover_model(used=False), ADAPTS),
-    Case("not always improved", lambda kb: either(kb), rover_model(improves=False), "set for the day", wanted=(DAY,)),
+    Case(
+        "not always improved",
+        lambda kb: either(kb),
+        rover_model(improves=False),
+        "set for the day",
+        wanted=(DAY,),
+    ),
     # choosing, and leaves
     Case("chooses nothing", lambda kb: either(kb), broken=MANAGER, given={"planner": Idle}),
-    Case("chooses anew each time", lambda kb: either(kb), broken=MANAGER, given={"planner": Restless}),
-    Case("chooses what has failed", lambda kb: either(kb), broken=MANAGER, given={"planner": Stubborn}),
+    Case(
+        "chooses anew each time", lambda kb: either(kb), broken=MANAGER, given={"planner": Restless}
+    ),
+    Case(
+        "chooses what has failed",
+        lambda kb: either(kb),
+        broken=MANAGER,
+        given={"planner": Stubborn},
+    ),
     Case("chooses one thing only", lambda kb: either(kb), broken=MANAGER, given={"planner": Half}),
-    Case("never done", lambda kb: either(kb), broken=GOAL, given={"leaves": {"explore": Leaf("RF")}}),
+    Case(
+        "never done", lambda kb: either(kb), broken=GOAL, given={"leaves": {"explore": Leaf("RF")}}
+    ),
     Case(
         "charging is in vain",
         lambda kb: either(kb),
@@ -434,7 +529,10 @@ def fetching_model():
     model = Model("fetcher")
     for action, part in (("drive", "wheels"), ("look", "camera")):
         component = model.component(part, kind="lifecycle")
-        model.action(action, requires=[model.function(f"can {action}").design(f"by {part}", [component]).function])
+        model.action(
+            action,
+            requires=[model.function(f"can {action}").design(f"by {part}", [component]).function],
+        )
     return model
 
 
@@ -448,25 +546,41 @@ CORRECT = [
     Case("either", lambda kb: either(kb)),
     Case("gives way", _give_way),
     Case("gives way with memory", lambda kb: _give_way(kb, memory=True)),
-    Case("for action", lambda kb: _give_way(kb, ForAction("explore", kb, "explore", Work("drive")), charge(kb))),
+    Case(
+        "for action",
+        lambda kb: _give_way(kb, ForAction("explore", kb, "explore", Work("drive")), charge(kb)),
+    ),
     Case(
         "two for actions",
         lambda kb: either(
-            kb, ForAction("e", kb, "explore", Work("drive")), ForAction("c", kb, "charge", Work("stand"))
+            kb,
+            ForAction("e", kb, "explore", Work("drive")),
+            ForAction("c", kb, "charge", Work("stand")),
         ),
     ),
-    Case("first feasible", lambda kb: until(first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))]))),
+    Case(
+        "first feasible",
+        lambda kb: until(first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))])),
+    ),
     Case(
         "first feasible with memory",
-        lambda kb: until(first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))], memory=True)),
+        lambda kb: until(
+            first_feasible("m", [explore(kb), SuccessIsFailure("on", charge(kb))], memory=True)
+        ),
     ),
-    Case("guarded twice", lambda kb: either(kb, guarded(kb, asks(kb), feasible_then_act(explore(kb))))),
+    Case(
+        "guarded twice",
+        lambda kb: either(kb, guarded(kb, asks(kb), feasible_then_act(explore(kb)))),
+    ),
     Case("guarded though rough", lambda kb: either(kb, guarded(kb, asks(kb), rough(kb)))),
     Case(
         "asks what is measured",
         lambda kb: either(kb, guarded(kb, Measurement("m", kb, "energy", ">=", 0.5), explore(kb))),
     ),
-    Case("waits for the robot", lambda kb: _give_way(kb, explore(kb, wait=True), charge(kb, wait=True))),
+    Case(
+        "waits for the robot",
+        lambda kb: _give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
+    ),
     Case(
         "waits though the manager is slow",
         lambda kb: _give_way(kb, explore(kb, wait=True), charge(kb, wait=True)),
@@ -477,13 +591,23 @@ CORRECT = [
     Case("two changes", lambda kb: _give_way(kb), given={"at_once": 2}),
     Case(
         "unguarded but given up by itself",
-        lambda kb: until(Selector("m", memory=False, children=[explore(kb), SuccessIsFailure("on", charge(kb))])),
+        lambda kb: until(
+            Selector("m", memory=False, children=[explore(kb), SuccessIsFailure("on", charge(kb))])
+        ),
     ),
-    Case("inverted twice", lambda kb: either(kb, Inverter("a", Inverter("b", feasible_then_act(explore(kb)))))),
-    Case("in steps", lambda kb: until(Sequence("m", memory=True, children=[_step(kb, "one"), _step(kb, "two")]))),
+    Case(
+        "inverted twice",
+        lambda kb: either(kb, Inverter("a", Inverter("b", feasible_then_act(explore(kb))))),
+    ),
+    Case(
+        "in steps",
+        lambda kb: until(Sequence("m", memory=True, children=[_step(kb, "one"), _step(kb, "two")])),
+    ),
     Case(
         "beside a watch",
-        lambda kb: either(kb, Parallel("p", ParallelPolicy.SuccessOnOne(), [explore(kb), Running("watch")])),
+        lambda kb: either(
+            kb, Parallel("p", ParallelPolicy.SuccessOnOne(), [explore(kb), Running("watch")])
+        ),
     ),
     Case(
         "steps that need what has failed since",
@@ -492,12 +616,20 @@ CORRECT = [
         given={"start": {}, "failing": None, "exclusive": ()},
     ),
     Case("more light", lambda kb: either(kb), rover_model(dark=2.0)),
-    Case("only charges if it has to", lambda kb: either(kb), wanted=(ONLY_IF_NEEDED, ENOUGH, STILL, DAY), given=WORKS),
-    Case("folds its arm", lambda kb: switch_safely(either(kb), {("explore", "charge"): Work("fold")})),
+    Case(
+        "only charges if it has to",
+        lambda kb: either(kb),
+        wanted=(ONLY_IF_NEEDED, ENOUGH, STILL, DAY),
+        given=WORKS,
+    ),
+    Case(
+        "folds its arm", lambda kb: switch_safely(either(kb), {("explore", "charge"): Work("fold")})
+    ),
 ]
 
 
 def _step(kb, name):
     return do_until_unfeasible(
-        ForAction(name, kb, "explore", Work(f"drive {name}")), Act(f"charge for {name}", kb, "charge")
+        ForAction(name, kb, "explore", Work(f"drive {name}")),
+        Act(f"charge for {name}", kb, "charge"),
     )

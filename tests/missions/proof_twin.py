@@ -29,7 +29,10 @@ def random_setup(seed: int) -> Setup:
         rng = np.random.default_rng(seed)
         made = Model("random")
         level = made.quality_attribute("level", low=0.0, high=1.0)
-        parts = [made.component(f"part_{number}", kind="lifecycle") for number in range(rng.integers(2, 4))]
+        parts = [
+            made.component(f"part_{number}", kind="lifecycle")
+            for number in range(rng.integers(2, 4))
+        ]
         if rng.random() < 0.5:
             parts[0].configuration("fine", {"step": 1.0}, priority=1, constraints=[level >= 0.5])
             parts[0].configuration("coarse", {"step": 2.0}, priority=2)
@@ -52,7 +55,9 @@ def random_setup(seed: int) -> Setup:
             if kind == 1:
                 return ForAction(name, kb, name, Work(f"{name} it"))
             if kind == 2:
-                return guarded(kb, IsActionFeasible(f"{name}?", kb, name), act, memory=bool(rng.random() < 0.5))
+                return guarded(
+                    kb, IsActionFeasible(f"{name}?", kb, name), act, memory=bool(rng.random() < 0.5)
+                )
             return feasible_then_act(act)
 
         do, rest, memory = task("do"), task("rest"), bool(rng.random() < 0.5)
@@ -75,13 +80,21 @@ def random_setup(seed: int) -> Setup:
 def seen(rig: Rig):
     """Return what there is to see in a situation; components that are alike are counted, not named."""
     kb = rig.kb
-    users = {name: [one for one, of in kb.designs.items() if name in of.components] for name in kb.components}
-    alike = {name: name if one.configurations else str(users[name]) for name, one in kb.components.items()}
+    users = {
+        name: [one for one, of in kb.designs.items() if name in of.components]
+        for name in kb.components
+    }
+    alike = {
+        name: name if one.configurations else str(users[name])
+        for name, one in kb.components.items()
+    }
     tables = (kb.actions, kb.functions, kb.designs, kb.configurations)
     return (
         tuple((name, str(one.status)) for table in tables for name, one in table.items()),
         frozenset(
-            Counter((alike[name], str(one.status), one.is_active) for name, one in kb.components.items()).items()
+            Counter(
+                (alike[name], str(one.status), one.is_active) for name, one in kb.components.items()
+            ).items()
         ),
         rig.required,
         kb.attributes["level"].value,
@@ -107,7 +120,9 @@ class Twin:
         self.situations.add(seen(rig))
         keys, layer = {key(rig)}, [()]
         for _ in range(rounds):
-            layer = [longer for story in layer for longer, is_new in self._onward(story, keys) if is_new]
+            layer = [
+                longer for story in layer for longer, is_new in self._onward(story, keys) if is_new
+            ]
 
     def _run(self, story, script=()):
         """Return the rig after a story; in its last tick leaves begin as scripted and go on as they like."""
@@ -150,7 +165,9 @@ def key(rig: Rig):
     ]
     leaves = [one.status for one in rig.root.iterate()]
     with rig.kb.reading() as state:
-        facts = [tuple(state.columns[name]) for name in ("failed", "active", "selected", "requested")]
+        facts = [
+            tuple(state.columns[name]) for name in ("failed", "active", "selected", "requested")
+        ]
     return tuple(places), tuple(leaves), tuple(facts), rig.kb.attributes["level"].value
 
 
@@ -159,7 +176,11 @@ def agree(seed: int, rounds: int = 3) -> int:
     setup = random_setup(seed)
     found = Exploration(setup).explore(seconds=600.0)
     every = Setup(
-        setup.model, setup.build, start=setup.start, slow=setup.slow, surroundings={**FEW, "symmetric": False}
+        setup.model,
+        setup.build,
+        start=setup.start,
+        slow=setup.slow,
+        surroundings={**FEW, "symmetric": False},
     )
     twin = Twin(every, rounds)
     assert found.is_finished
@@ -167,7 +188,9 @@ def agree(seed: int, rounds: int = 3) -> int:
     assert {seen(found.load(number)) for number in early} == twin.situations, seed
     assert twin.ticked <= {one.name for one in found.rig.ticked}, seed
     assert (
-        {fault for fault, trail in found.faults.items() if len(trail) <= rounds} <= twin.faults <= set(found.faults)
+        {fault for fault, trail in found.faults.items() if len(trail) <= rounds}
+        <= twin.faults
+        <= set(found.faults)
     ), seed
     findings = {one.name: one for one in check(found)}
     released = findings["every request is released once, when what does it ends"]

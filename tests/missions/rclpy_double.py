@@ -13,7 +13,13 @@ from types import ModuleType, SimpleNamespace
 
 from missions.wires import ros
 
-_IDL = {"bool": "boolean", "byte": "octet", "char": "uint8", "float32": "float", "float64": "double"}
+_IDL = {
+    "bool": "boolean",
+    "byte": "octet",
+    "char": "uint8",
+    "float32": "float",
+    "float64": "double",
+}
 _LOCK = RLock()
 _NODES, _CLASSES = [], {}
 
@@ -107,7 +113,9 @@ class Client:
 
     def _server(self):
         with _LOCK:
-            found = [(node, s) for node in _NODES for s in node.services if s.srv_name == self.srv_name]
+            found = [
+                (node, s) for node in _NODES for s in node.services if s.srv_name == self.srv_name
+            ]
         return found[0] if found else None
 
     def service_is_ready(self):
@@ -141,7 +149,10 @@ class Node:
 
     def create_subscription(self, msg_type, topic, callback, qos_profile):
         made = SimpleNamespace(
-            msg_type=_message(msg_type), topic=_name(topic), callback=callback, qos_profile=_quality(qos_profile)
+            msg_type=_message(msg_type),
+            topic=_name(topic),
+            callback=callback,
+            qos_profile=_quality(qos_profile),
         )
         with _LOCK:
             self.subscriptions.append(made)
@@ -158,7 +169,9 @@ class Node:
     def create_service(self, srv_type, srv_name, callback):
         with _LOCK:
             self.services.append(
-                SimpleNamespace(srv_type=_service(srv_type), srv_name=_name(srv_name), callback=callback)
+                SimpleNamespace(
+                    srv_type=_service(srv_type), srv_name=_name(srv_name), callback=callback
+                )
             )
 
     def create_timer(self, timer_period_sec, callback):
@@ -227,7 +240,9 @@ def _quality(qos_profile):
 
 
 def get_message(identifier):
-    package, folder, name = identifier.split("/") if identifier.count("/") == 2 else (None, None, None)
+    package, folder, name = (
+        identifier.split("/") if identifier.count("/") == 2 else (None, None, None)
+    )
     if package is None:
         raise ValueError(f"Expected the full name of a message, got '{identifier}'")
     if f"{package}/{folder}/{name}" not in ros.types().store.fielddefs:
@@ -254,7 +269,9 @@ def _class(kind):
             for name, (node, what) in ros.types().store.fielddefs[kind][1]
             if name != "structure_needs_at_least_one_member"
         }
-        _CLASSES[kind] = type(kind.split("/")[-1], (_Message,), {"_fields": fields, "__slots__": tuple(fields)})
+        _CLASSES[kind] = type(
+            kind.split("/")[-1], (_Message,), {"_fields": fields, "__slots__": tuple(fields)}
+        )
     return _CLASSES[kind]
 
 
@@ -266,14 +283,22 @@ def _said(node, what):
         return what.replace("/msg/", "/")
     (inner, of), length = what
     one = _said(inner.name, of)
-    return f"{one}[{length}]" if node == "ARRAY" else f"sequence<{one}, {length}>" if length else f"sequence<{one}>"
+    return (
+        f"{one}[{length}]"
+        if node == "ARRAY"
+        else f"sequence<{one}, {length}>"
+        if length
+        else f"sequence<{one}>"
+    )
 
 
 def _empty(node, what):
     if node == "NAME":
         return _class(what)()
     if node == "BASE":
-        return {"bool": False, "byte": b"\x00", "float32": 0.0, "float64": 0.0, "string": ""}.get(what[0], 0)
+        return {"bool": False, "byte": b"\x00", "float32": 0.0, "float64": 0.0, "string": ""}.get(
+            what[0], 0
+        )
     (inner, of), length = what
     return [_empty(inner.name, of) for _ in range(length)] if node == "ARRAY" else []
 
@@ -283,7 +308,13 @@ def _check(node, what, value):
         assert type(value) is _class(what), f"must be a sub message of type {what}"
     elif node == "BASE":
         name = what[0]
-        wanted = {"bool": bool, "byte": bytes, "float32": float, "float64": float, "string": str}.get(name, int)
+        wanted = {
+            "bool": bool,
+            "byte": bytes,
+            "float32": float,
+            "float64": float,
+            "string": str,
+        }.get(name, int)
         assert isinstance(value, wanted), f"must be of type {wanted}, not {value!r}"
         assert name != "byte" or len(value) == 1, "must be bytes of length 1"
     else:

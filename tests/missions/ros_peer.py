@@ -14,7 +14,9 @@ DIAGNOSTICS, ASK = "diagnostic_msgs/msg/DiagnosticArray", "rosa_msgs/srv/ActionQ
 
 def attend(node):
     for name, kind in (("array", ARRAY), ("diagnostics", DIAGNOSTICS)):
-        node.subscribe(f"/to/{name}", kind, lambda one, n=name, k=kind: node.publish(f"/from/{n}", k, one))
+        node.subscribe(
+            f"/to/{name}", kind, lambda one, n=name, k=kind: node.publish(f"/from/{n}", k, one)
+        )
     node.subscribe("/to/text", STRING, lambda one: node.publish("/from/text", STRING, one))
     node.subscribe("/call", STRING, lambda one: call(node, **json.loads(one["data"])))
     node.serve("/peer/ask", ASK, lambda one: {"action": one["action"], "success": True})

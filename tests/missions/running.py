@@ -22,7 +22,9 @@ class Watcher(Listener):
         self.samples.append(sample)
 
 
-def run_mission(name, task="bt", seed=0, listeners=None, **changed) -> tuple[MissionRun, Verdict, dict]:
+def run_mission(
+    name, task="bt", seed=0, listeners=None, **changed
+) -> tuple[MissionRun, Verdict, dict]:
     """Run a mission, by default watched by somebody; returns the run, the verdict and the result as data."""
     values = {key: str(value) for key, value in changed.items()}
     watching = (Watcher(),) if listeners is None else tuple(listeners)

@@ -37,7 +37,10 @@ class Sensing(RosaAction):
 
 
 def rover_tree(kb, percepts):
-    explore, charge = Sensing("explore", kb, percepts, "explored"), Sensing("charge", kb, percepts, "charged")
+    explore, charge = (
+        Sensing("explore", kb, percepts, "explored"),
+        Sensing("charge", kb, percepts, "charged"),
+    )
     return do_until_unfeasible(explore, charge, memory=True, name="mission")
 
 

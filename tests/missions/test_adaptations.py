@@ -102,12 +102,16 @@ def test_failure_after_a_change_of_action_without_a_plan_is_a_structural_adaptat
 def test_news_that_calls_for_nothing_is_no_trigger_of_what_comes_later(mission):
     mission.kb.request_action("search")
     mission.turn()
-    mission.hear(lambda: mission.kb.measure("energy", 0.9))  # a constraint is evaluated: a status changes, no plan
+    mission.hear(
+        lambda: mission.kb.measure("energy", 0.9)
+    )  # a constraint is evaluated: a status changes, no plan
     mission.hear(lambda: mission.kb.component_failed("camera"))
     assert mission.kinds() == [("structural", "camera has failed")]
 
 
-def test_action_given_up_for_another_and_taken_up_again_are_task_adaptations_even_without_a_plan(mission):
+def test_action_given_up_for_another_and_taken_up_again_are_task_adaptations_even_without_a_plan(
+    mission,
+):
     mission.kb.request_action("inspect")
     mission.turn()
     mission.now = 5.0
@@ -166,7 +170,9 @@ def test_action_left_while_it_is_feasible_is_put_down_to_the_news_before_the_tic
 def test_what_the_task_layer_alone_is_told_leads_to_another_action_too(mission):
     mission.hear(lambda: mission.kb.measure("energy", 0.7))
     mission.tick(mission.begin("search"))
-    mission.hear(lambda: mission.kb.measure("energy", 0.6))  # no status changes by that, so it is the lesser news
+    mission.hear(
+        lambda: mission.kb.measure("energy", 0.6)
+    )  # no status changes by that, so it is the lesser news
     mission.hear(lambda: mission.log.sensed("guest is true"))
     mission.tick(mission.begin("inspect"), mission.end("search"))
     assert mission.told() == [
@@ -197,7 +203,9 @@ def test_action_left_once_as_unfeasible_is_not_left_for_the_same_reason_again(mi
 def test_what_a_behaviour_says_as_it_ends_does_not_hide_why_it_was_left(mission):
     mission.tick(mission.begin("search"))
     mission.hear(lambda: mission.kb.measure("energy", 0.1))
-    mission.tick(lambda: mission.kb.measure("energy", 0.9), mission.end("search"), mission.begin("wait"))
+    mission.tick(
+        lambda: mission.kb.measure("energy", 0.9), mission.end("search"), mission.begin("wait")
+    )
     assert mission.told()[0][1:] == ("energy is 0.1", mission.log.adaptations[0].reason)
     assert "energy 0.1 violates >= 0.2" in mission.log.adaptations[0].reason
 
@@ -228,7 +236,9 @@ def test_nothing_to_be_done_until_news_makes_it_feasible_is_put_down_to_that_new
     mission.hear(lambda: mission.kb.component_recovered("lidar"))
     mission.tick(mission.begin("wait"))
     task = [one for one in mission.log.adaptations if one.kind == "task"]
-    assert [(one.trigger, one.reason) for one in task] == [("lidar is recovered", "wait is feasible again")]
+    assert [(one.trigger, one.reason) for one in task] == [
+        ("lidar is recovered", "wait is feasible again")
+    ]
     assert task[0].reaction_s == pytest.approx(0.1)
 
 
@@ -240,7 +250,9 @@ def test_what_is_stopped_before_the_next_action_begins_belongs_to_the_change(mis
     mission.tick(mission.begin("wait"))
     mission.tick(mission.end("wait", "completed"))
     mission.tick(mission.begin("wait"))
-    assert [one.change for one in mission.log.adaptations] == ["search -> wait; stop camera; start camera"]
+    assert [one.change for one in mission.log.adaptations] == [
+        "search -> wait; stop camera; start camera"
+    ]
     assert mission.log.adaptations[0].reaction_s == pytest.approx(0.3)
 
 
@@ -275,7 +287,9 @@ def test_what_fails_while_the_robot_is_configured_for_a_change_is_an_adaptation_
     assert answer not in [plan for _, plan in change.plans]
 
 
-def test_what_fails_while_a_plan_is_carried_out_is_an_adaptation_when_the_manager_answers_it(mission):
+def test_what_fails_while_a_plan_is_carried_out_is_an_adaptation_when_the_manager_answers_it(
+    mission,
+):
     kb, log = mission.kb, mission.log
     mission.tick(mission.begin("search"))
     log.news(1.0)
@@ -292,7 +306,10 @@ def test_what_fails_while_a_plan_is_carried_out_is_an_adaptation_when_the_manage
     kb.finish_plan(answer, "completed")
     log.settle()  # the plan has ended in this turn of the manager, which plans in the next one
     mission.turn()
-    assert mission.kinds() == [("structural", "camera has failed"), ("structural", "lidar has failed")]
+    assert mission.kinds() == [
+        ("structural", "camera has failed"),
+        ("structural", "lidar has failed"),
+    ]
 
 
 def test_what_a_planner_that_waits_answers_later_is_an_adaptation_all_the_same(mission):
@@ -336,7 +353,11 @@ def test_action_given_up_because_of_news_that_none_follows_is_told_when_the_run_
     assert mission.log.adaptations == []  # another one may follow yet
     mission.log.finish()
     (told,) = mission.log.adaptations
-    assert (told.kind, told.change, told.trigger) == ("task", "search -> nothing; stop camera", "energy is 0.1")
+    assert (told.kind, told.change, told.trigger) == (
+        "task",
+        "search -> nothing; stop camera",
+        "energy is 0.1",
+    )
     assert told.reason.startswith("search is unfeasible because energy 0.1 violates >= 0.2")
     assert (told.at_s, told.reaction_s) == (0.2, pytest.approx(0.1))
 
@@ -355,13 +376,16 @@ def test_end_of_a_run_tells_nothing_of_what_was_completed_followed_or_left_witho
 
 
 NEWS = st.one_of(
-    st.builds(lambda value: lambda one: one.kb.measure("energy", value), st.sampled_from([0.1, 0.3, 0.9])),
+    st.builds(
+        lambda value: lambda one: one.kb.measure("energy", value), st.sampled_from([0.1, 0.3, 0.9])
+    ),
     st.just(lambda one: one.kb.component_failed("camera")),
     st.just(lambda one: one.kb.component_recovered("camera")),
     st.just(lambda one: one.log.sensed("guest is true")),
 )
 DECISION = st.tuples(
-    st.sampled_from(["search", "inspect", "wait"]), st.sampled_from(["completed", "failed", "abandoned"])
+    st.sampled_from(["search", "inspect", "wait"]),
+    st.sampled_from(["completed", "failed", "abandoned"]),
 )
 SCRIPT = st.lists(st.tuples(st.lists(NEWS, max_size=2), st.none() | DECISION), max_size=12)
 
@@ -385,10 +409,15 @@ def played(script, begins_first=False, hears=True):
 @given(SCRIPT)
 def test_task_adaptations_are_what_the_history_of_actions_says(script):
     one = played(script)
-    history = [(record.action, record.start, record.end, record.result) for record in one.kb.history.actions]
+    history = [
+        (record.action, record.start, record.end, record.result)
+        for record in one.kb.history.actions
+    ]
     follow = {start: (before, name) for (before, _, _, _), (name, start, _, _) in pairwise(history)}
     tasks = [told for told in one.log.adaptations if told.kind == "task"]
-    assert [told.change.split(";")[0] for told in tasks] == [" -> ".join(follow[told.at_s]) for told in tasks]
+    assert [told.change.split(";")[0] for told in tasks] == [
+        " -> ".join(follow[told.at_s]) for told in tasks
+    ]
     for told in one.log.adaptations:
         assert all((told.trigger, told.reason, told.change))
         assert told.news_s <= told.at_s
@@ -416,7 +445,9 @@ def test_end_of_a_run_adds_at_most_the_last_action_and_only_if_none_is_under_way
     one = played(script)
     before = list(one.log.adaptations)
     one.log.finish()
-    assert one.log.adaptations == before  # each action that ends here is followed by another, or none has ended
+    assert (
+        one.log.adaptations == before
+    )  # each action that ends here is followed by another, or none has ended
     one.hear(lambda: one.kb.component_failed("camera"))
     one.hear(lambda: one.kb.component_failed("lidar"))
     doing = [required.action for required in one.kb.required_actions]
@@ -425,9 +456,13 @@ def test_end_of_a_run_adds_at_most_the_last_action_and_only_if_none_is_under_way
     one.log.finish()
     one.log.finish()
     added = [told for told in one.log.adaptations if "nothing" in told.change]
-    assert [told.change.split(";")[0] for told in added] == [f"{action} -> nothing" for action in doing]
+    assert [told.change.split(";")[0] for told in added] == [
+        f"{action} -> nothing" for action in doing
+    ]
     assert len(one.log.adaptations) == len(before) + len(added)
-    assert [told.at_s for told in one.log.adaptations] == sorted(told.at_s for told in one.log.adaptations)
+    assert [told.at_s for told in one.log.adaptations] == sorted(
+        told.at_s for told in one.log.adaptations
+    )
 
 
 @pytest.mark.parametrize("task", ["bt", "pddl"])
@@ -444,15 +479,23 @@ def test_corridor_that_is_given_up_with_no_way_left_is_told_with_its_reason(task
 def test_tree_that_gives_up_a_corridor_says_why_in_the_history_of_actions():
     _, _, data = run_mission("agv", seed=1, capacity_j=2500, duration_s=40)
     assert data["actions"][-1]["result"] == "abandoned"
-    assert data["actions"][-1]["reason"].startswith("cross_c1 is unfeasible because function navigate is unfeasible")
+    assert data["actions"][-1]["reason"].startswith(
+        "cross_c1 is unfeasible because function navigate is unfeasible"
+    )
 
 
 def test_goal_that_changes_in_flight_is_a_task_adaptation_of_the_plans():
     _, _, data = run_mission("uav", "pddl", 1, duration_s=65)
     (told,) = data["adaptations"]
-    assert (told["kind"], told["trigger"]) == ("task", "sample_8_wanted is true and sample_8_found is true")
+    assert (told["kind"], told["trigger"]) == (
+        "task",
+        "sample_8_wanted is true and sample_8_found is true",
+    )
     assert told["reason"].startswith("the rest of the plan does not reach (forall")
-    assert told["change"] == "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
+    assert (
+        told["change"]
+        == "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
+    )
     assert told["reaction_s"] == pytest.approx(0.2)
 
 

@@ -16,7 +16,11 @@ HALL = {
     "start": "a",
     "goal": "b",
     "places": {"a": [0, 0], "b": [8, 0], "c": [8, 6]},
-    "corridors": {"c1": {"from": "a", "to": "b"}, "c2": {"from": "b", "to": "c"}, "c3": {"from": "b", "to": "c"}},
+    "corridors": {
+        "c1": {"from": "a", "to": "b"},
+        "c2": {"from": "b", "to": "c"},
+        "c3": {"from": "b", "to": "c"},
+    },
 }
 
 
@@ -56,10 +60,19 @@ def test_cart_without_faults_is_planned_for():
         ({"speed": True}, "of drive set, is True"),
         ({"speed": 0.0}, "of drive set, is 0.0"),
         ({"speed": -0.5}, "of drive set, is -0.5"),
-        ({"energy": None}, "what drive set takes from energy, by estimations of the kind 'negative', is None; it must"),
+        (
+            {"energy": None},
+            "what drive set takes from energy, by estimations of the kind 'negative', is None; it must",
+        ),
         ({"safety": None}, "takes from safety, by estimations of the kind 'negative', is None"),
-        ({"energy": -3.0}, "takes from energy, by estimations of the kind 'negative', is -3.0; it must be a number"),
-        ({"kind": "positive"}, "takes from energy, by estimations of the kind 'negative', is -20.0"),
+        (
+            {"energy": -3.0},
+            "takes from energy, by estimations of the kind 'negative', is -3.0; it must be a number",
+        ),
+        (
+            {"kind": "positive"},
+            "takes from energy, by estimations of the kind 'negative', is -20.0",
+        ),
     ],
 )
 def test_model_that_cannot_be_planned_with_is_refused(changes, words):
@@ -96,7 +109,10 @@ def test_constraints_that_contradict_each_other_are_told_as_the_reason(kind):
     answer = planner(model).plan(Question())
     assert not answer.is_solved
     assert answer.legs == ()
-    assert "is constrained by light >= 0.5 and light <= 0.2, which no value satisfies both" in answer.reason
+    assert (
+        "is constrained by light >= 0.5 and light <= 0.2, which no value satisfies both"
+        in answer.reason
+    )
     assert "correct one of the constraints" in answer.reason
 
 
@@ -112,13 +128,19 @@ def test_contradiction_in_one_design_leaves_the_others():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"light": {"c1": math.nan}}, "light of corridor c1 is nan; it must be a number from 0 to 1"),
+        (
+            {"light": {"c1": math.nan}},
+            "light of corridor c1 is nan; it must be a number from 0 to 1",
+        ),
         ({"light": {"c1": 2.0}}, "light of corridor c1 is 2.0"),
         ({"weights": {"time": "much"}}, "the weight of time is 'much'"),
         ({"weights": {"time": math.inf}}, "the weight of time is inf"),
         ({"weights": {"time": 1e306, "energy": 1e306}}, "the weight of time is 1e.306"),
         ({"limits": {"time": -1.0}}, "the limit of time is -1.0"),
-        ({"limits": {"light": 1.0}}, "there is no limit 'light'; there are time, energy, collisions"),
+        (
+            {"limits": {"light": 1.0}},
+            "there is no limit 'light'; there are time, energy, collisions",
+        ),
         ({"start": Place("z")}, "start names the place 'z', which map unnamed lacks"),
     ],
 )
@@ -134,7 +156,11 @@ def test_robot_that_is_at_the_goal_is_said_to_be_there():
 
 
 def test_parallel_corridors_are_two_ways():
-    hall = {**HALL, "goal": "c", "corridors": {**HALL["corridors"], "c3": {"from": "c", "to": "b", "obstacles": 0.05}}}
+    hall = {
+        **HALL,
+        "goal": "c",
+        "corridors": {**HALL["corridors"], "c3": {"from": "c", "to": "b", "obstacles": 0.05}},
+    }
     task = JointPlanner(building_from(hall), KnowledgeBase(cart(), clock=lambda: 0.0))
     assert [leg.corridor for leg in task.plan(Question()).legs] == ["c1", "c2"]
 
@@ -191,10 +217,15 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
     tmp_path, monkeypatch, capsys, caplog
 ):
     gps = "made.component('gps', kind='lifecycle')"
-    line = f"'gps' in made.components or made.functions['navigate'].design('by_gps', [{gps}, 'base'])"
+    line = (
+        f"'gps' in made.components or made.functions['navigate'].design('by_gps', [{gps}, 'base'])"
+    )
     code, said = run_hall(tmp_path, monkeypatch, capsys, {}, line)
     assert (code, said[-26:]) == (0, "arrived: the robot is at b")
-    assert "activate gps failed, tried 3 times: the simulated vehicle has no component gps" in caplog.text
+    assert (
+        "activate gps failed, tried 3 times: the simulated vehicle has no component gps"
+        in caplog.text
+    )
 
 
 @pytest.mark.parametrize(
@@ -206,7 +237,12 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
             2,
             "length_m of corridor c1 is -2; it must be",
         ),
-        ({"places": {**HALL["places"], "z": [9, 9]}}, "pass", 2, "disconnected: no way from a to z; add a corridor"),
+        (
+            {"places": {**HALL["places"], "z": [9, 9]}},
+            "pass",
+            2,
+            "disconnected: no way from a to z; add a corridor",
+        ),
         (
             {},
             "made.change(speed, parameters={'gain': 1.0})",
@@ -227,7 +263,9 @@ def test_component_that_the_simulated_vehicle_lacks_has_failed_and_it_drives_wit
         ),
     ],
 )
-def test_mission_that_makes_no_sense_ends_in_one_message(tmp_path, monkeypatch, capsys, changes, line, code, words):
+def test_mission_that_makes_no_sense_ends_in_one_message(
+    tmp_path, monkeypatch, capsys, changes, line, code, words
+):
     ended, said = run_hall(tmp_path, monkeypatch, capsys, changes, line)
     assert ended == code
     assert words in said

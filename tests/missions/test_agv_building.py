@@ -62,16 +62,28 @@ def test_corridor_is_as_long_as_its_places_are_apart():
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (corridor(length_m=-2.0), "length_m of corridor c1 is -2.0; it must be a number from 0.001 to 1e"),
+        (
+            corridor(length_m=-2.0),
+            "length_m of corridor c1 is -2.0; it must be a number from 0.001 to 1e",
+        ),
         (corridor(obstacles=-1), "obstacles of corridor c1 is -1; it must be a number from 0"),
         (corridor(light=1.5), "from 0 to 1"),
         (corridor(length_m="long"), "length_m of corridor c1 is 'long'; it must be a number"),
         (corridor(length_m=math.nan), "it must be a number"),
-        (told(places={"a": [0, 0], "b": [0, 0]}), "length_m of corridor c1 is 0.0; it must be a number"),
-        (told(places={"a": [0, 0], "b": [0, math.inf]}), "y of place b is inf; it must be a number"),
+        (
+            told(places={"a": [0, 0], "b": [0, 0]}),
+            "length_m of corridor c1 is 0.0; it must be a number",
+        ),
+        (
+            told(places={"a": [0, 0], "b": [0, math.inf]}),
+            "y of place b is inf; it must be a number",
+        ),
         (corridor(to="d"), "names the place 'd', which map small lacks"),
         (corridor(to="a"), "leads from a to itself"),
-        (told(places={"a": [0, 0], "b": [3, 4], "z": [9, 9]}), "disconnected: no way from a to z; add a corridor"),
+        (
+            told(places={"a": [0, 0], "b": [3, 4], "z": [9, 9]}),
+            "disconnected: no way from a to z; add a corridor",
+        ),
         (told(places={"A b": [0, 0]}), "'A b' in map small is not a name"),
         (told(goal="c"), "goal names the place 'c'"),
     ],

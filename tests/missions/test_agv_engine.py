@@ -46,9 +46,15 @@ def test_it_finds_what_the_joint_planner_finds_within_limits(seed, failed):
     for limits in limits_of(planner, quickest):
         task = planner.task(Question(weights={"time": 1.0}, limits=limits))
         told = told or declarations_of_task(task).load()
-        left = {f"({left_of(name)})": amount for name, amount in zip(task.limited, task.limits, strict=True)}
+        left = {
+            f"({left_of(name)})": amount
+            for name, amount in zip(task.limited, task.limits, strict=True)
+        }
         result = engine.plan(Problem(told, initial_state(told), costs=left))
         answer = planner.plan(task.question)
         expected = Outcome.SOLVED_OPTIMALLY if answer.is_solved else Outcome.UNSOLVABLE_PROVEN
-        assert (result.outcome, result.cost) == (expected, answer.cost if answer.is_solved else None), (result, answer)
+        assert (result.outcome, result.cost) == (
+            expected,
+            answer.cost if answer.is_solved else None,
+        ), (result, answer)
         assert [attempt.way for attempt in result.attempts] == ["warm"]

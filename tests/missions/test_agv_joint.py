@@ -78,17 +78,27 @@ def by_exhaustion(building, kb, question):
     return best
 
 
-weights = st.fixed_dictionaries({"time": st.sampled_from([0.0, 1.0]), "energy": st.sampled_from([0.01, 0.1])})
+weights = st.fixed_dictionaries(
+    {"time": st.sampled_from([0.0, 1.0]), "energy": st.sampled_from([0.01, 0.1])}
+)
 
 
 @settings(max_examples=40)
 @given(
-    st.integers(0, 10_000), weights, st.floats(0.5, 2.0), st.sampled_from(["energy", "collisions", "time"]), st.data()
+    st.integers(0, 10_000),
+    weights,
+    st.floats(0.5, 2.0),
+    st.sampled_from(["energy", "collisions", "time"]),
+    st.data(),
 )
 def test_exhaustive_search_agrees_also_within_limits(seed, weighed_by, part, limited, data):
     building = generated_building(default_rng(seed), 4, data.draw(st.integers(3, 4)))
     kb = known(
-        *data.draw(st.sampled_from([("kinect", "mrpt"), ("lidar", "mrpt"), ("camera", "mrpt"), ("amcl", "kinect")]))
+        *data.draw(
+            st.sampled_from(
+                [("kinect", "mrpt"), ("lidar", "mrpt"), ("camera", "mrpt"), ("amcl", "kinect")]
+            )
+        )
     )
     planner = JointPlanner(building, kb)
     free = Question(weights=weighed_by)
@@ -103,7 +113,12 @@ def test_exhaustive_search_agrees_also_within_limits(seed, weighed_by, part, lim
 
 
 @settings(max_examples=60)
-@given(st.integers(0, 10_000), st.integers(2, 12), st.integers(0, 2), st.sampled_from([None, 0.0, 0.3, 1.0]))
+@given(
+    st.integers(0, 10_000),
+    st.integers(2, 12),
+    st.integers(0, 2),
+    st.sampled_from([None, 0.0, 0.3, 1.0]),
+)
 def test_least_is_never_more_than_what_is_left(seed, places, more, part):
     try:
         building = generated_building(default_rng(seed), places, places - 1 + more)
@@ -111,7 +126,9 @@ def test_least_is_never_more_than_what_is_left(seed, places, more, part):
         return
     inside = building.corridors["c1"]
     start = None if part is None else Place(inside.ends[0], "c1", part * inside.length_m)
-    task = JointPlanner(building, known()).task(Question(start, weights=WEIGHTS, limits={"energy": 1e6}))
+    task = JointPlanner(building, known()).task(
+        Question(start, weights=WEIGHTS, limits={"energy": 1e6})
+    )
     states = [task.start]
     for state in states[:40]:
         here, (here_j,) = task.least(state)
@@ -122,7 +139,12 @@ def test_least_is_never_more_than_what_is_left(seed, places, more, part):
             states.append(move.to)
 
 
-@given(st.dictionaries(st.integers(0, 5), st.lists(st.tuples(st.integers(0, 5), st.integers(0, 9), st.integers(0, 9)))))
+@given(
+    st.dictionaries(
+        st.integers(0, 5),
+        st.lists(st.tuples(st.integers(0, 5), st.integers(0, 9), st.integers(0, 9))),
+    )
+)
 def test_search_without_bounds_finds_what_all_short_ways_give(arcs):
     def ways(state, seen, cost, used):
         if state == 5:
@@ -131,25 +153,33 @@ def test_search_without_bounds_finds_what_all_short_ways_give(arcs):
             if to not in seen:
                 yield from ways(to, {*seen, to}, cost + more, used + use)
 
-    graph = Graph(lambda state: [Move(to, cost, (use,), to) for to, cost, use in arcs.get(state, ())], lambda s: s == 5)
+    graph = Graph(
+        lambda state: [Move(to, cost, (use,), to) for to, cost, use in arcs.get(state, ())],
+        lambda s: s == 5,
+    )
     best = min((cost for cost, used in ways(0, {0}, 0, 0) if used <= 7), default=None)
     found = cheapest(graph, 0, [7])
     assert (None if found is None else found.cost) == best
 
 
-weighted = st.tuples(st.integers(0, 6), st.integers(0, 9), st.tuples(st.integers(0, 5), st.integers(0, 5)))
+weighted = st.tuples(
+    st.integers(0, 6), st.integers(0, 9), st.tuples(st.integers(0, 5), st.integers(0, 5))
+)
 
 
 @settings(max_examples=150)
 @given(
-    st.dictionaries(st.integers(0, 6), st.lists(weighted, max_size=5)), st.tuples(st.integers(0, 9), st.integers(0, 9))
+    st.dictionaries(st.integers(0, 6), st.lists(weighted, max_size=5)),
+    st.tuples(st.integers(0, 9), st.integers(0, 9)),
 )
 def test_bounds_do_not_change_what_is_found(arcs, limits):
     def moves(state):
         return [Move(to, cost, uses, None) for to, cost, uses in arcs.get(state, ())]
 
     far = [
-        distances([(one, to, (cost, *uses)[part]) for one in arcs for to, cost, uses in arcs[one]], [6])
+        distances(
+            [(one, to, (cost, *uses)[part]) for one in arcs for to, cost, uses in arcs[one]], [6]
+        )
         for part in range(3)
     ]
 
@@ -164,7 +194,9 @@ def test_bounds_do_not_change_what_is_found(arcs, limits):
         assert plain.cost == bounded.cost
         for found in (plain, bounded):
             assert found.cost == sum(move.cost for move in found.moves)
-            assert found.uses == tuple(sum(move.uses[part] for move in found.moves) for part in range(2))
+            assert found.uses == tuple(
+                sum(move.uses[part] for move in found.moves) for part in range(2)
+            )
             assert all(used <= limit for used, limit in zip(found.uses, limits, strict=True))
 
 
@@ -180,9 +212,9 @@ def test_fast_downward_proves_the_same_cost(failed, start):
 
 
 def test_straight_way_with_the_kinect_and_round_without_it():
-    assert [(leg.corridor, leg.mode.name) for leg in paper().plan(Question(weights=WEIGHTS)).legs] == [
-        ("c1", "amcl_kinect fast")
-    ]
+    assert [
+        (leg.corridor, leg.mode.name) for leg in paper().plan(Question(weights=WEIGHTS)).legs
+    ] == [("c1", "amcl_kinect fast")]
     without = paper("kinect").plan(Question(weights=WEIGHTS))
     assert [leg.corridor for leg in without.legs] == ["c4", "c3", "c2"]
     assert all("kinect" not in leg.mode.name for leg in without.legs)
@@ -190,7 +222,11 @@ def test_straight_way_with_the_kinect_and_round_without_it():
 
 def test_collisions_that_are_expected_can_decide_the_way():
     weights = {"time": 1.0, "collisions": 10_000.0}
-    assert [leg.corridor for leg in paper().plan(Question(weights=weights)).legs] == ["c4", "c3", "c2"]
+    assert [leg.corridor for leg in paper().plan(Question(weights=weights)).legs] == [
+        "c4",
+        "c3",
+        "c2",
+    ]
 
 
 def test_robot_within_a_corridor_goes_back_only_if_it_must():
@@ -198,7 +234,12 @@ def test_robot_within_a_corridor_goes_back_only_if_it_must():
     assert [leg.corridor for leg in paper().plan(inside).legs] == ["c1"]
     assert [leg.corridor for leg in paper("kinect").plan(inside).legs] == ["c4", "c3", "c2"]
     longer = paper("kinect").plan(inside).takes.in_units["time"]
-    assert longer > paper("kinect").plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS)).takes.in_units["time"]
+    assert (
+        longer
+        > paper("kinect")
+        .plan(Question(start=Place("a", "c1", 1.0), weights=WEIGHTS))
+        .takes.in_units["time"]
+    )
 
 
 def test_way_back_past_known_obstacles_is_not_taken_for_the_whole_corridor():
@@ -222,7 +263,10 @@ def test_camera_needs_the_lamp_where_it_is_dark():
 
 
 def test_switching_is_counted_so_a_short_dark_corridor_keeps_the_lamp_on():
-    corridors = {f"c{n}": {"from": f"p{n}", "to": f"p{n + 1}", "light": 0.1 if n % 2 else 1.0} for n in range(5)}
+    corridors = {
+        f"c{n}": {"from": f"p{n}", "to": f"p{n + 1}", "light": 0.1 if n % 2 else 1.0}
+        for n in range(5)
+    }
     data = {
         "start": "p0",
         "goal": "p5",
@@ -247,7 +291,10 @@ def test_goal_behind_a_corridor_that_cannot_be_crossed_is_said_to_be_out_of_reac
         "start": "a",
         "goal": "c",
         "places": {"a": [0, 0], "b": [5, 0], "c": [9, 0]},
-        "corridors": {"free": {"from": "a", "to": "b"}, "full": {"from": "b", "to": "c", "obstacles": 1.0}},
+        "corridors": {
+            "free": {"from": "a", "to": "b"},
+            "full": {"from": "b", "to": "c", "obstacles": 1.0},
+        },
     }
     answer = JointPlanner(building_from(data), known("kinect")).plan(Question())
     assert not answer.is_solved
@@ -276,7 +323,12 @@ def test_battery_limit_makes_the_robot_take_a_thriftier_way():
     limit = (free.takes.in_units["energy"] + least.takes.in_units["energy"]) / 2
     thrifty = planner.plan(Question(limits={"energy": limit}))
     assert thrifty.is_solved
-    assert least.takes.in_units["energy"] <= thrifty.takes.in_units["energy"] <= limit < free.takes.in_units["energy"]
+    assert (
+        least.takes.in_units["energy"]
+        <= thrifty.takes.in_units["energy"]
+        <= limit
+        < free.takes.in_units["energy"]
+    )
     assert thrifty.takes.in_units["time"] > free.takes.in_units["time"]
 
 

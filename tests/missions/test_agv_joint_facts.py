@@ -40,7 +40,9 @@ class Robot:
             one = next(each for each in self.model.estimations if each.attribute == "energy")
             self.model.change(one, value=value)
         else:
-            self.model.change(self.model.configurations["fast"], parameters={"speed": 0.1 + value / 100.0})
+            self.model.change(
+                self.model.configurations["fast"], parameters={"speed": 0.1 + value / 100.0}
+            )
 
 
 parts = st.sampled_from(["kinect", "lidar", "camera", "amcl", "mrpt", "lamp"])
@@ -54,7 +56,10 @@ events = st.one_of(
 
 
 @settings(max_examples=50)
-@given(st.lists(events, min_size=1, max_size=8), st.sampled_from([{}, {"energy": 1500.0}, {"collisions": 0.05}]))
+@given(
+    st.lists(events, min_size=1, max_size=8),
+    st.sampled_from([{}, {"energy": 1500.0}, {"collisions": 0.05}]),
+)
 def test_planner_answers_like_a_new_one_whatever_it_was_asked_before(told, limits):
     robot = Robot()
     building = PAPER
@@ -115,7 +120,9 @@ def test_amended_speed_and_estimation_count_from_then_on():
 def test_conditions_that_violate_the_same_constraints_are_asked_about_once(monkeypatch):
     kb = KnowledgeBase(agv_model(), clock=lambda: 0.0)
     asked, situation = [], kb.situation
-    monkeypatch.setattr(kb, "situation", lambda conditions: asked.append(conditions) or situation(conditions))
+    monkeypatch.setattr(
+        kb, "situation", lambda conditions: asked.append(conditions) or situation(conditions)
+    )
     modes = Modes(kb, "navigate")
     for light in (1.0, 0.9, 0.8, 0.1, 0.0):
         modes.under({"light": light, "obstacles": 0.0})

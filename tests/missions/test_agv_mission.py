@@ -56,12 +56,17 @@ def test_kinect_fails_and_plan_and_architecture_change_together(seed):
         ("cross_c3", "completed"),
         ("cross_c2", "completed"),
     ]
-    assert [one["what"] for one in data["disturbances"]] == ["kinect failed", "light in c3 goes out"]
+    assert [one["what"] for one in data["disturbances"]] == [
+        "kinect failed",
+        "light in c3 goes out",
+    ]
     failure, dark = data["disturbances"]
     task, structural = data["adaptations"]
     assert task["kind"] == "task"
     assert task["trigger"] == "kinect has failed"
-    assert task["change"].startswith("cross_c1 -> cross_c4; stop amcl; start aruco, camera; set navigator to c4_from_a")
+    assert task["change"].startswith(
+        "cross_c1 -> cross_c4; stop amcl; start aruco, camera; set navigator to c4_from_a"
+    )
     assert failure["at_s"] <= task["at_s"] <= failure["at_s"] + 0.2
     assert (structural["kind"], structural["change"]) == ("structural", "start lamp")
     assert dark["at_s"] <= structural["at_s"] <= dark["at_s"] + 0.2
@@ -79,7 +84,10 @@ def test_planned_step_by_step_it_answers_in_the_same_way(seed):
     assert data["outcome"] == "arrived"
     assert data["collisions"] == 0
     assert data["diagnostics_problems"] == []
-    assert [one["what"] for one in data["disturbances"]] == ["kinect failed", "light in c3 goes out"]
+    assert [one["what"] for one in data["disturbances"]] == [
+        "kinect failed",
+        "light in c3 goes out",
+    ]
     driven = [(one["name"], one["result"]) for one in data["actions"] if one["name"] != "switch"]
     assert driven == [
         ("cross_c1", "abandoned"),
@@ -118,14 +126,20 @@ def test_first_plan_for_a_corridor_is_caused_by_its_request(task):
 def test_energy_that_was_used_is_what_the_components_drew():
     data = run_mission(AGV, incidents="")[2]
     moving_s = data["duration_s"] - 1.0
-    assert 25.0 * moving_s < data["energy_used_j"] < 38.0 * data["duration_s"]  # AMCL, Kinect and driving: 38 W
+    assert (
+        25.0 * moving_s < data["energy_used_j"] < 38.0 * data["duration_s"]
+    )  # AMCL, Kinect and driving: 38 W
     assert agv_model().attributes["energy"].unit == "J"
 
 
 def test_robot_that_loses_lamp_lidar_and_kinect_in_the_dark_says_why_it_stands():
-    verdict, run = driven(straight(light=0.0), incidents="lamp fails in c1, lidar fails in c1, kinect fails in c1")
+    verdict, run = driven(
+        straight(light=0.0), incidents="lamp fails in c1, lidar fails in c1, kinect fails in c1"
+    )
     assert not verdict.success
-    assert verdict.reason.startswith("there is no way from within c1: no corridor can be crossed in any configuration")
+    assert verdict.reason.startswith(
+        "there is no way from within c1: no corridor can be crossed in any configuration"
+    )
     assert run.kb.required_actions == ()
 
 
@@ -149,10 +163,16 @@ def test_battery_that_cannot_last_is_no_reason_to_set_out():
 def test_generated_building_is_driven_through_as_planned():
     building = generated_building(numpy.random.default_rng(3), 6, 7)
     mission = agv_mission("generated", "drives", building)
-    planned = JointPlanner(building, KnowledgeBase(agv_model(), clock=lambda: 0.0)).plan(Question(weights=WEIGHTS))
-    run = rosa_run(mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0)))
+    planned = JointPlanner(building, KnowledgeBase(agv_model(), clock=lambda: 0.0)).plan(
+        Question(weights=WEIGHTS)
+    )
+    run = rosa_run(
+        mission, "bt", mission.world.open({"incidents": ""}, numpy.random.default_rng(0))
+    )
     assert run.run().outcome == "arrived"
-    assert [one.action for one in run.kb.history.actions] == [f"cross_{leg.corridor}" for leg in planned.legs]
+    assert [one.action for one in run.kb.history.actions] == [
+        f"cross_{leg.corridor}" for leg in planned.legs
+    ]
     assert {one.result for one in run.kb.history.actions} == {"completed"}
     assert run.world.results()["collisions"] == 0
     assert run.world.now == pytest.approx(planned.takes.in_units["time"], rel=0.25)
@@ -169,7 +189,10 @@ def test_dark_corridor_is_entered_with_the_lamp_on():
     ("values", "words"),
     [
         ({"incidents": "kinect breaks in c1"}, "allowed is text such as"),
-        ({"incidents": "radar fails in c1"}, "incidents cannot be 'radar fails in c1': there are amcl"),
+        (
+            {"incidents": "radar fails in c1"},
+            "incidents cannot be 'radar fails in c1': there are amcl",
+        ),
         (
             {"incidents": "dark in c9"},
             "incidents cannot be 'dark in c9': there are .*; c1; .* none with --set incidents=",
@@ -192,7 +215,9 @@ def test_defaults_of_the_settings_are_allowed():
 def told(*messages, **values):
     """Return percepts that have heard what is so, and what has which value."""
     percepts = Percepts()
-    heard = dict.fromkeys(messages, "true") | {name.replace("_in_", " in "): value for name, value in values.items()}
+    heard = dict.fromkeys(messages, "true") | {
+        name.replace("_in_", " in "): value for name, value in values.items()
+    }
     percepts.receive({"status": [{"message": "mission status", "values": heard}]})
     return percepts
 
@@ -208,7 +233,12 @@ def planned_and_joint(building, kb, percepts, planner):
 
 
 @settings(max_examples=12, deadline=None)
-@given(st.integers(0, 10_000), st.integers(2, 6), st.sets(st.sampled_from(sorted(DRAW_W)), max_size=4), st.data())
+@given(
+    st.integers(0, 10_000),
+    st.integers(2, 6),
+    st.sets(st.sampled_from(sorted(DRAW_W)), max_size=4),
+    st.data(),
+)
 def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, data):
     corridors = data.draw(st.integers(places - 1, {2: 1, 3: 2, 4: 4, 5: 5, 6: 7}[places]))
     building = generated_building(numpy.random.default_rng(seed), places, corridors)
@@ -216,13 +246,23 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
     for name in failed:
         kb.component_failed(name)
     where = data.draw(st.sampled_from([None, *building.corridors.values()]))
-    heard = [] if where is None else [f"at {data.draw(st.sampled_from(where.ends))}", f"in {where.name}"]
-    changed = data.draw(st.dictionaries(st.sampled_from(sorted(building.corridors)), st.floats(0.0, 1.0), max_size=2))
+    heard = (
+        []
+        if where is None
+        else [f"at {data.draw(st.sampled_from(where.ends))}", f"in {where.name}"]
+    )
+    changed = data.draw(
+        st.dictionaries(
+            st.sampled_from(sorted(building.corridors)), st.floats(0.0, 1.0), max_size=2
+        )
+    )
     lights = {f"light_in_{name}": light for name, light in changed.items()}
     kb.measure("driven", data.draw(st.floats(0.0, 20.0)))
     if data.draw(st.booleans()):
         kb.measure("energy", data.draw(st.floats(0.0, 6000.0)))
-    result, answer = planned_and_joint(building, kb, told(*heard, **lights), Planner("label-setting", warm=False))
+    result, answer = planned_and_joint(
+        building, kb, told(*heard, **lights), Planner("label-setting", warm=False)
+    )
     assert result.outcome.is_solved == answer.is_solved
     if answer.is_solved:
         assert result.cost == answer.cost
@@ -231,19 +271,39 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
 def test_light_that_comes_on_in_a_corridor_dark_on_the_map_is_planned_with():
     building = building_from(straight(light=0.1))
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    dark, lit = (Route(building, kb, percepts, {"energy": 1.0}).answer for percepts in (told(), told(light_in_c1=1.0)))
-    assert [answer.legs[0].mode.name.split()[0] for answer in (dark, lit)] == ["aruco_camera_lamp", "aruco_camera"]
+    dark, lit = (
+        Route(building, kb, percepts, {"energy": 1.0}).answer
+        for percepts in (told(), told(light_in_c1=1.0))
+    )
+    assert [answer.legs[0].mode.name.split()[0] for answer in (dark, lit)] == [
+        "aruco_camera_lamp",
+        "aruco_camera",
+    ]
     assert lit.cost < dark.cost
 
 
 def test_names_of_a_map_never_clash_with_those_of_the_plan():
-    names = ["here", "now", "switch", "cross_c", "aruco_camera_fast", "c_here_now", "at", "action", "leads"]
+    names = [
+        "here",
+        "now",
+        "switch",
+        "cross_c",
+        "aruco_camera_fast",
+        "c_here_now",
+        "at",
+        "action",
+        "leads",
+    ]
     places = {name: [float(number), 0.0] for number, name in enumerate(names)}
     corridors = {"c": {"from": "here", "to": "now"}, "c_here": {"from": "now", "to": "switch"}}
     corridors |= {f"d{n}": {"from": names[n], "to": names[n + 1]} for n in range(2, len(names) - 1)}
-    building = building_from({"start": "here", "goal": "leads", "places": places, "corridors": corridors})
+    building = building_from(
+        {"start": "here", "goal": "leads", "places": places, "corridors": corridors}
+    )
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    result, answer = planned_and_joint(building, kb, told("at now", "in c"), Planner("label-setting", warm=False))
+    result, answer = planned_and_joint(
+        building, kb, told("at now", "in c"), Planner("label-setting", warm=False)
+    )
     assert (result.outcome.is_solved, result.cost) == (True, answer.cost)
     assert [step.action for step in result.steps if step.schema == "cross"] == [
         f"cross_{leg.corridor}" for leg in answer.legs
@@ -331,7 +391,9 @@ def test_each_plan_made_while_driving_costs_what_the_joint_plan_costs(monkeypatc
     monkeypatch.setattr("missions.engine.task_layer.Planner", Compared)
     building = PAPER
     mission = agv_mission("paper", "drives", building)
-    run = rosa_run(replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3)))
+    run = rosa_run(
+        replace(mission, facts=facts), "pddl", mission.world.open({}, numpy.random.default_rng(3))
+    )
     assert run.run().outcome == "arrived"
     answered = [(future.result(), cost) for future, cost in asked if not future.cancelled()]
     assert len(answered) == 3

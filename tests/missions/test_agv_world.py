@@ -65,7 +65,9 @@ def test_both_wheels_alike_drive_straight_and_one_against_the_other_turn_on_the_
     assert math.dist(vehicle.position, stood) < 0.1
 
 
-@pytest.mark.parametrize(("length_m", "obstacles"), [(6.0, 0.4), (6.0, 1e12), (8.0, 0.6), (20.0, 1.0)])
+@pytest.mark.parametrize(
+    ("length_m", "obstacles"), [(6.0, 0.4), (6.0, 1e12), (8.0, 0.6), (20.0, 1.0)]
+)
 def test_corridor_full_of_boxes_can_be_driven_as_it_is_planned(length_m, obstacles):
     building = hall(length_m, obstacles=obstacles)
     along = sorted(x for x, _, _ in boxes(building, numpy.random.default_rng(0)))
@@ -81,17 +83,23 @@ def test_corridors_that_cross_one_another_are_refused_as_their_walls_would_close
     ends = {"c1": ("a", "d"), "c2": ("d", "b"), "c3": ("b", "c")}
     told = {name: {"from": one, "to": two} for name, (one, two) in ends.items()}
     building = building_from({"start": "a", "goal": "c", "places": places, "corridors": told})
-    with pytest.raises(MissionError, match=r"corridors c1 and c3 cross one another.*let them meet at a place"):
+    with pytest.raises(
+        MissionError, match=r"corridors c1 and c3 cross one another.*let them meet at a place"
+    ):
         started(building, AMCL_KINECT)
     del told["c3"]
     told["c4"] = {"from": "a", "to": "c"}
-    started(building_from({"start": "a", "goal": "c", "places": places, "corridors": told}), AMCL_KINECT)
+    started(
+        building_from({"start": "a", "goal": "c", "places": places, "corridors": told}), AMCL_KINECT
+    )
 
 
 @pytest.mark.parametrize("places", [2, 58, 200])
 def test_corridors_of_generated_buildings_do_not_cross(places):
     for seed in range(10):
-        check_walls(generated_building(numpy.random.default_rng(seed), places, places - 1 + places // 5))
+        check_walls(
+            generated_building(numpy.random.default_rng(seed), places, places - 1 + places // 5)
+        )
 
 
 def test_box_in_the_way_is_seen_from_afar_and_stops_who_does_not_look():
@@ -159,7 +167,12 @@ def test_what_happens_in_one_corridor_happens_in_the_order_that_is_given(seed):
     world = started(hall(), AMCL_KINECT, seed, incidents=incidents)
     passed(world, 30)
     happened = [what for _, what in world.disturbances()]
-    assert happened == ["lidar failed", "lidar recovered", "light in c1 goes out", "light in c1 goes on"]
+    assert happened == [
+        "lidar failed",
+        "lidar recovered",
+        "light in c1 goes out",
+        "light in c1 goes on",
+    ]
 
 
 def test_energy_is_known_before_the_first_plan_so_nobody_sets_out_in_vain():

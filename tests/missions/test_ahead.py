@@ -31,7 +31,9 @@ def test_it_recharges_in_time_and_inspects_more_than_the_tree():
 
 
 def test_the_plan_executor_plans_for_what_is_worth_doing():
-    errand = Errand("recharge", {"battery_level": 1.0}, lambda away: 30 + away, lambda away: 30 + away)
+    errand = Errand(
+        "recharge", {"battery_level": 1.0}, lambda away: 30 + away, lambda away: 30 + away
+    )
     inspecting = Worth(300.0, [Gain("inspect_pipeline", 0.3, away=0.3)], [errand])
 
     def tree(kb, percepts):
@@ -39,11 +41,16 @@ def test_the_plan_executor_plans_for_what_is_worth_doing():
             "plan",
             kb=kb,
             domain=mission_domain(EXTENDED),
-            behaviours={name: lambda step, make=make: make(kb, percepts) for name, make in EXTENDED.actions.items()},
+            behaviours={
+                name: lambda step, make=make: make(kb, percepts)
+                for name, make in EXTENDED.actions.items()
+            },
             sense=lambda: EXTENDED.facts(kb, percepts),
             clock=lambda: kb.now,
         )
-        lookahead = Lookahead(kb, lambda: inspecting if percepts.holds("pipeline_found") else Worth(300.0), period=5.0)
+        lookahead = Lookahead(
+            kb, lambda: inspecting if percepts.holds("pipeline_found") else Worth(300.0), period=5.0
+        )
         return FailureIsRunning("go on", WhatNext("what next", lookahead, [executor]))
 
     run = open_run(replace(EXTENDED, tree=tree), seed=7, settings={"duration": "160"})

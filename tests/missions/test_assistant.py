@@ -42,14 +42,18 @@ def kb():
 
 def asked(kb, calls, *, allow_actions=False):
     """Return (whether it is an error, what was answered) of each call, over the protocol."""
-    from mcp import Client  # slow to import, and every process that takes part in a run of the tests reads this file
+    from mcp import (
+        Client,
+    )  # slow to import, and every process that takes part in a run of the tests reads this file
 
     async def ask():
         server = mcp_server(Assistant(kb, MISSION), allow_actions=allow_actions)
         async with Client(server) as client:
             tools = {tool.name for tool in (await client.list_tools()).tools}
             answers = [await client.call_tool(name, arguments) for name, arguments in calls]
-        return tools, [(bool(one.is_error), one.structured_content, text_of(one)) for one in answers]
+        return tools, [
+            (bool(one.is_error), one.structured_content, text_of(one)) for one in answers
+        ]
 
     return anyio.run(ask)
 
@@ -72,7 +76,9 @@ def test_answers_are_those_of_the_knowledge_base(kb):
     )
     assert tools == ASKING, "to act is not among them"
     assert not any(is_error for is_error, *_ in answers)
-    can, why, supposed, best, chosen, known = [json.loads(text) if text[:1] == "{" else text for *_, text in answers]
+    can, why, supposed, best, chosen, known = [
+        json.loads(text) if text[:1] == "{" else text for *_, text in answers
+    ]
     assert {name: one["feasible"] for name, one in can["actions"].items()} == {
         name: kb.is_feasible(name) for name in kb.actions
     }
@@ -87,7 +93,9 @@ def test_answers_are_those_of_the_knowledge_base(kb):
 def test_plan_is_made_with_what_is_feasible_now(kb):
     _, ((is_error, _, text),) = asked(kb, [("plan_for", {})])
     assert not is_error
-    assert [step.split("(")[0].strip("()").split()[0] for step in json.loads(text)["steps"]][:1] == ["recharge"]
+    assert [step.split("(")[0].strip("()").split()[0] for step in json.loads(text)["steps"]][
+        :1
+    ] == ["recharge"]
 
 
 def test_to_act_has_to_be_allowed_and_passes_the_gate(kb):
@@ -107,7 +115,16 @@ def test_to_act_has_to_be_allowed_and_passes_the_gate(kb):
 
 def test_hostile_requests_never_get_an_unfeasible_action_through(kb):
     rng, names = random.Random(8), [*kb.actions, "", "inspect", "x" * 5000, "';--", "recharge "]
-    values = [None, 3, [], {}, "inspect_pipeline", ["inspect_pipeline"], {"name": "inspect_pipeline"}, *names]
+    values = [
+        None,
+        3,
+        [],
+        {},
+        "inspect_pipeline",
+        ["inspect_pipeline"],
+        {"name": "inspect_pipeline"},
+        *names,
+    ]
     before = len(list(kb.log))
     calls = [
         (
@@ -116,7 +133,9 @@ def test_hostile_requests_never_get_an_unfeasible_action_through(kb):
         )
         for _ in range(400)
     ]
-    _, answers = asked(kb, [call for call in calls if call[1] != {"action": "recharge"}], allow_actions=True)
+    _, answers = asked(
+        kb, [call for call in calls if call[1] != {"action": "recharge"}], allow_actions=True
+    )
     assert len(answers) > 300
     assert not kb.required_actions
     assert len(list(kb.log)) == before
@@ -124,7 +143,10 @@ def test_hostile_requests_never_get_an_unfeasible_action_through(kb):
 
 
 def test_argument_that_a_tool_does_not_take_is_refused_and_not_passed_over(kb):
-    calls = [("what_if", {"attributes": {"battery_level": 0.9}}), ("what_can_be_done", {"action": "recharge"})]
+    calls = [
+        ("what_if", {"attributes": {"battery_level": 0.9}}),
+        ("what_can_be_done", {"action": "recharge"}),
+    ]
     _, answers = asked(kb, calls)
     assert [text for *_, text in answers] == [
         "what_if takes no 'attributes'; it takes measured, failed",
@@ -134,18 +156,27 @@ def test_argument_that_a_tool_does_not_take_is_refused_and_not_passed_over(kb):
 
 
 def test_argument_that_is_missing_or_of_another_type_is_named(kb):
-    calls = [("why", {}), ("why", {"element": 3}), ("what_if", {"measured": {"battery_level": "much"}})]
+    calls = [
+        ("why", {}),
+        ("why", {"element": 3}),
+        ("what_if", {"measured": {"battery_level": "much"}}),
+    ]
     _, answers = asked(kb, calls)
     assert all(is_error for is_error, *_ in answers)
     for (*_, text), name, wrong in zip(
-        answers, ("element", "element", "battery_level"), ("required", "string", "number"), strict=True
+        answers,
+        ("element", "element", "battery_level"),
+        ("required", "string", "number"),
+        strict=True,
     ):
         assert name in text
         assert wrong in text
 
 
 def test_refusals_are_told_in_words(kb):
-    _, answers = asked(kb, [("why", {"element": "inspekt_pipeline"}), ("what_if", {"measured": {"batery": 1}})])
+    _, answers = asked(
+        kb, [("why", {"element": "inspekt_pipeline"}), ("what_if", {"measured": {"batery": 1}})]
+    )
     assert [is_error for is_error, *_ in answers] == [True, True]
     assert "inspect_pipeline" in answers[0][2]
     assert "battery_level" in answers[1][2]
@@ -156,9 +187,13 @@ def test_program_serves_over_stdio():
     from mcp.client.stdio import stdio_client
 
     async def ask():
-        program = StdioServerParameters(command=sys.executable, args=["-m", "missions", "mcp", "suave_extended"])
+        program = StdioServerParameters(
+            command=sys.executable, args=["-m", "missions", "mcp", "suave_extended"]
+        )
         async with Client(partial(stdio_client, program)()) as client:
-            return client.server_info.version, text_of(await client.call_tool("why", {"element": "recharge"}))
+            return client.server_info.version, text_of(
+                await client.call_tool("why", {"element": "recharge"})
+            )
 
     told, answer = anyio.run(ask)
     assert told == version("rosa-taca")
@@ -177,7 +212,17 @@ def served():
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             port = free.getsockname()[1]
-        command = [sys.executable, "-m", "missions", "mcp", "suave_extended", "--http", str(port), "--token", "secret"]
+        command = [
+            sys.executable,
+            "-m",
+            "missions",
+            "mcp",
+            "suave_extended",
+            "--http",
+            str(port),
+            "--token",
+            "secret",
+        ]
         with subprocess.Popen(command, stderr=subprocess.DEVNULL) as program:
             try:
                 while program.poll() is None:
@@ -195,7 +240,11 @@ def test_over_http_only_who_has_the_token_is_answered():
     asked_for = json.dumps({"jsonrpc": "2.0", "id": 1, "method": "ping"}).encode()
 
     def status(url, **headers):
-        request = Request(url, asked_for, {"Content-Type": "application/json", "Accept": "application/json", **headers})
+        request = Request(
+            url,
+            asked_for,
+            {"Content-Type": "application/json", "Accept": "application/json", **headers},
+        )
         try:
             return urlopen(request, timeout=120).status
         except HTTPError as error:

@@ -25,7 +25,9 @@ def altered(monkeypatch):
 
     def alter(**changes):
         files = {"domain": DOMAIN, "problem": PROBLEM}
-        mission = dataclasses.replace(find_mission("suave_extended"), name="altered", **(files | changes))
+        mission = dataclasses.replace(
+            find_mission("suave_extended"), name="altered", **(files | changes)
+        )
         register(monkeypatch, "altered", mission)
 
     return alter
@@ -40,14 +42,18 @@ def run_altered(monkeypatch, capsys, *options):
     return end.value.code, " ".join(captured.out.split()), " ".join(captured.err.split())
 
 
-def test_action_in_the_tree_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys):
+def test_action_in_the_tree_that_the_model_does_not_know_names_the_nearest(
+    altered, monkeypatch, capsys
+):
     altered(tree=lambda kb, percepts: IsActionFeasible("search?", kb, "serch_pipeline"))
     code, _, err = run_altered(monkeypatch, capsys)
     assert code == 2
     assert "unknown action 'serch_pipeline'; did you mean 'search_pipeline'" in err
 
 
-def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(altered, monkeypatch, capsys, tmp_path):
+def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(
+    altered, monkeypatch, capsys, tmp_path
+):
     problem = tmp_path / "problem.pddl"
     problem.write_text(
         PROBLEM.read_text()
@@ -68,10 +74,15 @@ def test_action_in_the_domain_that_the_model_does_not_know_names_the_nearest(alt
         (lambda text: text.rstrip()[:-1], "domain.pddl:"),
         (lambda text: text.replace("(pipeline_found ?p - pipeline)", ""), "pipeline_found"),
         (lambda text: text.replace(":types", ":tipes"), ":tipes"),
-        (lambda text: text.replace("action_feasible", "act_feas"), "no predicate (action_feasible ?a - action)"),
+        (
+            lambda text: text.replace("action_feasible", "act_feas"),
+            "no predicate (action_feasible ?a - action)",
+        ),
     ],
 )
-def test_malformed_domain_names_file_and_what_was_expected(altered, monkeypatch, capsys, tmp_path, broken, message):
+def test_malformed_domain_names_file_and_what_was_expected(
+    altered, monkeypatch, capsys, tmp_path, broken, message
+):
     domain = tmp_path / "domain.pddl"
     domain.write_text(broken(DOMAIN.read_text()))
     altered(domain=domain)
@@ -114,7 +125,9 @@ def planning_with(monkeypatch, planner):
     monkeypatch.setattr("missions.engine.task_layer.Planner", planner)
 
 
-def test_planner_that_is_gone_when_it_is_needed_ends_the_mission_and_says_what_to_install(monkeypatch, capsys, altered):
+def test_planner_that_is_gone_when_it_is_needed_ends_the_mission_and_says_what_to_install(
+    monkeypatch, capsys, altered
+):
     class Gone(Planner):
         """Was there when it was looked for, and is not any more."""
 
@@ -130,7 +143,9 @@ def test_planner_that_is_gone_when_it_is_needed_ends_the_mission_and_says_what_t
     assert "try 'pip install up-tamer'" in out
 
 
-def test_planner_that_is_not_installed_is_found_out_before_the_mission(monkeypatch, capsys, altered):
+def test_planner_that_is_not_installed_is_found_out_before_the_mission(
+    monkeypatch, capsys, altered
+):
     altered()
     planning_with(monkeypatch, lambda: Planner("tamer"))
     code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
@@ -146,7 +161,10 @@ def test_planner_that_runs_out_of_wall_clock_time_ends_the_mission_by_name_inste
     planning_with(monkeypatch, lambda: Planner(timeout_s=1e-6, moves=0))
     code, out, err = run_altered(monkeypatch, capsys, "--task", "pddl")
     assert code == 2
-    assert "planning ran out of wall-clock time, and going on would make the run depend on the machine" in err
+    assert (
+        "planning ran out of wall-clock time, and going on would make the run depend on the machine"
+        in err
+    )
     assert "adaptation" not in out
 
 
@@ -202,7 +220,9 @@ def test_unknown_names_and_nan_in_diagnostics_are_reported_and_the_mission_goes_
     def disturbed(self):
         if not self.problems:
             bad = {"battery_level": "nan", "batterie": "0.1", "water_visibility": "clear"}
-            self._take_in({"time": self.world.now, "status": [{"message": "QA status", "values": bad}]})
+            self._take_in(
+                {"time": self.world.now, "status": [{"message": "QA status", "values": bad}]}
+            )
         original(self)
 
     monkeypatch.setattr(runner.MissionRun, "_turn", disturbed)
@@ -220,21 +240,31 @@ def test_exception_in_a_plain_behaviour_is_its_failure_and_leaves_nothing_open(a
         def update(self):
             raise RuntimeError("boom")
 
-    mission = dataclasses.replace(find_mission("suave_extended"), tree=lambda kb, percepts: Rash("rash"))
+    mission = dataclasses.replace(
+        find_mission("suave_extended"), tree=lambda kb, percepts: Rash("rash")
+    )
     world = mission.world.open({}, numpy.random.default_rng(0))
     run = rosa_run(mission, "bt", world)
     assert not run.run().success
     assert run.tree.root.status is Status.FAILURE
     line = Rash.update.__code__.co_firstlineno + 1
-    assert run.tree.root.feedback_message == f"RuntimeError: boom; test_bad_missions.py, line {line}"
+    assert (
+        run.tree.root.feedback_message == f"RuntimeError: boom; test_bad_missions.py, line {line}"
+    )
     assert run.kb.required_actions == ()
 
 
 @pytest.mark.parametrize(
     ("action", "message"),
     [
-        (lambda kb, percepts, steps: Running(), "PDDL action .* is given .*: missing a required argument: 'steps'"),
-        (lambda kb, percepts: None, "what does the PDDL action .* is None, not a py_trees behaviour"),
+        (
+            lambda kb, percepts, steps: Running(),
+            "PDDL action .* is given .*: missing a required argument: 'steps'",
+        ),
+        (
+            lambda kb, percepts: None,
+            "what does the PDDL action .* is None, not a py_trees behaviour",
+        ),
         (lambda kb, percepts: percepts.nothing, "no attribute 'nothing'"),
     ],
 )

@@ -20,7 +20,9 @@ from missions.wires.bridge import Bridge, BridgeSettings, parameter_messages
 from missions.wires.node import QUEUED, Outbox, RosError
 from missions.wires.rosbridge import Peer, Rosbridge, RosbridgeServer
 
-SETTINGS = BridgeSettings(attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"})
+SETTINGS = BridgeSettings(
+    attributes={"energy": "/battery_state.percentage sensor_msgs/msg/BatteryState"}
+)
 
 
 def rover():
@@ -28,7 +30,9 @@ def rover():
     energy = model.quality_attribute("energy")
     look = model.function("look")
     camera = model.component("camera", kind="lifecycle")
-    camera.configuration("sharp", {"width": 1280, "gain": 0.5, "mode": "day", "hdr": True}, priority=1)
+    camera.configuration(
+        "sharp", {"width": 1280, "gain": 0.5, "mode": "day", "hdr": True}, priority=1
+    )
     look.design("by_camera", [camera], priority=1)
     look.design("by_radar", [model.component("radar", kind="lifecycle")], priority=2)
     model.action("explore", requires=[look], constraints=[energy >= 0.2])
@@ -44,9 +48,13 @@ class Robot:
         self.states = {"camera": 1, "radar": 1}
         self.parameters, self.calls, self.broken = {}, [], set()
         for name in self.states:
-            self.server.serve(f"/{name}/get_state", "lifecycle_msgs/srv/GetState", lambda _, n=name: self.state(n))
+            self.server.serve(
+                f"/{name}/get_state", "lifecycle_msgs/srv/GetState", lambda _, n=name: self.state(n)
+            )
             self.server.serve(f"/{name}/change_state", "x", lambda one, n=name: self.change(n, one))
-            self.server.serve(f"/{name}/set_parameters_atomically", "x", lambda one, n=name: self.set(n, one))
+            self.server.serve(
+                f"/{name}/set_parameters_atomically", "x", lambda one, n=name: self.set(n, one)
+            )
 
     @property
     def url(self):
@@ -69,12 +77,24 @@ class Robot:
         return {"result": {"successful": True, "reason": ""}}
 
     def measure(self, value):
-        self.server.publish("/battery_state", "sensor_msgs/msg/BatteryState", {"percentage": value, "cells": []})
+        self.server.publish(
+            "/battery_state", "sensor_msgs/msg/BatteryState", {"percentage": value, "cells": []}
+        )
 
     def diagnose(self, **values):
         pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
-        status = {"level": 0, "name": "robot", "message": "QA status", "hardware_id": "", "values": pairs}
-        self.server.publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"header": {}, "status": [status]})
+        status = {
+            "level": 0,
+            "name": "robot",
+            "message": "QA status",
+            "hardware_id": "",
+            "values": pairs,
+        }
+        self.server.publish(
+            "/diagnostics",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            {"header": {}, "status": [status]},
+        )
 
 
 def until(holds, *, seconds=120.0, turn=lambda: None):
@@ -141,9 +161,14 @@ def test_node_that_stops_by_itself_is_noticed(robot):
         manager = ConfigurationManager(kb, bridge.managed)
         until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
         kb.request_action("explore")
-        until(lambda: kb.components["camera"].is_active and kb.pending_plan is None, turn=manager.update)
+        until(
+            lambda: kb.components["camera"].is_active and kb.pending_plan is None,
+            turn=manager.update,
+        )
         robot.states["camera"] = 2
-        robot.server.publish("/camera/transition_event", "x", {"goal_state": {"id": 2, "label": "inactive"}})
+        robot.server.publish(
+            "/camera/transition_event", "x", {"goal_state": {"id": 2, "label": "inactive"}}
+        )
         until(lambda: robot.states["radar"] == 3, turn=manager.update)
 
 
@@ -178,9 +203,19 @@ def test_originals_services_are_served(robot):
         def call(service, **request):
             return robot.server.call(f"/rosa_kb/{service}", "", request).result(120)
 
-        until(lambda: "/rosa_kb/query" in robot.server.call("/rosapi/services", "", {}).result(120)["services"])
-        assert {one["name"] for one in call("action/selectable", actions=[])["actions"]} == {"explore", "charge"}
-        asked = call("action/request", action={"name": "explore", "is_required": True}, preference="")
+        until(
+            lambda: (
+                "/rosa_kb/query"
+                in robot.server.call("/rosapi/services", "", {}).result(120)["services"]
+            )
+        )
+        assert {one["name"] for one in call("action/selectable", actions=[])["actions"]} == {
+            "explore",
+            "charge",
+        }
+        asked = call(
+            "action/request", action={"name": "explore", "is_required": True}, preference=""
+        )
         assert asked["action"] == {"name": "explore", "status": "unsolved", "is_required": True}
         assert [one["name"] for one in call("function/adaptable")["functions"]] == ["look"]
         designs = call("function_designs/selectable", function={"name": "look"})["fds"]
@@ -189,28 +224,42 @@ def test_originals_services_are_served(robot):
         assert [one["priority"] for one in priorities] == [1.0, 2.0]
         components = call("component/adaptable", selected_fds=["by_camera"])["components"]
         assert [one["name"] for one in components] == ["camera"]
-        found = call("component_configuration/selectable", component={"name": "camera"})["c_configs"]
+        found = call("component_configuration/selectable", component={"name": "camera"})[
+            "c_configs"
+        ]
         assert [one["name"] for one in found] == ["sharp"]
-        selected = call("select_configuration", selected_fds=designs[:1], selected_component_configs=found)
+        selected = call(
+            "select_configuration", selected_fds=designs[:1], selected_component_configs=found
+        )
         assert selected == {"success": True}
         plan = call("reconfiguration_plan/get_latest")["reconfig_plan"]
         assert [one["name"] for one in plan["components_activate"]] == ["camera"]
         values = call("component_parameters/get", c_config={"name": "sharp"})["parameters"]
         assert values[0] == {"name": "width", "value": {"type": 2, "integer_value": 1280}}
-        done = call("reconfiguration_plan/result/set", reconfig_plan={**plan, "result": "completed"})
+        done = call(
+            "reconfiguration_plan/result/set", reconfig_plan={**plan, "result": "completed"}
+        )
         assert (done["success"], done["reconfig_plan"]["result"]) == (True, "completed")
         assert call("reconfiguration_plan/get", reconfig_plan=plan)["success"]
         process = {"pid": 4711, "component": {"name": "camera"}}
         assert call("component_process/insert", component_process=process)["success"]
-        assert [one["pid"] for one in call("component_process/get_active")["component_process"]] == [4711]
+        assert [
+            one["pid"] for one in call("component_process/get_active")["component_process"]
+        ] == [4711]
         assert call("component_process/end/set", component_process=process)["success"]
         assert not call("component_process/get_active")["component_process"]
         call("action/request", action={"name": "explore", "is_required": False})
         assert not kb.required_actions
         said = []
         robot.server.subscribe("/rosa/log", "rcl_interfaces/msg/Log", said.append)
-        assert call("action/request", action={"name": "exlpore", "is_required": True}) == {"success": False}
-        until(lambda: any(one["level"] == 30 and "did you mean 'explore'" in one["msg"] for one in said))
+        assert call("action/request", action={"name": "exlpore", "is_required": True}) == {
+            "success": False
+        }
+        until(
+            lambda: any(
+                one["level"] == 30 and "did you mean 'explore'" in one["msg"] for one in said
+            )
+        )
         assert call("action/insert", action={"name": "wave"})["success"]
         assert call("action/exists", action={"name": "wave"})["action"]["name"] == "wave"
         assert not call("query", query="match $a isa Action; get $a;")["success"]
@@ -218,8 +267,12 @@ def test_originals_services_are_served(robot):
 
 def test_events_are_published_as_the_original_compares_them(robot):
     heard, said = [], []
-    robot.server.subscribe("/rosa_kb/events", "std_msgs/msg/String", lambda one: heard.append(one["data"]))
-    robot.server.subscribe("/rosa/log", "rcl_interfaces/msg/Log", lambda one: said.append(one["msg"]))
+    robot.server.subscribe(
+        "/rosa_kb/events", "std_msgs/msg/String", lambda one: heard.append(one["data"])
+    )
+    robot.server.subscribe(
+        "/rosa/log", "rcl_interfaces/msg/Log", lambda one: said.append(one["msg"])
+    )
     with bridged(robot) as (kb, bridge):
         manager = ConfigurationManager(kb, bridge.managed)
         until(lambda: kb.attributes["energy"].value == 0.9, turn=lambda: robot.measure(0.9))
@@ -232,7 +285,10 @@ def test_events_are_published_as_the_original_compares_them(robot):
 def test_unknown_keys_of_diagnostics_are_counted_each_as_one_kind(robot):
     with bridged(robot) as (kb, bridge):
         values = iter(range(10**6))
-        until(lambda: sum(bridge.refused.values()) >= 5, turn=lambda: robot.diagnose(enrgy=next(values)))
+        until(
+            lambda: sum(bridge.refused.values()) >= 5,
+            turn=lambda: robot.diagnose(enrgy=next(values)),
+        )
         assert list(bridge.refused) == ["enrgy: unknown attribute 'enrgy'; did you mean 'energy'?"]
         assert kb.attributes["energy"].value is None
 
@@ -240,11 +296,17 @@ def test_unknown_keys_of_diagnostics_are_counted_each_as_one_kind(robot):
 def test_nonsense_is_counted_refused_logged_once_and_survived(robot, caplog):
     rng = random.Random(4)
     with bridged(robot) as (kb, bridge):
-        with connect(robot.url, max_queue=None) as peer:  # answers that nobody reads hold up no farewell
+        with connect(
+            robot.url, max_queue=None
+        ) as peer:  # answers that nobody reads hold up no farewell
             for _ in range(300):
                 peer.send(rng.choice(NONSENSE))
-            sane = json.dumps({"op": "publish", "topic": "/battery_state", "msg": {"percentage": 0.7}})
-            until(lambda: kb.attributes["energy"].value == 0.7, turn=lambda: peer.send(sane))  # the bridge may be late
+            sane = json.dumps(
+                {"op": "publish", "topic": "/battery_state", "msg": {"percentage": 0.7}}
+            )
+            until(
+                lambda: kb.attributes["energy"].value == 0.7, turn=lambda: peer.send(sane)
+            )  # the bridge may be late
         assert sum(robot.server.refused.values()) > 200
         for value in (None, "much", [1], {"a": 1}, float("nan")):
             robot.server.publish("/battery_state", "", {"percentage": value})
@@ -285,7 +347,9 @@ NONSENSE = (
 def test_client_that_never_reads_does_not_hold_up_closing():
     server = RosbridgeServer(0)
     with connect(f"ws://127.0.0.1:{server.port}", max_queue=1) as frozen:
-        frozen.send(json.dumps({"op": "subscribe", "topic": "/camera", "type": "std_msgs/msg/String"}))
+        frozen.send(
+            json.dumps({"op": "subscribe", "topic": "/camera", "type": "std_msgs/msg/String"})
+        )
         until(lambda: "/camera" in server.call("/rosapi/topics", "", {}).result(60)["topics"])
         for _ in range(5000):  # more than a connection can hold
             server.publish("/camera", "std_msgs/msg/String", {"data": "x" * 10_000})
@@ -308,7 +372,9 @@ def test_what_clients_can_take_has_an_end(robot, monkeypatch):
 
     with connect(url) as peer:
         assert "advertise 3 times at most" in refused(peer, op="advertise", topic="/t{}")
-        with pytest.raises(InvalidStatus, match="503"):  # now that the server has heard of the first one
+        with pytest.raises(
+            InvalidStatus, match="503"
+        ):  # now that the server has heard of the first one
             connect(url).__enter__()
         peer.send(json.dumps({"op": "advertise_service", "service": "/never"}))
         assert "3 calls wait" in refused(peer, op="call_service", service="/never")
@@ -356,11 +422,15 @@ def test_what_a_client_that_has_gone_had_asked_and_declared_is_forgotten(robot):
     url = f"ws://127.0.0.1:{robot.server.port}"
     with connect(url) as slow, connect(url) as caller:
         slow.send(json.dumps({"op": "advertise_service", "service": "/slow", "type": "x"}))
-        until(lambda: "/slow" in robot.server.call("/rosapi/services", "", {}).result(60)["services"])
+        until(
+            lambda: "/slow" in robot.server.call("/rosapi/services", "", {}).result(60)["services"]
+        )
         caller.send(json.dumps({"op": "advertise", "topic": "/passing", "type": "y/msg/Z"}))
         caller.send(json.dumps({"op": "call_service", "service": "/slow", "id": "1"}))
         assert json.loads(slow.recv(60))["op"] == "call_service"
-        assert robot.server.call("/rosapi/topic_type", "", {"topic": "/passing"}).result(60) == {"type": "y/msg/Z"}
+        assert robot.server.call("/rosapi/topic_type", "", {"topic": "/passing"}).result(60) == {
+            "type": "y/msg/Z"
+        }
         (number,) = robot.server._forwarded
         caller.close()
         until(lambda: not robot.server._forwarded)
@@ -404,7 +474,9 @@ def test_node_that_is_closed_while_it_connects_ends(robot, monkeypatch):
     assert not closing.is_alive()
 
 
-def test_what_waited_to_be_sent_when_the_connection_was_cut_is_published_on_the_next(robot, monkeypatch):
+def test_what_waited_to_be_sent_when_the_connection_was_cut_is_published_on_the_next(
+    robot, monkeypatch
+):
     monkeypatch.setattr("missions.wires.node._FLUSH_S", 60.0)
     node, heard, cut = Rosbridge(robot.url), [], Event()
     robot.server.subscribe("/news", "x", lambda one: heard.append(one["number"]))
@@ -433,7 +505,9 @@ def test_full_queue_of_what_is_late_pushes_out_nothing_that_is_declared():
     node.subscribe("/orders", "x", written.append)
     for number in range(QUEUED):
         node.publish("/news", "x", {"number": number})
-    socket = SimpleNamespace(send=lambda text: go_on.wait(60.0) and written.append(json.loads(text)), close=go_on.set)
+    socket = SimpleNamespace(
+        send=lambda text: go_on.wait(60.0) and written.append(json.loads(text)), close=go_on.set
+    )
     node._begin(Peer(socket), 0.0)
     go_on.set()
     until(lambda: len(written) == QUEUED)
@@ -503,9 +577,18 @@ def test_parameters_are_told_by_their_types_those_of_numpy_too():
             "unknown mission 'small_rover'; there are suave, suave_extended, agv, uav; one of your own is a",
         ),
         (["small_rover:rover_tree", "--answer"], "cannot build small_rover:rover_tree"),
-        (["suave", "--tree", "small_rover:ENERGY_DROP"], "is a list, not a function that builds a tree"),
-        (["suave", "--tree", "small_rover:rover_model"], "cannot build the tree of small_rover:rover_model: TypeError"),
-        (["suave", "--config", "nowhere.toml"], "cannot read nowhere.toml: No such file or directory\n"),
+        (
+            ["suave", "--tree", "small_rover:ENERGY_DROP"],
+            "is a list, not a function that builds a tree",
+        ),
+        (
+            ["suave", "--tree", "small_rover:rover_model"],
+            "cannot build the tree of small_rover:rover_model: TypeError",
+        ),
+        (
+            ["suave", "--config", "nowhere.toml"],
+            "cannot read nowhere.toml: No such file or directory\n",
+        ),
     ],
 )
 def test_robot_or_tree_that_is_none_is_told_in_a_sentence(monkeypatch, capsys, arguments, words):
@@ -534,7 +617,9 @@ def test_wrong_settings_are_told(tmp_path):
             file.write_text(text)
             with pytest.raises(MissionError, match=said):
                 BridgeSettings.load(file)
-        file.write_text('[attributes]\nenergy = "/battery_state.percentage"\n[components]\ncamera = "/camera"\n')
+        file.write_text(
+            '[attributes]\nenergy = "/battery_state.percentage"\n[components]\ncamera = "/camera"\n'
+        )
         assert BridgeSettings.load(file).attributes == {"energy": "/battery_state.percentage"}
         with pytest.raises(MissionError, match="not the address"):
             Rosbridge("robot:9090")

@@ -144,8 +144,12 @@ CAMPAIGNS = st.builds(
     runs=st.integers(1, 3),
     first_seed=st.integers(0, 5),
     settings=st.dictionaries(st.sampled_from(["a", "b"]), st.sampled_from(["1", "x"])),
-    cases=st.lists(st.fixed_dictionaries({"c": st.sampled_from("123")}), max_size=3, unique_by=repr).map(tuple),
-    sweep=st.dictionaries(st.sampled_from(["d", "e"]), st.lists(st.sampled_from("123"), min_size=1, unique=True)),
+    cases=st.lists(
+        st.fixed_dictionaries({"c": st.sampled_from("123")}), max_size=3, unique_by=repr
+    ).map(tuple),
+    sweep=st.dictionaries(
+        st.sampled_from(["d", "e"]), st.lists(st.sampled_from("123"), min_size=1, unique=True)
+    ),
 )
 
 
@@ -172,7 +176,10 @@ def test_campaign_is_the_same_after_it_was_written_and_read(campaign):
 def test_seed_of_a_run_stands_in_its_name_and_in_what_does_it_again():
     run = PlannedRun("suave", "ours", "pddl", 7, (("bias", "0"), ("start_y", "2.8")))
     assert run.name == "suave/ours/pddl/bias=0,start_y=2.8/7"
-    assert run.command == "rosa run suave --manager ours --task pddl --seed 7 --set bias=0 --set start_y=2.8"
+    assert (
+        run.command
+        == "rosa run suave --manager ours --task pddl --seed 7 --set bias=0 --set start_y=2.8"
+    )
 
 
 def test_paper_table_has_both_missions_under_every_manager_a_hundred_times():
@@ -199,17 +206,26 @@ def test_tables_hold_what_the_runs_gave(small):
     for name, row in rows.items():
         record = records[name]
         assert row["set_bias"] == record["settings"]["bias"]
-        assert row["search_time_s"] == ("" if record["search_time_s"] is None else str(record["search_time_s"]))
+        assert row["search_time_s"] == (
+            "" if record["search_time_s"] is None else str(record["search_time_s"])
+        )
         assert float(row["violation_s"]) == record["violation_s"]
     with (folder / "reactions.csv").open(newline="") as file:
-        assert len(list(csv.DictReader(file))) == sum(len(record["reactions"]) for record in records.values()) > 0
+        assert (
+            len(list(csv.DictReader(file)))
+            == sum(len(record["reactions"]) for record in records.values())
+            > 0
+        )
 
 
 def test_record_of_a_run_is_what_its_command_line_gives(quick, small, tmp_path):
     record = next(one for one in lines(small[1]) if one["manager"] == "bt" and one["seed"] == 1)
     run = next(run for run in read_store(small[1]).campaign.planned() if run.name == record["run"])
     found = 0 if record["search_time_s"] else 1
-    assert quick(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json")[0] == found
+    assert (
+        quick(*shlex.split(run.command)[1:], "--no-progress", "--json", tmp_path / "again.json")[0]
+        == found
+    )
     again = json.loads((tmp_path / "again.json").read_text())
     assert {key: again[key] for key in ("seed", "violation_s", "switches", "energy_j")} == {
         key: record[key] for key in ("seed", "violation_s", "switches", "energy_j")
@@ -242,7 +258,9 @@ def test_killed_campaign_goes_on_without_losing_or_repeating_a_run(quick, small,
 def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(quick, small, tmp_path):
     file, two = small
     folder = tmp_path / "full"
-    _, said = rosa("campaign", file, "--workers", 1, "--out", folder, cwd=tmp_path, most_bytes=33_000).communicate()
+    _, said = rosa(
+        "campaign", file, "--workers", 1, "--out", folder, cwd=tmp_path, most_bytes=33_000
+    ).communicate()
     assert "make room, then go on with --resume" in " ".join(said.split())
     assert "Traceback" not in said
     assert 0 < assert_gone_on_with(quick, folder, two, file) < RUNS
@@ -251,7 +269,10 @@ def test_campaign_on_a_full_disk_says_so_and_goes_on_when_there_is_room(quick, s
 def test_campaign_that_is_done_is_done(quick, small):
     file, two = small
     before = tables(two)
-    assert f"{RUNS} of {RUNS} runs done, 0 of them now" in quick("campaign", file, "--resume", "--out", two)[1]
+    assert (
+        f"{RUNS} of {RUNS} runs done, 0 of them now"
+        in quick("campaign", file, "--resume", "--out", two)[1]
+    )
     assert tables(two) == before
 
 
@@ -282,12 +303,20 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(quick, tmp_path, monk
     folder = tmp_path / "c"
     crashed = {record["run"]: record["error"] for record in read_store(folder).crashed}
     divided = "ZeroDivisionError: division by zero; clumsy.py, line 10"
-    raised = f"MissionError: mission suave under manager clumsy:Clumsy failed after 1.02 s: {divided}"
+    raised = (
+        f"MissionError: mission suave under manager clumsy:Clumsy failed after 1.02 s: {divided}"
+    )
     errors = {1: raised, 2: "the process that ran it died", 3: "SystemExit: enough"}
-    assert crashed == {f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/1": error for y, error in errors.items()}
-    assert "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
+    assert crashed == {
+        f"suave/clumsy:Clumsy/duration_s=5,start_y={y}/1": error for y, error in errors.items()
+    }
+    assert (
+        "rosa run suave --manager clumsy:Clumsy --seed 1 --set duration_s=5 --set start_y=2" in out
+    )
     with closing(sqlite3.connect(folder / FILE)) as file:
-        tracebacks = [text for (text,) in file.execute("SELECT traceback FROM runs WHERE outcome = 'crashed'")]
+        tracebacks = [
+            text for (text,) in file.execute("SELECT traceback FROM runs WHERE outcome = 'crashed'")
+        ]
     assert sum("ZeroDivisionError" in text for text in tracebacks) == 1
     assert len(lines(folder)) == 4
 
@@ -295,7 +324,9 @@ def test_run_that_crashes_is_recorded_and_the_others_go_on(quick, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "clumsy", raising=False)
     for options, now in (([], 0), (["--retry"], 3)):  # a run that crashed is done too
-        code, out, err = quick("campaign", "c.toml", "--resume", *options, "--workers", 1, "--out", "c")
+        code, out, err = quick(
+            "campaign", "c.toml", "--resume", *options, "--workers", 1, "--out", "c"
+        )
         assert (code, f"4 of 4 runs done, {now} of them now" in out) == (0, True), out + err
     assert not read_store(folder).crashed
 
@@ -318,7 +349,10 @@ def test_folder_of_results_imports_nothing_by_itself(tmp_path, quick, monkeypatc
     ("text", "message"),
     [
         ('mission = ["suave"]', "unknown key 'mission'; did you mean missions?"),
-        ('missions = ["suave"]\nquux = 1', "unknown key 'quux'; there are name, missions, managers"),
+        (
+            'missions = ["suave"]\nquux = 1',
+            "unknown key 'quux'; there are name, missions, managers",
+        ),
         ("runs = 3", "says no missions"),
         ('missions = "suave"', "missions is 'suave'; expected is a list"),
         ("missions = []", "missions is []; expected is a list of one name or more"),
@@ -327,7 +361,10 @@ def test_folder_of_results_imports_nothing_by_itself(tmp_path, quick, monkeypatc
         ('missions = ["suave"]\ntasks = ["xml"]', "unknown task layer 'xml'"),
         ('missions = ["suave"]\nruns = 0', "runs is 0; expected is a whole number from 1"),
         ('missions = ["suave"]\nruns = true', "runs is True"),
-        ('missions = ["suave"]\nfirst_seed = -1', "first_seed is -1; expected is a whole number from 0"),
+        (
+            'missions = ["suave"]\nfirst_seed = -1',
+            "first_seed is -1; expected is a whole number from 0",
+        ),
         ('missions = ["suave", "suave"]', "missions has suave twice"),
         ('missions = ["suave"]\n[sweep]\nbias = []', "sweep is {'bias': []}"),
         (
@@ -335,17 +372,28 @@ def test_folder_of_results_imports_nothing_by_itself(tmp_path, quick, monkeypatc
             "sweep is {'bias': 1}; expected is a table of names, each with a list",
         ),
         ('missions = ["suave"]\n[sweep]\nbias = [[1]]', "sweep is {'bias': [[1]]}; expected"),
-        ('missions = ["suave"]\n[settings]\nbais = 1', "unknown setting 'bais' of mission suave; did you mean bias"),
+        (
+            'missions = ["suave"]\n[settings]\nbais = 1',
+            "unknown setting 'bais' of mission suave; did you mean bias",
+        ),
         ('missions = ["suave"]\n[settings]\nduration_s = -1', "duration_s is '-1'"),
         ('missions = ["suave"]\n[sweep]\nmass_kg = [1, -1]', "mass_kg"),
         ('missions = ["suave"]\nrules = "2023"', "there are no rules '2023'"),
-        ('missions = ["suave"]\n[settings]\nbias = 0\n[sweep]\nbias = [1]', "bias is given in settings and in sweep"),
-        ('missions = ["suave"]\n[sweep]\nbias = [1]\n[[cases]]\nbias = 0', "bias is given in sweep and in cases"),
+        (
+            'missions = ["suave"]\n[settings]\nbias = 0\n[sweep]\nbias = [1]',
+            "bias is given in settings and in sweep",
+        ),
+        (
+            'missions = ["suave"]\n[sweep]\nbias = [1]\n[[cases]]\nbias = 0',
+            "bias is given in sweep and in cases",
+        ),
         ('missions = ["suave"]\nname = "../up"', "name is '../up'"),
         ('missions = ["suave"', "c.toml is no TOML"),
     ],
 )
-def test_file_that_is_wrong_is_refused_before_anything_runs(tmp_path, monkeypatch, quick, text, message):
+def test_file_that_is_wrong_is_refused_before_anything_runs(
+    tmp_path, monkeypatch, quick, text, message
+):
     monkeypatch.chdir(tmp_path)
     Path("c.toml").write_text(text)
     code, out, err = quick("campaign", "c.toml")
@@ -392,7 +440,11 @@ def begun(folder, text=SMALL):
 
 @cache
 def first() -> Outcome:
-    return do(next(Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"}).planned()))
+    return do(
+        next(
+            Campaign("small", ("suave",), ("none",), runs=2, settings={"duration_s": "1"}).planned()
+        )
+    )
 
 
 def test_folder_that_holds_another_campaign_is_left_alone(tmp_path, quick):
@@ -419,7 +471,9 @@ def test_results_of_different_code_are_never_mixed(tmp_path, quick):
     begun(tmp_path / "c")
     with Store(tmp_path / "c", None, resume=True) as store:
         strange = Outcome(next(store.campaign.planned()), "other", {"run": "x", "outcome": "y"})
-        with pytest.raises(MissionError, match=r"was run by other code \(other\) than the campaign"):
+        with pytest.raises(
+            MissionError, match=r"was run by other code \(other\) than the campaign"
+        ):
             store.keep(strange)
     with closing(sqlite3.connect(tmp_path / "c" / FILE)) as file, file:
         file.execute("UPDATE about SET provenance = json_set(provenance, '$.code', 'older')")
@@ -430,7 +484,10 @@ def test_results_of_different_code_are_never_mixed(tmp_path, quick):
 
 
 def test_what_npm_has_installed_is_no_code_of_ours(tmp_path, monkeypatch):
-    monkeypatch.setattr("missions.experiments.campaign.__file__", str(tmp_path / "missions" / "experiments" / "it.py"))
+    monkeypatch.setattr(
+        "missions.experiments.campaign.__file__",
+        str(tmp_path / "missions" / "experiments" / "it.py"),
+    )
     installed = tmp_path / "missions" / "node_modules"
     installed.mkdir(parents=True)
     before = provenance.__wrapped__()
@@ -466,11 +523,15 @@ def test_folder_that_cannot_be_written_can_be_read(tmp_path, monkeypatch):
     before = lines(tmp_path / "c")
     for one in (path, path.parent):
         one.chmod(0o444 if one is path else 0o555)
-    monkeypatch.setattr("missions.experiments.campaign.os.access", lambda *_: False)  # as nobody's, whoever tests
+    monkeypatch.setattr(
+        "missions.experiments.campaign.os.access", lambda *_: False
+    )  # as nobody's, whoever tests
     assert read_store(tmp_path / "c").campaign == campaign
     assert lines(tmp_path / "c") == before
     assert list(path.parent.iterdir()) == [path]
-    with pytest.raises(MissionError, match=r"cannot write to .*: attempt to write a readonly database"):
+    with pytest.raises(
+        MissionError, match=r"cannot write to .*: attempt to write a readonly database"
+    ):
         Store(tmp_path / "c", None, resume=True)
     path.parent.chmod(0o755)
 
@@ -479,7 +540,9 @@ def test_damaged_run_is_told_when_it_is_read(tmp_path):
     begun(tmp_path / "c")
     content = (tmp_path / "c" / FILE).read_bytes()
     (tmp_path / "c" / FILE).write_bytes(content[:8192] + bytes(len(content) - 8192))
-    with pytest.raises(MissionError, match=r"cannot read .*campaign.sqlite3: database disk image is malformed"):
+    with pytest.raises(
+        MissionError, match=r"cannot read .*campaign.sqlite3: database disk image is malformed"
+    ):
         lines(tmp_path / "c")
 
 
@@ -490,7 +553,9 @@ def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypa
 
     def watched(*given, **named):
         file = opened(*given, **named)
-        file.set_trace_callback(lambda said: synced.append(now[0]) if "checkpoint" in said else None)
+        file.set_trace_callback(
+            lambda said: synced.append(now[0]) if "checkpoint" in said else None
+        )
         return file
 
     monkeypatch.setattr(sqlite3, "connect", watched)
@@ -498,7 +563,11 @@ def test_results_are_put_on_disk_once_a_second_and_at_the_end(tmp_path, monkeypa
     with Store(tmp_path / "c", campaign) as store:
         for run in campaign.planned():
             now[0] += 0.1
-            store.keep(Outcome(run, provenance()["code"], {"run": run.name, "outcome": "x"}, {"run": run.name}))
+            store.keep(
+                Outcome(
+                    run, provenance()["code"], {"run": run.name, "outcome": "x"}, {"run": run.name}
+                )
+            )
             assert lines(tmp_path / "c")[-1]["run"] == run.name  # what a kill cannot take any more
     each = dict.fromkeys(synced)
     assert 5 <= len(each) <= 7

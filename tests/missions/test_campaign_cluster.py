@@ -35,7 +35,9 @@ class Fatal(Manager):
         os._exit(1)
 """
 TABLES = ("runs.csv", "reactions.csv")
-IGNORED = shutil.ignore_patterns("*.pyc.*", "node_modules")  # what is compiled is copied, half-written files are not
+IGNORED = shutil.ignore_patterns(
+    "*.pyc.*", "node_modules"
+)  # what is compiled is copied, half-written files are not
 
 
 class Machines:
@@ -46,13 +48,27 @@ class Machines:
         self.foreign = False
         (folder / "fatal.py").write_text(FATAL)
         (folder / "small.toml").write_text(SMALL)
-        options = ["--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", "scheduler.json"]
+        options = [
+            "--host",
+            "127.0.0.1",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            "scheduler.json",
+        ]
         self.scheduler = self.start("distributed.cli.dask_scheduler", *options, path=self.path)
         self.wait_for(self.is_found)
 
     def start(self, module, *arguments, path):
-        settings = {**os.environ, "PYTHONPATH": os.pathsep.join(path), "DASK_LOGGING__DISTRIBUTED": "error"}
-        settings["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"  # so that a fatal run kills two workers only
+        settings = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(path),
+            "DASK_LOGGING__DISTRIBUTED": "error",
+        }
+        settings["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = (
+            "0"  # so that a fatal run kills two workers only
+        )
         command = [sys.executable, "-m", module, *map(str, arguments)]
         with (self.folder / "log.txt").open("a") as log:
             return subprocess.Popen(command, stdout=log, stderr=log, env=settings, cwd=self.folder)
@@ -67,7 +83,9 @@ class Machines:
                 one.kill()
                 one.wait()
         more = [
-            self.start("distributed.cli.dask_worker", self.address, *options, path=path or self.path)
+            self.start(
+                "distributed.cli.dask_worker", self.address, *options, path=path or self.path
+            )
             for _ in range(count - len(stay))
         ]
         self.workers, self.foreign = [*stay, *more], path is not None
@@ -83,7 +101,12 @@ class Machines:
         command = [sys.executable, "-m", "missions", *map(str, arguments)]
         settings = {**os.environ, "PYTHONPATH": os.pathsep.join(self.path)}
         return subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=settings, cwd=self.folder
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=settings,
+            cwd=self.folder,
         )
 
     def is_found(self):
@@ -136,7 +159,9 @@ def test_killed_worker_costs_nothing_and_results_are_those_of_local_processes(ma
     assert len(names) == len(set(names)) == RUNS
     assert quick("campaign", "small.toml", "--workers", "1", "--out", "near")[0] == 0
     for name in TABLES:
-        assert (machines.folder / "far" / name).read_bytes() == (machines.folder / "near" / name).read_bytes()
+        assert (machines.folder / "far" / name).read_bytes() == (
+            machines.folder / "near" / name
+        ).read_bytes()
 
 
 def test_run_that_kills_its_workers_is_recorded_and_the_others_go_on(machines):
@@ -156,7 +181,9 @@ def test_run_that_kills_its_workers_is_recorded_and_the_others_go_on(machines):
 
 def test_cluster_that_cannot_do_it_is_refused_at_once(machines, quick):
     def refused():
-        code, _, err = quick("campaign", "small.toml", "--out", "refused", "--cluster", machines.address)
+        code, _, err = quick(
+            "campaign", "small.toml", "--out", "refused", "--cluster", machines.address
+        )
         assert code == 2, err
         shutil.rmtree(machines.folder / "refused")
         return " ".join(err.split())
@@ -175,7 +202,10 @@ def test_cluster_that_cannot_do_it_is_refused_at_once(machines, quick):
     bare.mkdir(parents=True)
     (bare / "__init__.py").touch()
     machines.have_workers(1, path=[str(bare.parent)])
-    assert "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'" in refused()
+    assert (
+        "cannot do missions: ModuleNotFoundError: No module named 'missions.experiments'"
+        in refused()
+    )
 
 
 def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monkeypatch):
@@ -183,5 +213,7 @@ def test_scheduler_that_is_not_there_is_told_with_what_starts_one(tmp_path, monk
     from missions.experiments import workers
 
     monkeypatch.setattr(workers, "TIMEOUT_S", 0.5)
-    with pytest.raises(MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"):
+    with pytest.raises(
+        MissionError, match=r"no scheduler at 127\.0\.0\.1:9: .*start one with `dask scheduler`"
+    ):
         workers.Cluster("127.0.0.1:9")

@@ -10,7 +10,14 @@ import pytest
 
 from missions import cli
 from missions.engine.mission import MissionError
-from missions.experiments.campaign import Campaign, Outcome, Store, provenance, read_store, write_tables
+from missions.experiments.campaign import (
+    Campaign,
+    Outcome,
+    Store,
+    provenance,
+    read_store,
+    write_tables,
+)
 from missions.experiments.comparison import comparisons
 from missions.experiments.report import Document, write_report
 from missions.experiments.workers import crash
@@ -22,12 +29,27 @@ def outcome(run, **figures):
     """Return the outcome of a run with figures as the paper has them; ours are those of the tree, but 1 m further."""
     rng = numpy.random.default_rng(run.seed)
     slow = run.manager == "none"
-    search = (round(rng.normal(130 if run.seed % 2 else 210, 5))) if slow else round(rng.normal(84, 20))
+    search = (
+        (round(rng.normal(130 if run.seed % 2 else 210, 5))) if slow else round(rng.normal(84, 20))
+    )
     record = {
-        **{"run": run.name, "mission": run.mission, "manager": run.manager, "task": run.task, "seed": run.seed},
-        **{"settings": dict(run.settings), "outcome": "time_limit", "duration_s": 300.0, "search_time_s": search},
+        **{
+            "run": run.name,
+            "mission": run.mission,
+            "manager": run.manager,
+            "task": run.task,
+            "seed": run.seed,
+        },
+        **{
+            "settings": dict(run.settings),
+            "outcome": "time_limit",
+            "duration_s": 300.0,
+            "search_time_s": search,
+        },
         "distance_inspected_m": 33.0 if slow else 62.0 + rng.normal() + (run.manager == "ours"),
-        "reactions": [] if slow else [["U1", 35.0, 1.25 if run.manager == "rosa" else 0.05 + rng.random() / 20]],
+        "reactions": []
+        if slow
+        else [["U1", 35.0, 1.25 if run.manager == "rosa" else 0.05 + rng.random() / 20]],
         **({"input_from_paper_service_s": 0.17} if run.manager == "rosa" else {}),
     }
     timing = {"run": run.name, "wall_s": 0.5, "reactions": [] if slow else [["U1", 0.002]]}
@@ -63,14 +85,18 @@ def test_published_table_stands_beside_ours_with_intervals(report):
     assert table["bt"][5] == "62.70 ± 7.78"
     assert table["ours (bt)"][2] == "-"
     for name in ("none", "bt", "rosa*", "ours (bt)"):
-        mean, low, high = map(float, re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", table[name][3]).groups())
+        mean, low, high = map(
+            float, re.fullmatch(r"(\S+) \[(\S+), (\S+)\]", table[name][3]).groups()
+        )
         assert low < mean < high
 
 
 def test_what_was_taken_from_the_paper_is_marked_wherever_it_shows(report):
     text = (report / "report.md").read_text()
     assert "rosa*: service_s = 0.17 is an input taken from the paper's own figures" in text
-    assert not re.search(r"\brosa\b(?!\*|_)", text.split("## suave")[1].split("## How it was computed")[0])
+    assert not re.search(
+        r"\brosa\b(?!\*|_)", text.split("## suave")[1].split("## How it was computed")[0]
+    )
     assert "* figures of the paper are put in" in text_of(report / "suave_search_time_s.svg")
 
 
@@ -89,7 +115,10 @@ def test_difference_of_runs_with_the_same_seed_is_found_although_ranks_overlap(r
 
 
 def test_two_clusters_of_search_times_are_told_and_shown(report):
-    table = {row[0]: row for row in rows((report / "report.md").read_text(), "### Distribution: search time [s]")}
+    table = {
+        row[0]: row
+        for row in rows((report / "report.md").read_text(), "### Distribution: search time [s]")
+    }
     earlier, later = (float(re.match(r"\d+", cell).group()) for cell in table["none"][1:3])
     assert (earlier, later) == pytest.approx((130, 210), abs=4)
     assert table["none"][4].endswith(", clear")
@@ -144,8 +173,18 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
 
     def change(run):
         record = {
-            **{"run": run.name, "mission": run.mission, "manager": "ours", "task": "bt", "seed": run.seed},
-            **{"settings": dict(run.settings), "outcome": "explored_all", "duration_s": 90.0 + run.seed},
+            **{
+                "run": run.name,
+                "mission": run.mission,
+                "manager": "ours",
+                "task": "bt",
+                "seed": run.seed,
+            },
+            **{
+                "settings": dict(run.settings),
+                "outcome": "explored_all",
+                "duration_s": 90.0 + run.seed,
+            },
             **{"explored_m": 100.0, "done_s": 50.0 if run.seed else None, "reactions": []},
         }
         return Outcome(run, provenance()["code"], record, {})
@@ -159,8 +198,13 @@ def test_mission_of_ones_own_is_reported_by_its_own_figures(tmp_path):
     assert (tmp_path / "rover_MISSION_with_energy_1_explored_m.svg").exists()
     store = read_store(tmp_path / "c")
     write_report(store, tmp_path, figures=["done_s"])
-    assert "| manager | runs | goal reached | done_s: mean [95 %] | sd [95 %] |" in (tmp_path / "report.md").read_text()
-    with pytest.raises(MissionError, match="no run has a figure 'done'; there are duration_s, explored_m, done_s"):
+    assert (
+        "| manager | runs | goal reached | done_s: mean [95 %] | sd [95 %] |"
+        in (tmp_path / "report.md").read_text()
+    )
+    with pytest.raises(
+        MissionError, match="no run has a figure 'done'; there are duration_s, explored_m, done_s"
+    ):
         write_report(store, tmp_path, figures=["done"])
 
 
@@ -206,7 +250,10 @@ def test_nothing_to_report_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nowhere"], "there is no folder nowhere; `rosa campaign FILE.toml --out nowhere` makes one"),
+        (
+            ["nowhere"],
+            "there is no folder nowhere; `rosa campaign FILE.toml --out nowhere` makes one",
+        ),
         (["."], ". holds no campaign"),
         (["c", "--out", "c/campaign.sqlite3/x"], "cannot make c/campaign.sqlite3/x"),
     ],
@@ -246,8 +293,15 @@ def test_document_escapes_what_would_be_taken_for_markup():
 def test_runs_that_stand_out_have_pages_that_the_report_links_to(tmp_path):
     campaign = Campaign("small", ("suave",), ("none", "ours"), runs=3, settings={"duration": "20"})
     written = write_report(kept(tmp_path / "c", campaign=campaign), tmp_path / "report", pages=True)
-    text = (tmp_path / "report" / "report.md").read_text().split("## Runs that stand out")[1].split("\n#")[0]
-    links = re.findall(r"\[(suave/\S+)\]\((\w+\.html)\): search_time_s (\S+), the (lowest|highest) of", text)
+    text = (
+        (tmp_path / "report" / "report.md")
+        .read_text()
+        .split("## Runs that stand out")[1]
+        .split("\n#")[0]
+    )
+    links = re.findall(
+        r"\[(suave/\S+)\]\((\w+\.html)\): search_time_s (\S+), the (lowest|highest) of", text
+    )
     assert len(links) == 4
     for name, target, _, _ in links:
         assert tmp_path / "report" / target in written

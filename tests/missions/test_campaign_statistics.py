@@ -10,7 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from missions.experiments import comparison
-from missions.experiments.comparison import contrast, holm, interval_of_mean, interval_of_sd, two_clusters
+from missions.experiments.comparison import (
+    contrast,
+    holm,
+    interval_of_mean,
+    interval_of_sd,
+    two_clusters,
+)
 
 NUMBERS = st.integers(-1000, 1000).map(lambda number: number / 8)
 SAMPLES = st.lists(NUMBERS, min_size=1, max_size=20)
@@ -37,10 +43,14 @@ def test_standard_deviation_knows_no_shift_and_scales(values, shift, factor):
     found = interval_of_sd(values, seeded())
     other = interval_of_sd([factor * value + shift for value in values], seeded())
     assert other.estimate == pytest.approx(factor * found.estimate, abs=1e-9)
-    assert (other.low, other.high) == pytest.approx((factor * found.low, factor * found.high), abs=1e-9)
+    assert (other.low, other.high) == pytest.approx(
+        (factor * found.low, factor * found.high), abs=1e-9
+    )
 
 
-@pytest.mark.parametrize("draw", [lambda rng: rng.exponential(size=2001), lambda rng: rng.integers(4, size=2001) // 3])
+@pytest.mark.parametrize(
+    "draw", [lambda rng: rng.exponential(size=2001), lambda rng: rng.integers(4, size=2001) // 3]
+)
 @pytest.mark.parametrize("interval", [interval_of_mean, interval_of_sd])
 def test_intervals_of_many_values_are_those_of_resamples_without_any(monkeypatch, draw, interval):
     values = draw(seeded())
@@ -64,7 +74,10 @@ def test_intervals_hold_the_true_mean_about_as_often_as_they_say():
 @settings(max_examples=40)
 @given(SAMPLES, SAMPLES)
 def test_contrast_is_the_same_seen_from_the_other_side(first, second):
-    (p, superiority), (other_p, other_superiority) = contrast(first, second), contrast(second, first)
+    (p, superiority), (other_p, other_superiority) = (
+        contrast(first, second),
+        contrast(second, first),
+    )
     assert p == pytest.approx(other_p)
     assert superiority + other_superiority == pytest.approx(1)
     assert 0 <= p <= 1
@@ -140,6 +153,10 @@ def test_clusters_that_are_there_are_told_from_those_that_are_not():
 
 
 def test_no_values_are_no_sample():
-    for ask in (lambda: interval_of_mean([], seeded()), lambda: contrast([], [1.0]), lambda: interval_of_sd([], None)):
+    for ask in (
+        lambda: interval_of_mean([], seeded()),
+        lambda: contrast([], [1.0]),
+        lambda: interval_of_sd([], None),
+    ):
         with pytest.raises(ValueError, match="a sample needs one value or more"):
             ask()

@@ -105,7 +105,11 @@ def test_names_of_the_own_missions_are_found_in_tree_and_domain():
 
 
 def test_sound_files_exit_with_0(rosa):
-    assert rosa("explorer.tql", "--tree", "trees:of_kb") == (0, "model explorer: nothing found\n", "")
+    assert rosa("explorer.tql", "--tree", "trees:of_kb") == (
+        0,
+        "model explorer: nothing found\n",
+        "",
+    )
 
 
 def test_files_are_read_in_order_and_a_later_one_mends_an_earlier_one(rosa, tmp_path):
@@ -177,7 +181,9 @@ def test_names_of_several_trees_and_domains_are_taken_together(rosa):
     assert (code, "action explore is mentioned nowhere" in out) == (0, True)
     code, out, _ = rosa("explorer.tql", "--tree", "trees:of_nothing", "--tree", "trees:of_kb")
     assert (code, "mentioned nowhere" in out) == (0, False)
-    code, out, _ = rosa("explorer.tql", "--tree", "trees:of_both", "--pddl", "domain.pddl", "--pddl", "problem.pddl")
+    code, out, _ = rosa(
+        "explorer.tql", "--tree", "trees:of_both", "--pddl", "domain.pddl", "--pddl", "problem.pddl"
+    )
     assert code == 1
     assert "problem.pddl:3:21: unknown action 'charge'" in out
     assert "domain.pddl:4:15: unknown action 'look'" in out
@@ -196,7 +202,10 @@ def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
     names, _ = names_in_tree(lambda kb: IsActionFeasible("later", kb), model, "the tree")
     assert [name for name, _ in names] == [""]
     given_later = dataclasses.replace(
-        find_mission("suave"), model=explorer, tree=lambda kb, percepts: IsActionFeasible("later", kb), domain=None
+        find_mission("suave"),
+        model=explorer,
+        tree=lambda kb, percepts: IsActionFeasible("later", kb),
+        domain=None,
     )
     assert judge([], dataclasses.replace(given_later, problem=None), [], [])[1] == ()
 
@@ -204,11 +213,16 @@ def test_name_that_a_tree_is_given_only_while_it_runs_is_no_finding():
 def test_files_are_judged_with_the_tree_of_a_mission(rosa):
     code, out, _ = rosa("explorer.tql", "--mission", "suave")
     assert code == 1
-    assert "behaviour 'search feasible?' of the tree of suave and 2 more: unknown action 'search_pipeline'" in out
+    assert (
+        "behaviour 'search feasible?' of the tree of suave and 2 more: unknown action 'search_pipeline'"
+        in out
+    )
     assert "action explore is mentioned nowhere" in out
 
 
-def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot_run(rosa, monkeypatch):
+def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot_run(
+    rosa, monkeypatch
+):
     broken = dataclasses.replace(
         find_mission("suave"),
         name="broken",
@@ -220,7 +234,9 @@ def test_mission_of_ones_own_with_a_misspelt_action_is_judged_although_it_cannot
     assert "did you mean 'search_pipeline'" in out
 
 
-def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_mentioned_nowhere(rosa, monkeypatch):
+def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_mentioned_nowhere(
+    rosa, monkeypatch
+):
     suave = find_mission("suave")
 
     def larger():
@@ -229,7 +245,9 @@ def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_me
         return model
 
     named = dataclasses.replace(suave, name="ascending", model=larger)
-    ascending = dataclasses.replace(named, tree=lambda kb, percepts: IsActionFeasible("up?", kb, "surface"))
+    ascending = dataclasses.replace(
+        named, tree=lambda kb, percepts: IsActionFeasible("up?", kb, "surface")
+    )
     register(monkeypatch, "ascending", ascending)
     code, out, _ = rosa("--mission", "ascending")
     assert (code, "warning file-note" in out) == (0, True)
@@ -241,7 +259,9 @@ def test_what_planning_for_a_mission_passes_over_is_told_unless_the_action_is_me
 
 
 def test_tree_may_be_given_as_something_that_needs_nothing():
-    assert names_in_tree(lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it") == ([], [])
+    assert names_in_tree(
+        lambda: py_trees.composites.Sequence("s", memory=False), explorer(), "it"
+    ) == ([], [])
     with pytest.raises(MissionError, match="it is None, not a py_trees behaviour"):
         names_in_tree(lambda: None, explorer(), "it")
 
@@ -255,18 +275,39 @@ def test_tree_may_be_given_as_something_that_needs_nothing():
         (["broken.tql"], "broken.tql:2:"),
         (["explorer.txt"], "explorer.txt"),
         (["--mission", "suaf"], "unknown mission 'suaf'"),
-        (["explorer.tql", "--tree", "trees"], "there are none by name, a tree is given as module:callable"),
-        (["explorer.tql", "--tree", "trees:wood"], "cannot import tree 'trees:wood': trees has no 'wood'"),
-        (["explorer.tql", "--tree", "forest:wood"], "cannot import tree 'forest:wood': there is no module forest"),
-        (["explorer.tql", "--tree", "trees:TREE"], "'trees:TREE' is a Sequence, not a function that builds a tree"),
-        (["explorer.tql", "--tree", "trees:of_no_tree"], "tree trees:of_no_tree is 3, not a py_trees behaviour"),
-        (["explorer.tql", "--tree", "trees:of_a_mistake"], "cannot build tree trees:of_a_mistake: AttributeError"),
+        (
+            ["explorer.tql", "--tree", "trees"],
+            "there are none by name, a tree is given as module:callable",
+        ),
+        (
+            ["explorer.tql", "--tree", "trees:wood"],
+            "cannot import tree 'trees:wood': trees has no 'wood'",
+        ),
+        (
+            ["explorer.tql", "--tree", "forest:wood"],
+            "cannot import tree 'forest:wood': there is no module forest",
+        ),
+        (
+            ["explorer.tql", "--tree", "trees:TREE"],
+            "'trees:TREE' is a Sequence, not a function that builds a tree",
+        ),
+        (
+            ["explorer.tql", "--tree", "trees:of_no_tree"],
+            "tree trees:of_no_tree is 3, not a py_trees behaviour",
+        ),
+        (
+            ["explorer.tql", "--tree", "trees:of_a_mistake"],
+            "cannot build tree trees:of_a_mistake: AttributeError",
+        ),
         (["explorer.tql", "--tree", "builtins:int"], "tree builtins:int"),
         (["explorer.tql", "--tree", "trees:of_a_component"], "unknown component 'wing'"),
         (["explorer.tql", "--pddl", "nowhere.pddl"], "nowhere.pddl: cannot read this PDDL file"),
         (["explorer.tql", "--pddl", "broken.tql"], "broken.tql:"),
         (["explorer.tql", "--plan"], "--plan"),
-        (["rover:MISSION"], "the name of a model's file ends in .tql or .owl, this one without a suffix"),
+        (
+            ["rover:MISSION"],
+            "the name of a model's file ends in .tql or .owl, this one without a suffix",
+        ),
     ],
 )
 def test_wrong_use_is_one_clear_message_and_exits_with_2(rosa, tmp_path, arguments, message):

@@ -59,7 +59,9 @@ def test_settings_are_listed_with_unit_default_and_source(quick):
     row = next(number for number, line in enumerate(rows) if line.startswith("discharge_time_s"))
     assert "200 s " in rows[row]
     assert "ROSA paper" in rows[row + 1]
-    assert all(name in out for name in ("duration_s", "tick_period_s", "planning_delay_s", "activation_s"))
+    assert all(
+        name in out for name in ("duration_s", "tick_period_s", "planning_delay_s", "activation_s")
+    )
 
 
 @pytest.mark.parametrize(
@@ -112,18 +114,25 @@ def test_adaptations_are_told_the_same_meanwhile_and_at_the_end(quick):
     assert "why: aruco_camera is unfeasible because light 0.1" in out
     adaptations = [line for line in out.splitlines() if "adaptation:" in line or "why:" in line]
     assert len(adaptations) >= 4
-    assert [line for line in quick("run", "agv", "--seed", "1")[1].splitlines() if line in adaptations] == adaptations
+    assert [
+        line for line in quick("run", "agv", "--seed", "1")[1].splitlines() if line in adaptations
+    ] == adaptations
 
 
 def test_settings_and_results_are_readable_in_80_columns_and_padded_to_no_width_in_a_pipe(quick):
     rows = quick("settings", "suave")[1].splitlines()
     assert len(rows) > 40
     assert all(len(row) <= 80 for row in rows if not row.startswith("    "))
-    assert all(row == row.rstrip() for row in [*rows, *quick("run", "suave", "--no-progress")[1].splitlines()])
+    assert all(
+        row == row.rstrip()
+        for row in [*rows, *quick("run", "suave", "--no-progress")[1].splitlines()]
+    )
 
 
 def test_tree_that_plans_tells_its_plans_as_they_are_made(quick):
-    _, out, _ = quick("run", "agv", "--seed", "1", "--set", "capacity_j=2500", "--set", "duration_s=20")
+    _, out, _ = quick(
+        "run", "agv", "--seed", "1", "--set", "capacity_j=2500", "--set", "duration_s=20"
+    )
     text = " ".join(out.split())
     assert "0.0 s plan (c1: of all ways the best for time" in text
     assert "amcl_kinect fast (the only design that is feasible" in text
@@ -134,7 +143,9 @@ def test_tree_that_plans_tells_its_plans_as_they_are_made(quick):
 def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
     files = {name: tmp_path / f"out.{name}" for name in ("json", "plot", "timing", "record")}
     options = [part for name, path in files.items() for part in (f"--{name}", path)]
-    code, _, err = quick("run", "suave_extended", "--task", "pddl", "--set", "duration_s=130", *options)
+    code, _, err = quick(
+        "run", "suave_extended", "--task", "pddl", "--set", "duration_s=130", *options
+    )
     assert code == 0, err
     data = json.loads(files["json"].read_text())
     assert data["settings"] == {"duration_s": "130"}
@@ -144,12 +155,28 @@ def test_run_writes_all_files_that_are_asked_for(quick, tmp_path):
     assert timing["simulated_s"] == 130
     assert sum(timing["compute_s"].values()) <= timing["wall_s"]
     assert len(files["record"].read_text().splitlines()) > 200
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out.json", "out.plot", "out.record", "out.timing"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "out.json",
+        "out.plot",
+        "out.record",
+        "out.timing",
+    ]
 
 
 def test_json_is_the_same_to_the_byte_under_another_hash_seed(tmp_path):
-    path, seed = tmp_path / "run.json", "0" if os.environ.get("PYTHONHASHSEED") == "1234" else "1234"
-    done = rosa("run", "suave_extended", "--task", "pddl", "--json", path, environment={"PYTHONHASHSEED": seed})
+    path, seed = (
+        tmp_path / "run.json",
+        "0" if os.environ.get("PYTHONHASHSEED") == "1234" else "1234",
+    )
+    done = rosa(
+        "run",
+        "suave_extended",
+        "--task",
+        "pddl",
+        "--json",
+        path,
+        environment={"PYTHONHASHSEED": seed},
+    )
     assert done.returncode == 0, done.stderr
     assert path.read_text() == text("suave_extended", "pddl")
 
@@ -163,11 +190,20 @@ def test_mission_that_fails_its_goal_exits_with_1(quick):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run", "suave_extendet"], "unknown mission 'suave_extendet'; there are suave, suave_extended"),
+        (
+            ["run", "suave_extendet"],
+            "unknown mission 'suave_extendet'; there are suave, suave_extended",
+        ),
         (["settings", "suaf"], "unknown mission 'suaf'"),
         (["run", "suave", "--task", "bd"], "unknown task layer 'bd'; there are bt and pddl"),
-        (["run", "suave", "--set", "duratoin_s=3"], "unknown setting 'duratoin_s' of mission suave; did you mean"),
-        (["run", "suave", "--set", "duration_s=-3"], "duration_s is '-3'; allowed is a number of seconds from 0.001"),
+        (
+            ["run", "suave", "--set", "duratoin_s=3"],
+            "unknown setting 'duratoin_s' of mission suave; did you mean",
+        ),
+        (
+            ["run", "suave", "--set", "duration_s=-3"],
+            "duration_s is '-3'; allowed is a number of seconds from 0.001",
+        ),
         (["run", "suave", "--set", "duration_s=nan"], "duration_s is 'nan'"),
         (["run", "suave", "--set", "duration_s"], "--set takes NAME=VALUE, not 'duration_s'"),
         (["run", "suave", "--set", "mass_kg=heavy"], "mass_kg"),
@@ -175,11 +211,23 @@ def test_mission_that_fails_its_goal_exits_with_1(quick):
         (["run", "suave", "--plot", "/"], "cannot write /: it is a directory"),
         (["run", "suave", "--json", "n" * 300], ": File name too long"),
         (["run", "suave", "--task", ":x:"], "unknown task layer ':x:'"),
-        (["run", "suave", "--set", "tick_period_s=1e-12"], "allowed is a number of seconds from 0.001"),
-        (["run", "suave", "--set", "drag_surge=1e300", "--no-progress"], "the simulation became unstable after"),
-        (["run", "nowhere:MISSION"], "cannot import mission 'nowhere:MISSION': there is no module nowhere here in"),
+        (
+            ["run", "suave", "--set", "tick_period_s=1e-12"],
+            "allowed is a number of seconds from 0.001",
+        ),
+        (
+            ["run", "suave", "--set", "drag_surge=1e300", "--no-progress"],
+            "the simulation became unstable after",
+        ),
+        (
+            ["run", "nowhere:MISSION"],
+            "cannot import mission 'nowhere:MISSION': there is no module nowhere here in",
+        ),
         (["run", "missions.suave:MISION"], "did you mean missions.suave:MISSION?"),
-        (["run", "json:loads"], "'json:loads' is a function, not a missions.engine.mission.Mission"),
+        (
+            ["run", "json:loads"],
+            "'json:loads' is a function, not a missions.engine.mission.Mission",
+        ),
         (["run", "suave", "--seed", "-1"], "--seed"),
         (["run", "suave", "--fast"], "--fast"),
         (["fly"], "fly"),
@@ -224,8 +272,19 @@ def test_link_is_followed_not_replaced(quick, tmp_path):
 
 
 def test_termination_leaves_no_draft_behind(tmp_path):
-    command = [sys.executable, "-m", "missions", "run", "suave", "--realtime", "--json", str(tmp_path / "x.json")]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+    command = [
+        sys.executable,
+        "-m",
+        "missions",
+        "run",
+        "suave",
+        "--realtime",
+        "--json",
+        str(tmp_path / "x.json"),
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as running:
         assert "suave (task layer" in running.stdout.readline()
         running.terminate()
         running.communicate()
@@ -243,9 +302,21 @@ def test_same_fault_in_diagnostics_is_told_once_and_counted(quick):
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_recording_of_a_program_that_is_killed_holds_what_was_heard_until_then(how, tmp_path):
     path = tmp_path / "run.jsonl"
-    command = [sys.executable, "-m", "missions", "run", "suave_extended", "--record", str(path), "--speed", "20"]
+    command = [
+        sys.executable,
+        "-m",
+        "missions",
+        "run",
+        "suave_extended",
+        "--record",
+        str(path),
+        "--speed",
+        "20",
+    ]
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as running:
-        while running.poll() is None and not (path.exists() and len(path.read_text().splitlines()) > 20):
+        while running.poll() is None and not (
+            path.exists() and len(path.read_text().splitlines()) > 20
+        ):
             time.sleep(0.05)
         running.send_signal(how)
         running.wait(30)
@@ -258,20 +329,34 @@ def test_recording_of_a_program_that_is_killed_holds_what_was_heard_until_then(h
 def test_recording_carries_the_settings_so_that_its_replay_decides_the_same(quick, tmp_path):
     from missions.testing.decisions import replay
 
-    changed = ["tick_period_s=0.7", "duration_s=320", "activation_s=0.4", "deactivation_s=0.2", "planning_delay_s=1.3"]
+    changed = [
+        "tick_period_s=0.7",
+        "duration_s=320",
+        "activation_s=0.4",
+        "deactivation_s=0.2",
+        "planning_delay_s=1.3",
+    ]
     options = [part for setting in changed for part in ("--set", setting)]
     files = ["--record", tmp_path / "run.jsonl", "--json", tmp_path / "run.json"]
-    code, _, err = quick("run", "suave_extended", "--task", "pddl", "--no-progress", *options, *files)
+    code, _, err = quick(
+        "run", "suave_extended", "--task", "pddl", "--no-progress", *options, *files
+    )
     assert code == 0, err
     decisions = replay(tmp_path / "run.jsonl", "suave_extended", task="pddl")
     live = json.loads((tmp_path / "run.json").read_text())["adaptations"]
     assert len(live) > 6
-    again = [(round(one.at_s, 6), one.change, round(one.reaction_s, 6)) for one in decisions.adaptations]
+    again = [
+        (round(one.at_s, 6), one.change, round(one.reaction_s, 6)) for one in decisions.adaptations
+    ]
     assert again == [(one["at_s"], one["change"], one["reaction_s"]) for one in live]
 
 
 def test_help_names_every_option():
-    shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "120", "NO_COLOR": "1"}).output
+    shown = (
+        CliRunner()
+        .invoke(cli.app, ["run", "--help"], env={"COLUMNS": "120", "NO_COLOR": "1"})
+        .output
+    )
     for option in (
         *("--task", "--seed", "--json", "--plot", "--timing", "--record", "--set", "--realtime"),
         *("--speed", "--no-progress"),
@@ -294,10 +379,16 @@ for arguments, unwanted in (
 
 
 def test_help_list_and_settings_start_without_what_they_do_not_need():
-    done = subprocess.run([sys.executable, "-c", STARTS], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", STARTS], capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["[]", "[]", "[]"]
 
 
 def test_managers_that_the_help_names_are_those_there_are():
-    shown = CliRunner().invoke(cli.app, ["run", "--help"], env={"COLUMNS": "200", "NO_COLOR": "1"}).output
+    shown = (
+        CliRunner()
+        .invoke(cli.app, ["run", "--help"], env={"COLUMNS": "200", "NO_COLOR": "1"})
+        .output
+    )
     assert {OURS, *MANAGERS, *POLICIES} <= set(re.findall(r"\w+", shown))

@@ -50,7 +50,8 @@ def test_change_that_comes_too_late_or_too_early_is_no_success():
     decisions = decided()
     late = failure_of(decisions.assert_adapts, at=20.0, from_="explore", to="charge", within=0.05)
     assert (
-        "but explore -> charge is decided at 20.00 s and is in force at 20.10 s (because explore is unfeasible" in late
+        "but explore -> charge is decided at 20.00 s and is in force at 20.10 s (because explore is unfeasible"
+        in late
     )
     early = failure_of(decisions.assert_adapts, at=20.05, from_="explore", to="charge", within=5.0)
     assert "expected between 20.05 s and 25.05 s: explore -> charge" in early
@@ -92,14 +93,22 @@ def test_actions_in_another_order_are_shown_as_a_difference():
 
 def test_other_failures_say_what_was_instead():
     decisions = decided()
-    assert "but it begins at 20.00 s" in failure_of(decisions.assert_begins, action="charge", at=10.0)
-    assert "but it is abandoned at 20.00 s" in failure_of(decisions.assert_ends, action="explore", at=20.0)
+    assert "but it begins at 20.00 s" in failure_of(
+        decisions.assert_begins, action="charge", at=10.0
+    )
+    assert "but it is abandoned at 20.00 s" in failure_of(
+        decisions.assert_ends, action="explore", at=20.0
+    )
     assert "but the plan of 10.00 s is completed at 10.05 s" in failure_of(
         decisions.assert_reconfigures, at=20.0, configure="night", within=0.1
     )
-    assert "but it never does" in failure_of(decisions.assert_reconfigures, at=0.0, activate=["camera", "radar"])
+    assert "but it never does" in failure_of(
+        decisions.assert_reconfigures, at=0.0, activate=["camera", "radar"]
+    )
     never = failure_of(decisions.assert_never, activate=["radar", "dock"], action="charge")
-    assert never.startswith("expected: never begin charge or activate radar, dock\n  but activate radar at 15.00 s")
+    assert never.startswith(
+        "expected: never begin charge or activate radar, dock\n  but activate radar at 15.00 s"
+    )
     assert "but charge is requested at 20.00 s" in never
 
 
@@ -122,7 +131,9 @@ def test_name_that_the_model_lacks_is_an_error_and_never_a_silent_success(claim)
         claim(decided())
 
 
-@pytest.mark.parametrize(("since", "until"), [(20.0, 10.0), (1000.0, math.inf), (math.nan, math.inf)])
+@pytest.mark.parametrize(
+    ("since", "until"), [(20.0, 10.0), (1000.0, math.inf), (math.nan, math.inf)]
+)
 def test_claim_about_no_time_is_refused(since, until):
     with pytest.raises(ValueError, match="is no time of this replay of 40 s"):
         decided().assert_never(action="charge", since=since, until=until)
@@ -136,16 +147,22 @@ def test_claim_about_nothing_is_refused():
 
 def test_finishing_one_action_and_beginning_the_next_is_no_adaptation():
     def tree(kb, percepts):
-        steps = [Sensing("explore", kb, percepts, "explored"), Sensing("charge", kb, percepts, "charged")]
+        steps = [
+            Sensing("explore", kb, percepts, "explored"),
+            Sensing("charge", kb, percepts, "charged"),
+        ]
         return Sequence("both", memory=True, children=steps)
 
     decisions = replay([measured(0.0, energy=1.0), sensed(5.0, explored=True)], rover_model(), tree)
     decisions.assert_actions("explore", "charge")
-    assert "but it never does" in failure_of(decisions.assert_adapts, at=5.0, from_="explore", to="charge")
+    assert "but it never does" in failure_of(
+        decisions.assert_adapts, at=5.0, from_="explore", to="charge"
+    )
 
 
 @pytest.mark.parametrize(
-    ("limits", "end_s", "why"), [(None, "5.00", "SUCCESS"), (RunSettings(duration_s=4.0), "4.00", "time limit")]
+    ("limits", "end_s", "why"),
+    [(None, "5.00", "SUCCESS"), (RunSettings(duration_s=4.0), "4.00", "time limit")],
 )
 def test_failure_says_that_the_mission_ended_before_the_stream(limits, end_s, why):
     stream = [
@@ -167,9 +184,15 @@ def test_mission_that_heard_all_is_not_said_to_have_ended():
 
 
 def test_change_that_a_crash_calls_for_is_found_with_its_reason():
-    stream = [measured(0.0, light=1.0, energy=1.0), failed(2.0, "camera"), sensed(9.0, charged=False)]
+    stream = [
+        measured(0.0, light=1.0, energy=1.0),
+        failed(2.0, "camera"),
+        sensed(9.0, charged=False),
+    ]
     managed = ScriptedManaged(FakeClock()).script("radar", crash_after=3.0)
-    change = replay(stream, rover_model(), rover_tree, managed=managed).assert_adapts(at=5.0, to="charge", within=0.4)
+    change = replay(stream, rover_model(), rover_tree, managed=managed).assert_adapts(
+        at=5.0, to="charge", within=0.4
+    )
     assert "radar is not running, though nobody has stopped it" in change.reason
 
 
@@ -209,7 +232,10 @@ def test_what_is_told_of_a_replay_is_so_and_the_same_each_time(news):
         assert change.before != change.action
         if math.isfinite(change.in_force_s):
             decisions.assert_adapts(
-                at=change.at_s, from_=change.before, to=change.action, within=change.in_force_s - change.at_s
+                at=change.at_s,
+                from_=change.before,
+                to=change.action,
+                within=change.in_force_s - change.at_s,
             )
     times = [moment.time for moment in decisions.timeline]
     assert times == sorted(times)
@@ -219,14 +245,21 @@ def test_what_else_a_test_wants_to_know_is_in_the_knowledge_base():
     decisions = decided()
     assert decisions.kb.attributes["energy"].at(25.0) == 0.1
     assert str(decisions).count("\n") > 20
-    assert re.search(r"plan +deactivate dock; activate camera; configure night: completed at 30.15 s", str(decisions))
+    assert re.search(
+        r"plan +deactivate dock; activate camera; configure night: completed at 30.15 s",
+        str(decisions),
+    )
 
 
 def test_behaviour_is_handed_in_as_what_makes_it():
     for wrong in (Sequence("mission", memory=True), "rover_tree"):
-        with pytest.raises(MissionError, match="what decides is made for each replay: lambda kb, percepts"):
+        with pytest.raises(
+            MissionError, match="what decides is made for each replay: lambda kb, percepts"
+        ):
             replay(ENERGY_DROP, rover_model(), wrong)
-    with pytest.raises(MissionError, match="the tree of mission rover is None, not a py_trees behaviour"):
+    with pytest.raises(
+        MissionError, match="the tree of mission rover is None, not a py_trees behaviour"
+    ):
         replay(ENERGY_DROP, rover_model(), lambda kb, percepts: None)
 
 
@@ -238,13 +271,17 @@ def test_model_may_be_handed_in_as_what_makes_it():
 
 @pytest.mark.parametrize("wrong", [rover_tree, dict])
 def test_what_makes_no_model_to_replay_to_is_refused(wrong):
-    with pytest.raises(MissionError, match=r"the model to replay to(: TypeError| is \{\}, not a Model)"):
+    with pytest.raises(
+        MissionError, match=r"the model to replay to(: TypeError| is \{\}, not a Model)"
+    ):
         replay(ENERGY_DROP, wrong, rover_tree)
 
 
 @pytest.mark.parametrize("wrong", [None, 3])
 def test_what_is_no_mission_and_makes_no_model_is_refused(wrong):
-    with pytest.raises(MissionError, match=f"a mission, its name, a model or what makes one, not {wrong}"):
+    with pytest.raises(
+        MissionError, match=f"a mission, its name, a model or what makes one, not {wrong}"
+    ):
         replay(ENERGY_DROP, wrong, rover_tree)
 
 

@@ -14,7 +14,12 @@ from missions.suave.model import suave_model
 from missions.suave_extended.model import suave_extended_model
 from missions.uav.model import uav_model
 
-BUILDERS = {"suave": suave_model, "suave_extended": suave_extended_model, "agv": agv_model, "uav": uav_model}
+BUILDERS = {
+    "suave": suave_model,
+    "suave_extended": suave_extended_model,
+    "agv": agv_model,
+    "uav": uav_model,
+}
 FEW = st.integers(0, 3)
 MANY = st.integers(0, 8)
 
@@ -28,12 +33,16 @@ def models(draw):
     constrained = []
     for number in range(draw(FEW)):
         parameters = {f"p{one}": one for one in range(draw(FEW))}
-        one = draw(st.sampled_from(components)).configuration(f"k{number}", parameters, priority=number)
+        one = draw(st.sampled_from(components)).configuration(
+            f"k{number}", parameters, priority=number
+        )
         constrained.append(one)
     functions = [model.function(f"f{one}") for one in range(draw(FEW))]
     for number in range(draw(FEW) if functions else 0):
         parts = draw(st.lists(st.sampled_from(components), min_size=1, unique=True))
-        constrained.append(draw(st.sampled_from(functions)).design(f"d{number}", parts, priority=number))
+        constrained.append(
+            draw(st.sampled_from(functions)).design(f"d{number}", parts, priority=number)
+        )
     estimable = [*components, *constrained]
     for number in range(draw(FEW)):
         needs = draw(st.lists(st.sampled_from(functions), unique=True)) if functions else []
@@ -49,7 +58,9 @@ def models(draw):
 def inserted(model):
     """Return the statements of a model as TypeQL, but for the one that names the model."""
     _, told = typeql_text(model).split("\ninsert\n")
-    return [line for line in told.splitlines() if line.endswith(";") and "isa RobotModel" not in line]
+    return [
+        line for line in told.splitlines() if line.endswith(";") and "isa RobotModel" not in line
+    ]
 
 
 @given(models())
@@ -101,7 +112,9 @@ def test_generated_model_of_one_action_is_on_the_published_law(structural, param
 
 
 @given(MANY, MANY, st.integers(1, 5))
-def test_actions_are_each_on_the_law_but_share_the_quality_attribute(structural, parameter, actions):
+def test_actions_are_each_on_the_law_but_share_the_quality_attribute(
+    structural, parameter, actions
+):
     shared = actions - 1
     counted = count(generated_model(structural, parameter, actions))
     assert counted["total"] == actions * law(structural, parameter) - shared
@@ -112,8 +125,14 @@ def test_adaptation_adds_the_published_entities_and_relations(structural, parame
     base = count(generated_model(structural, parameter))
     one_structural = count(generated_model(structural + 1, parameter))
     one_parameter = count(generated_model(structural, parameter + 1))
-    assert (one_structural["entities"] - base["entities"], one_structural["relations"] - base["relations"]) == (2, 4)
-    assert (one_parameter["entities"] - base["entities"], one_parameter["relations"] - base["relations"]) == (1, 2)
+    assert (
+        one_structural["entities"] - base["entities"],
+        one_structural["relations"] - base["relations"],
+    ) == (2, 4)
+    assert (
+        one_parameter["entities"] - base["entities"],
+        one_parameter["relations"] - base["relations"],
+    ) == (1, 2)
 
 
 @given(FEW, FEW, st.integers(1, 3))
@@ -136,7 +155,9 @@ def test_generated_model_obeys_the_assumptions_of_the_paper(structural, paramete
     assert model.check() == ()
 
 
-@pytest.mark.parametrize(("sizes", "message"), [((-1, 0), "structural is -1"), ((0, -2), "parameter is -2")])
+@pytest.mark.parametrize(
+    ("sizes", "message"), [((-1, 0), "structural is -1"), ((0, -2), "parameter is -2")]
+)
 def test_negative_number_of_adaptations_is_refused(sizes, message):
     with pytest.raises(MissionError, match=f"{message}; .* from 0"):
         generated_model(*sizes)

@@ -14,7 +14,15 @@ from missions import suave
 from missions.baselines.modes import FUNCTIONS
 from missions.engine.mission import MISSIONS, MissionError, Percepts, find_mission
 from missions.experiments import effort
-from missions.experiments.effort import MODELS, MOST_ADAPTATIONS, TASK_NODES, TREES, count, count_tree, survey
+from missions.experiments.effort import (
+    MODELS,
+    MOST_ADAPTATIONS,
+    TASK_NODES,
+    TREES,
+    count,
+    count_tree,
+    survey,
+)
 from missions.suave.model import suave_model
 
 OWN = """
@@ -62,7 +70,11 @@ def test_every_mission_is_counted_beside_what_is_published(rosa):
     assert code == 0
     assert set(MODELS) == set(MISSIONS)
     for name, parts in MODELS.items():
-        assert row(out, name, table="model") == [name, *map(str, (*parts, sum(parts))), *published(parts).split()]
+        assert row(out, name, table="model") == [
+            name,
+            *map(str, (*parts, sum(parts))),
+            *published(parts).split(),
+        ]
     assert "entities: actions, functions" in out
     assert "relations: functional requirements" in out
     assert "agv: the vehicle's model, as in the paper" in out
@@ -124,7 +136,9 @@ def test_json_says_what_is_counted(rosa, everything):
     assert [one["name"] for one in data["models"]] == list(MISSIONS)
     for one in data["models"]:
         assert sum(one["of_entities"].values()) == one["entities"] == one["published"]["entities"]
-        assert sum(one["of_relations"].values()) == one["relations"] == one["published"]["relations"]
+        assert (
+            sum(one["of_relations"].values()) == one["relations"] == one["published"]["relations"]
+        )
     assert len(data["generated"]) == (MOST_ADAPTATIONS + 1) ** 2
     assert all(one["total"] == one["law"] for one in data["generated"])
 
@@ -158,7 +172,9 @@ def test_files_of_one_model_are_joined_by_commas(rosa):
 
 
 def test_model_asked_for_twice_is_counted_once(everything):
-    assert survey(["uav", "uav"])["models"] == [one for one in everything["models"] if one["name"] == "uav"]
+    assert survey(["uav", "uav"])["models"] == [
+        one for one in everything["models"] if one["name"] == "uav"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -167,7 +183,10 @@ def test_model_asked_for_twice_is_counted_once(everything):
         (["suaev"], "unknown mission 'suaev'; there are suave"),
         (["missing.tql"], "missing.tql: there is no such file"),
         (["effort_own:NONE"], "cannot import mission 'effort_own:NONE'"),
-        (["effort_own:NO_MODEL"], "cannot build the model of effort_own:NO_MODEL: RuntimeError: not today"),
+        (
+            ["effort_own:NO_MODEL"],
+            "cannot build the model of effort_own:NO_MODEL: RuntimeError: not today",
+        ),
         (["effort_own:NO_TREE"], "cannot build the tree of suave: RuntimeError: not today"),
         (["effort_own:OTHER"], "the model of effort_own:OTHER is 3, not a Model"),
         (["uav", "--json", "nowhere/effort.json"], "cannot write nowhere/effort.json"),

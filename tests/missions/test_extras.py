@@ -121,12 +121,27 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, *sys.modules)
 
 
 def test_knowledge_base_is_imported_in_20_megabytes_without_what_few_need():
-    done = subprocess.run([sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTS], capture_output=True, text=True, check=True
+    )
     kilobytes, *imported = done.stdout.split()
     assert int(kilobytes) < 20 * 1024
-    late = {"lark", "ortools", "owlready2", "pyoxigraph", "numpy", "tomllib", "multiprocessing", "importlib.resources"}
+    late = {
+        "lark",
+        "ortools",
+        "owlready2",
+        "pyoxigraph",
+        "numpy",
+        "tomllib",
+        "multiprocessing",
+        "importlib.resources",
+    }
     assert not late & set(imported)
 
 
 def test_version_is_said(capsys, monkeypatch):
-    assert called(capsys, monkeypatch, "--version") == (0, f"rosa-taca {version('rosa-taca')}\n", "")
+    assert called(capsys, monkeypatch, "--version") == (
+        0,
+        f"rosa-taca {version('rosa-taca')}\n",
+        "",
+    )

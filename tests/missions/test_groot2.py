@@ -76,7 +76,9 @@ def watched(root):
 
 def statuses(client):
     names = {node.uid: node.name or node.registration for node in client.fetch_tree().walk()}
-    return {names[uid]: (state.status, state.previous) for uid, state in client.poll().statuses.items()}
+    return {
+        names[uid]: (state.status, state.previous) for uid, state in client.poll().statuses.items()
+    }
 
 
 def ask(client, *frames):
@@ -93,7 +95,11 @@ def head(kind):
 
 def own_tree():
     first = StatusQueue("look", [F, S, S], eventually=S)
-    return Selector("mission", memory=False, children=[first, Sequence("search", memory=True, children=[Work("swim")])])
+    return Selector(
+        "mission",
+        memory=False,
+        children=[first, Sequence("search", memory=True, children=[Work("swim")])],
+    )
 
 
 def test_own_tree_is_shown_tick_by_tick():
@@ -106,12 +112,16 @@ def test_own_tree_is_shown_tick_by_tick():
         tree.tick()
         now = statuses(client)
         assert now["mission"][0] is NodeStatus.SUCCESS
-        assert now["swim"] == (NodeStatus.IDLE, NodeStatus.RUNNING), "what has just become idle says what it was"
+        assert now["swim"] == (NodeStatus.IDLE, NodeStatus.RUNNING), (
+            "what has just become idle says what it was"
+        )
 
 
 def test_kinds_of_nodes_are_shown():
     with watched(own_tree()) as (_, client):
-        kinds = {node.name: (node.registration, node.kind.name) for node in client.fetch_tree().walk()}
+        kinds = {
+            node.name: (node.registration, node.kind.name) for node in client.fetch_tree().walk()
+        }
     assert kinds["mission"] == ("ReactiveFallback", "CONTROL")
     assert kinds["search"] == ("Sequence", "CONTROL")
     assert kinds["swim"] == ("Work", "ACTION")
@@ -171,7 +181,8 @@ class Untold:
 
 
 @pytest.mark.parametrize(
-    ("value", "said"), [(Untold(), b"that cannot be shown: ValueError: no text"), ("\ud800", b"UnicodeEncodeError")]
+    ("value", "said"),
+    [(Untold(), b"that cannot be shown: ValueError: no text"), ("\ud800", b"UnicodeEncodeError")],
 )
 def test_value_that_cannot_be_shown_is_refused_and_the_next_is_answered(value, said):
     with watched(own_tree()) as (tree, client):
@@ -207,7 +218,10 @@ def test_message_without_end_is_cut_and_the_next_is_answered():
 
 
 def test_taken_port_is_told():
-    with watched(own_tree()) as (tree, client), pytest.raises(MissionError, match=f"TCP ports {client.port} and"):
+    with (
+        watched(own_tree()) as (tree, client),
+        pytest.raises(MissionError, match=f"TCP ports {client.port} and"),
+    ):
         Groot2Publisher(tree, client.port)
 
 

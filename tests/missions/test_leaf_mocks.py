@@ -80,7 +80,10 @@ def test_mock_stands_in_for_a_leaf_of_an_xml_tree(kb):
     charge = mock_leaf(root, "charge", "S")
     assert ticked(root, 2) == [Status.RUNNING, Status.SUCCESS]
     assert (mock.ticks, charge.ticks) == (2, 1)
-    assert [(one.action, one.result) for one in kb.history.actions] == [("explore", "failed"), ("charge", "completed")]
+    assert [(one.action, one.result) for one in kb.history.actions] == [
+        ("explore", "failed"),
+        ("charge", "completed"),
+    ]
 
 
 def test_condition_can_be_mocked_as_well(kb):
@@ -97,7 +100,9 @@ def test_architecture_follows_a_mocked_action_in_a_replay():
         mock_leaf(root, "explore", "RRRRRS")
         return root
 
-    decisions = replay([measured(0.0, light=0.9, energy=1.0), measured(3.0, light=0.8)], rover_model(), tree)
+    decisions = replay(
+        [measured(0.0, light=0.9, energy=1.0), measured(3.0, light=0.8)], rover_model(), tree
+    )
     decisions.assert_reconfigures(at=0.0, activate="camera", configure="day", within=0.2)
     decisions.assert_ends("explore", "completed", at=0.5, within=0.0)
 
@@ -109,5 +114,7 @@ def test_unknown_leaf_and_wrong_outcomes_are_named(kb):
     with pytest.raises(UnknownName, match="unknown leaf 'mission'"):
         mock_leaf(root, "mission", "S")
     for wrong in ("RSX", "", [], [Status.INVALID]):
-        with pytest.raises(ValueError, match="outcomes are R, S and F, or RUNNING, SUCCESS and FAILURE"):
+        with pytest.raises(
+            ValueError, match="outcomes are R, S and F, or RUNNING, SUCCESS and FAILURE"
+        ):
             mock_leaf(root, "explore", wrong)

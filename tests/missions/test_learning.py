@@ -13,7 +13,10 @@ from missions.experiments.learning import Experience, Spread, learn, spans_of
 def experiences(mission, count, **settings):
     values = {name: str(value) for name, value in settings.items()}
     found = find_mission(mission)
-    return [Experience.of(f"{mission} {seed}", open_run(found, seed=seed, settings=values)) for seed in range(count)]
+    return [
+        Experience.of(f"{mission} {seed}", open_run(found, seed=seed, settings=values))
+        for seed in range(count)
+    ]
 
 
 def about(suggestions, kind, words):
@@ -31,8 +34,12 @@ def test_eight_runs_tell_the_true_rates_and_worth_of_the_sea_and_a_wrong_model_i
     assert rate.found.observations == 8
     assert not rate.found.holds(-0.01)
     # SUAVE's follower takes a point every 2 s on the straight, more on the short and the diagonal edges
-    assert 0.25 < about(found, "worth", "distance_inspected while inspect_pipeline").found.value < 0.3
-    assert not [one for one in found if one.kind == "rate" and "water_visibility" in one.about and one.apply]  # a wave
+    assert (
+        0.25 < about(found, "worth", "distance_inspected while inspect_pipeline").found.value < 0.3
+    )
+    assert not [
+        one for one in found if one.kind == "rate" and "water_visibility" in one.about and one.apply
+    ]  # a wave
     before = model.attributes["battery_level"].rates
     assert before[0].per_s == -0.01  # learning alone changes nothing
     rate.apply()
@@ -45,15 +52,20 @@ def test_eight_runs_tell_the_true_rates_and_worth_of_the_sea_and_a_wrong_model_i
 def test_rates_under_configurations_and_a_wrong_estimation_are_found():
     runs = experiences("agv", 3)
     model = find_mission("agv").model()
-    fast = next(one for one in model.estimations if one.causer.name == "fast" and one.attribute == "energy")
+    fast = next(
+        one for one in model.estimations if one.causer.name == "fast" and one.attribute == "energy"
+    )
     model.change(fast, value=25.0)
     found = learn(runs, model)
     kinect, camera = (
-        DRIVING_W["fast"] + sum(map(DRAW_W.get, one)) for one in (("amcl", "kinect"), ("aruco", "camera"))
+        DRIVING_W["fast"] + sum(map(DRAW_W.get, one))
+        for one in (("amcl", "kinect"), ("aruco", "camera"))
     )
     assert about(found, "rate", "energy while cross_c1").found.holds(-kinect)
     assert about(found, "rate", "energy while cross_c3 with aruco_camera [").found.holds(-camera)
-    assert about(found, "rate", "energy while cross_c3 with aruco_camera_lamp").found.holds(-camera - DRAW_W["lamp"])
+    assert about(found, "rate", "energy while cross_c3 with aruco_camera_lamp").found.holds(
+        -camera - DRAW_W["lamp"]
+    )
     wrong = [one for one in found if one.kind == "estimation"]
     assert [one.about for one in wrong] == ["energy by fast [J/s]"]
     assert wrong[0].found.holds(DRIVING_W["fast"])
@@ -72,7 +84,13 @@ def cleaning(least):
     now = [0.0]
     kb = KnowledgeBase(model, clock=lambda: now[0])
     kb.request_action("vacuum")
-    for action, level in (("vacuum", 1.0), ("vacuum", 0.26), ("charge", 0.2), ("charge", least), ("vacuum", 1.0)):
+    for action, level in (
+        ("vacuum", 1.0),
+        ("vacuum", 0.26),
+        ("charge", 0.2),
+        ("charge", least),
+        ("vacuum", 1.0),
+    ):
         now[0] += 10.0
         kb.measure("battery", level)
         if action not in [one.action for one in kb.required_actions]:
@@ -85,26 +103,36 @@ def cleaning(least):
 def test_a_threshold_that_leaves_much_is_too_wide_and_one_that_leaves_nothing_too_narrow():
     least = [0.15, 0.16, 0.14, 0.15, 0.16, 0.14]
     model = cleaning(0.15)[0]
-    (wide,) = [one for one in learn([cleaning(one)[1] for one in least], model) if one.kind == "threshold"]
+    (wide,) = [
+        one for one in learn([cleaning(one)[1] for one in least], model) if one.kind == "threshold"
+    ]
     assert "too wide" in wide.change
     assert 0.1 < wide.found.low < 0.14  # so much will be left the next time, too
     wide.apply()
     (threshold,) = model.constraints
     assert threshold.value == pytest.approx(0.25 - wide.found.low)
     (narrow,) = [
-        one for one in learn([cleaning(one)[1] for one in [*least, 0.0]], cleaning(0.0)[0]) if one.kind == "threshold"
+        one
+        for one in learn([cleaning(one)[1] for one in [*least, 0.0]], cleaning(0.0)[0])
+        if one.kind == "threshold"
     ]
     assert (narrow.change, narrow.apply) == ("too narrow: nothing was left in 1 of them", None)
-    assert not [one for one in learn([cleaning(0.15)[1]] * 4, model) if one.kind == "threshold"]  # too few
+    assert not [
+        one for one in learn([cleaning(0.15)[1]] * 4, model) if one.kind == "threshold"
+    ]  # too few
 
 
 def test_durations_are_compared_with_those_of_the_schemas():
     mission = find_mission("suave_extended")
     runs = [Experience("long", cleaning(0.2)[1].events)] * 3
     assert [
-        (one.about, one.found.value, one.stated) for one in learn(runs, cleaning(0.2)[0]) if one.kind == "duration"
+        (one.about, one.found.value, one.stated)
+        for one in learn(runs, cleaning(0.2)[0])
+        if one.kind == "duration"
     ] == [("charge [s]", 20.0, None)]
-    found = about(learn(experiences("suave_extended", 3), mission.model(), mission), "duration", "recharge")
+    found = about(
+        learn(experiences("suave_extended", 3), mission.model(), mission), "duration", "recharge"
+    )
     assert found.stated == 30
     assert found.found.observations == 3
 
@@ -146,14 +174,27 @@ def test_an_interval_of_means_holds_the_true_one_as_often_as_it_says():
     assert 0.92 < sum(held) / len(held) < 0.98
 
 
-def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path, capsys, monkeypatch):
+def test_recordings_and_campaigns_are_learned_from_on_the_command_line(
+    tmp_path, capsys, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "two.toml").write_text(
         'missions = ["suave_extended"]\nmanagers = ["ours", "bt"]\nruns = 1\nfirst_seed = 7\n'
         "settings = { duration_s = 130 }\n"
     )
-    assert called(capsys, monkeypatch, "campaign", "two.toml", "--workers", "1", "--out", "two")[0] == 0
-    run = ("run", "suave_extended", "--no-progress", "--set", "duration_s=130", "--record", "run.mcap")
+    assert (
+        called(capsys, monkeypatch, "campaign", "two.toml", "--workers", "1", "--out", "two")[0]
+        == 0
+    )
+    run = (
+        "run",
+        "suave_extended",
+        "--no-progress",
+        "--set",
+        "duration_s=130",
+        "--record",
+        "run.mcap",
+    )
     assert called(capsys, monkeypatch, *run)[0] == 0
     learned = ("learn", "run.mcap", "two", "--model", "suave_extended", "--apply", "better.tql")
     code, out, _ = called(capsys, monkeypatch, *learned)
@@ -162,16 +203,22 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
     assert said in out
     home = "missions.suave_extended.model:suave_extended_model"
     assert said in called(capsys, monkeypatch, "learn", "run.mcap", "two", "--model", home)[1]
-    assert [rate.per_s for rate in Model.load("better.tql").attributes["battery_level"].rates] == pytest.approx(
-        [-0.005]
-    )
+    assert [
+        rate.per_s for rate in Model.load("better.tql").attributes["battery_level"].rates
+    ] == pytest.approx([-0.005])
     for wrong, words in (
         (learned, "better.tql is there already"),
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
         (("learn", "run.mcap", "--model", "suave_extendet"), "suave_extended"),
-        (("learn", "run.mcap", "--model", "suave", "--take", "worth"), "what can be changed is rate"),
+        (
+            ("learn", "run.mcap", "--model", "suave", "--take", "worth"),
+            "what can be changed is rate",
+        ),
         (("learn", "run.mcap", "--model", "uav"), "no action of uav"),
-        (("learn", "two.toml", "--model", "suave"), "--record FILE.mcap` also keeps what was decided"),
+        (
+            ("learn", "two.toml", "--model", "suave"),
+            "--record FILE.mcap` also keeps what was decided",
+        ),
     ):
         code, _, said = called(capsys, monkeypatch, *wrong)
         assert code != 0
@@ -181,7 +228,10 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(tmp_path,
 def test_configuration_of_a_component_that_no_selected_design_uses_is_not_named():
     model = Model("rover")
     light = model.environmental_attribute("light")
-    camera, lidar = model.component("camera", kind="lifecycle"), model.component("lidar", kind="lifecycle")
+    camera, lidar = (
+        model.component("camera", kind="lifecycle"),
+        model.component("lidar", kind="lifecycle"),
+    )
     camera.configuration("night", {"exposure_s": 0.2})
     lidar.configuration("slow", {"rate": 1})
     see = model.function("see")

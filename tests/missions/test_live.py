@@ -34,7 +34,9 @@ def address(view, path="ws"):
 
 def status_of(url, **headers):
     try:
-        with urllib.request.urlopen(urllib.request.Request(url, headers=headers), timeout=SOON_S) as answer:
+        with urllib.request.urlopen(
+            urllib.request.Request(url, headers=headers), timeout=SOON_S
+        ) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -130,11 +132,15 @@ def test_past_is_given_as_it_is_asked_for(rover, view):
 
 def test_what_if_is_asked_of_the_knowledge_base(rover, view):
     rover.kb.measure("energy", 0.9)
-    (*_, answer) = talk(view, {"ask": "whatif", "id": 7, "measured": {"energy": 0.1}}, until=lambda one: "id" in one)
+    (*_, answer) = talk(
+        view, {"ask": "whatif", "id": 7, "measured": {"energy": 0.1}}, until=lambda one: "id" in one
+    )
     names = {value["name"]: key for key, value in view.recorder.recorded.last("element").items()}
     assert answer["id"] == 7
     assert answer["whatif"]["feasible"] == [names["charge"]]
-    (*_, answer) = talk(view, {"ask": "whatif", "id": 8, "measured": {"engery": 0.1}}, until=lambda one: "id" in one)
+    (*_, answer) = talk(
+        view, {"ask": "whatif", "id": 8, "measured": {"engery": 0.1}}, until=lambda one: "id" in one
+    )
     assert "unknown attribute 'engery'" in answer["error"]
     assert rover.kb.attributes["energy"].value == 0.9
 
@@ -152,7 +158,9 @@ def test_nobody_else_s_page_may_look(view):
     code, said = status_of(base, Host="elsewhere.example")
     assert (code, "this is not elsewhere.example" in said) == (403, True)
     with pytest.raises(websockets.InvalidStatus, match="403"):
-        talk(view, until=lambda one: True, additional_headers={"Origin": "http://elsewhere.example"})
+        talk(
+            view, until=lambda one: True, additional_headers={"Origin": "http://elsewhere.example"}
+        )
 
 
 @pytest.mark.parametrize(
@@ -178,7 +186,10 @@ def test_elsewhere_a_token_is_asked_for_at_every_door(rover):
         token = view.url.partition("?token=")[2]
         assert len(token) > 15
         door = f"http://127.0.0.1:{port}/"
-        assert status_of(door) == (403, "the token is missing; open the address that was printed when the view began\n")
+        assert status_of(door) == (
+            403,
+            "the token is missing; open the address that was printed when the view began\n",
+        )
         assert status_of(f"{door}?token=guess")[1].startswith("the token is wrong")
         assert status_of(f"{door}?token=%C3%A9")[0] == 403
         assert status_of(f"{door}?token={token}")[0] == 200
@@ -207,7 +218,10 @@ def test_pages_are_only_so_many(view, monkeypatch):
 
 def test_port_in_use_is_told_in_a_sentence(rover, view):
     port = int(view.url.split(":")[2].rstrip("/"))
-    with pytest.raises(MissionError, match=rf"cannot listen on 127\.0\.0\.1:{port}: Address already in use; give ano"):
+    with pytest.raises(
+        MissionError,
+        match=rf"cannot listen on 127\.0\.0\.1:{port}: Address already in use; give ano",
+    ):
         LiveView(rover.kb, rover.runner, port=port)
     with pytest.raises(MissionError, match="a port must be a number from 0"):
         LiveView(rover.kb, rover.runner, port=70000)
@@ -225,9 +239,14 @@ def test_nonsense_is_answered_in_a_word_and_ten_megabytes_of_it_close_the_door(r
         "[" * 5000,
     ):
         (*_, answer) = talk(view, said, until=lambda one: "error" in one)
-        assert "not a message of a page" in answer["error"] or "may only watch" in answer["error"], said
+        assert (
+            "not a message of a page" in answer["error"] or "may only watch" in answer["error"]
+        ), said
 
-    with connect(address(view), max_size=None) as page, pytest.raises(websockets.ConnectionClosed) as closed:
+    with (
+        connect(address(view), max_size=None) as page,
+        pytest.raises(websockets.ConnectionClosed) as closed,
+    ):
         list(page if page.send("x" * 10_000_000) is None else ())
     assert closed.value.rcvd is None or closed.value.rcvd.code == 1009
     rover.work(1.0)
@@ -247,7 +266,9 @@ def test_frozen_page_holds_up_nobody_and_hears_how_much_it_has_missed(rover, vie
             hello = json.loads(await page.recv())
             number = hello["next"]
             text = "x" * 1000
-            for step in range(20):  # 20,000 rows of a busy robot, as fast as the page that reads gets them
+            for step in range(
+                20
+            ):  # 20,000 rows of a busy robot, as fast as the page that reads gets them
                 for key in range(1000):
                     view.recorder.put("signal", f"s{key}", f"{text}{step}")
                 while number < view.recorder.rows.next:
@@ -276,7 +297,14 @@ def test_battery_fault_from_a_page_is_answered_with_its_chain():
         )
         chain = fold(answers[-1]["rows"])["adaptation", 1]["chain"]
         assert chain[0]["words"] == "battery_level 0.2 < 0.25"
-        assert [link["what"] for link in chain] == ["news", "status", "end", "request", "plan", "force"]
+        assert [link["what"] for link in chain] == [
+            "news",
+            "status",
+            "end",
+            "request",
+            "plan",
+            "force",
+        ]
         assert run.kb.attributes["battery_level"].value == 0.2
         assert answers[-1]["state"]["held"] == {"battery_level": 0.2}
 
@@ -297,7 +325,9 @@ def test_held_run_stands_still_goes_by_ticks_and_takes_no_tick_more():
         before = run.world.now
         time.sleep(0.2)  # in which it would do two ticks
         assert run.world.now == before
-        talk(view, {"do": "step"}, until=lambda one: one.get("now", 0) > before + 0.05)  # news may come before the tick
+        talk(
+            view, {"do": "step"}, until=lambda one: one.get("now", 0) > before + 0.05
+        )  # news may come before the tick
         assert run.world.now == pytest.approx(before + 0.1)
         assert not done
 
@@ -306,13 +336,31 @@ def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
     with mission(Steering(speed=1.0), duration=100) as (view, _, _):
 
         def until(track, text):
-            return lambda one: any(row[1] == track and text in json.dumps(row[3]) for row in one.get("rows", ()))
+            return lambda one: any(
+                row[1] == track and text in json.dumps(row[3]) for row in one.get("rows", ())
+            )
 
-        talk(view, {"do": "inject", "fail": "c_thruster_2"}, until=until("event", "c_thruster_2 has failed"))
-        talk(view, {"do": "inject", "recover": "c_thruster_2"}, until=until("event", "c_thruster_2 is recovered"))
+        talk(
+            view,
+            {"do": "inject", "fail": "c_thruster_2"},
+            until=until("event", "c_thruster_2 has failed"),
+        )
+        talk(
+            view,
+            {"do": "inject", "recover": "c_thruster_2"},
+            until=until("event", "c_thruster_2 is recovered"),
+        )
         said = {"do": "inject", "measure": {"water_visibility": 0.5}}
-        talk(view, said, until=lambda one: one.get("state", {}).get("held") == {"water_visibility": 0.5})
-        talk(view, {"do": "inject", "release": ["water_visibility"]}, until=lambda one: one["state"]["held"] == {})
+        talk(
+            view,
+            said,
+            until=lambda one: one.get("state", {}).get("held") == {"water_visibility": 0.5},
+        )
+        talk(
+            view,
+            {"do": "inject", "release": ["water_visibility"]},
+            until=lambda one: one["state"]["held"] == {},
+        )
         for wrong, words in (
             ({"do": "inject", "fail": "thruster"}, "unknown component 'thruster'"),
             ({"do": "inject", "measure": {"battery": 1}}, "unknown attribute 'battery'"),
@@ -343,5 +391,7 @@ def test_view_that_is_closed_has_given_every_page_the_last_rows(rover):
 
 def test_missing_extra_is_told_with_what_brings_it(rover, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "websockets", None)
-    with pytest.raises(MissionError, match=r"the live page needs websockets.*pip install 'rosa-taca\[live\]'"):
+    with pytest.raises(
+        MissionError, match=r"the live page needs websockets.*pip install 'rosa-taca\[live\]'"
+    ):
         LiveView(rover.kb, rover.runner, port=0)

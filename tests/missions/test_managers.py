@@ -24,7 +24,11 @@ PUBLISHED = {
 
 # the same with thrusters 1 and 3 stuck from then on [s]: of five searches of none, how many found the pipeline, from
 # when to when [s]
-STUCK = {(2.80, 84.7): (146.4, 4, (184, 237)), (3.15, 9.6): (91.2, 5, (188, 196)), (3.28, 40.2): (61.9, 4, (190, 193))}
+STUCK = {
+    (2.80, 84.7): (146.4, 4, (184, 237)),
+    (3.15, 9.6): (91.2, 5, (188, 196)),
+    (3.28, 40.2): (61.9, 4, (190, 193)),
+}
 
 
 class Heard(Listener):
@@ -55,17 +59,28 @@ def test_search_time_and_distance_are_those_of_the_published_runs(group, manager
     start_y, shift = group
     search_s, distance_m = PUBLISHED[group][manager]
     changed = {"start_y": start_y, "visibility_shift": shift, "bias": 0, "duration_s": 250}
-    results = [managed(manager, seed=seed, rules="2025", **changed)[0].world.results() for seed in range(2)]
+    results = [
+        managed(manager, seed=seed, rules="2025", **changed)[0].world.results() for seed in range(2)
+    ]
     assert mean(one["search_time_s"] for one in results) == pytest.approx(search_s, abs=4)
-    assert mean(one["distance_inspected_m"] for one in results) == pytest.approx(distance_m, rel=0.1)
+    assert mean(one["distance_inspected_m"] for one in results) == pytest.approx(
+        distance_m, rel=0.1
+    )
 
 
 @pytest.mark.parametrize("group", STUCK)
 def test_a_search_with_two_stuck_thrusters_ends_as_the_published_ones_did(group):
     (start_y, shift), (stuck_s, found, (earliest_s, latest_s)) = group, STUCK[group]
     events = f"1 failure {stuck_s}, 3 failure {stuck_s}"
-    changed = {"start_y": start_y, "visibility_shift": shift, "thruster_events": events, "duration_s": 250}
-    results = [managed("none", seed=seed, rules="2025", **changed)[0].world.results() for seed in range(5)]
+    changed = {
+        "start_y": start_y,
+        "visibility_shift": shift,
+        "thruster_events": events,
+        "duration_s": 250,
+    }
+    results = [
+        managed("none", seed=seed, rules="2025", **changed)[0].world.results() for seed in range(5)
+    ]
     times = [one["search_time_s"] for one in results if one["search_time_s"] is not None]
     assert len(times) >= found
     assert earliest_s - 4 <= mean(times) <= latest_s + 20
@@ -74,7 +89,9 @@ def test_a_search_with_two_stuck_thrusters_ends_as_the_published_ones_did(group)
 @pytest.mark.parametrize("manager", ["none", "bt"])
 def test_half_the_step_of_the_physics_changes_next_to_nothing(manager):
     changed = {"rules": "2025", "start_y": 2.8, "visibility_shift": 84.7, "duration_s": 250}
-    whole, half = (managed(manager, physics_step_s=step, **changed)[0].world.results() for step in (0.02, 0.01))
+    whole, half = (
+        managed(manager, physics_step_s=step, **changed)[0].world.results() for step in (0.02, 0.01)
+    )
     assert whole["found_s"] == pytest.approx(half["found_s"], abs=1)
     assert whole["distance_inspected_m"] == pytest.approx(half["distance_inspected_m"], rel=0.02)
 
@@ -94,7 +111,9 @@ def test_managers_meet_the_same_world():
     for manager in ("ours", *MANAGERS):
         heard = Heard()
         managed(manager, seed=3, listeners=[heard], duration_s=20)
-        first[manager] = [m for m in heard.messages if m["status"][0]["name"] == "water_visibility_monitor"]
+        first[manager] = [
+            m for m in heard.messages if m["status"][0]["name"] == "water_visibility_monitor"
+        ]
     assert len(first["ours"]) > 10
     assert all(messages == first["ours"] for messages in first.values())
 
@@ -103,7 +122,11 @@ def test_without_adaptation_the_altitude_stays_and_no_thruster_recovers():
     run, _ = managed("none", seed=1, duration_s=120)
     history = run.world.history
     assert {change.component for change in history} <= {"spiral_search", "follow_pipeline"}
-    assert {change.parameters["spiral_altitude"] for change in history if change.component == "spiral_search"} == {1.0}
+    assert {
+        change.parameters["spiral_altitude"]
+        for change in history
+        if change.component == "spiral_search"
+    } == {1.0}
     assert run.world.results()["uncorrected"] > 0
 
 
@@ -115,8 +138,14 @@ def test_the_tree_follows_the_visibility_and_recovers_the_thruster():
         if change.component == "spiral_search" and change.active
     ]
     assert set(altitudes) == {1.0, 2.0, 3.0}
-    assert run.world.results()["uncorrected"] <= 1  # at most that the search ended before it was corrected
-    assert any("RECOVERED" in status["values"].values() for message in messages for status in message["status"])
+    assert (
+        run.world.results()["uncorrected"] <= 1
+    )  # at most that the search ended before it was corrected
+    assert any(
+        "RECOVERED" in status["values"].values()
+        for message in messages
+        for status in message["status"]
+    )
 
 
 def test_the_tree_recharges_once_and_then_inspects_what_is_left():
@@ -150,7 +179,9 @@ def test_mission_node_polls_once_a_second_by_the_rules_of_2024_and_ten_times_by_
         run, _ = managed("none", seed=2, rules=rules, start_y=0.0, duration_s=10)
         inspect = next(task for task in run.robot.tasks if task.action == "inspect_pipeline")
         waits[rules] = inspect.start - run.world.results()["found_s"]
-    assert 0.1 < waits["2024"] < 2.0  # twice the period at most, if it is found before the search is begun
+    assert (
+        0.1 < waits["2024"] < 2.0
+    )  # twice the period at most, if it is found before the search is begun
     assert 0 <= waits["2025"] < 0.2
 
 
@@ -183,7 +214,9 @@ def test_manager_of_ones_own_is_run_by_its_name(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     run, verdict = managed("cautious:Cautious", seed=1)
     assert verdict.success
-    altitudes = {c.parameters["spiral_altitude"] for c in run.world.history if c.component == "spiral_search"}
+    altitudes = {
+        c.parameters["spiral_altitude"] for c in run.world.history if c.component == "spiral_search"
+    }
     assert len(altitudes) > 10
     assert any(change.component == "recover_thrusters" for change in run.world.history)
 
@@ -250,7 +283,9 @@ COMPONENTS = {
     "f_generate_recharge_path": "recharge",
 }
 FUNCTIONS = {function: list(modes.FUNCTIONS[function][1]) for function in COMPONENTS}
-REQUESTS = st.sampled_from([(function, mode) for function, modes in FUNCTIONS.items() for mode in modes])
+REQUESTS = st.sampled_from(
+    [(function, mode) for function, modes in FUNCTIONS.items() for mode in modes]
+)
 
 
 @settings(max_examples=50, deadline=None)
@@ -309,7 +344,10 @@ class Restless(Manager):
         (Faulty, r"Faulty failed after \d\.\d\d s: .*'spiral_serch'.*test_managers.py, line \d+$"),
         (Hasty, "period_s is 0; allowed is a number of seconds above 0"),
         (Forgetful, r"Forgetful failed .*no task is being done.*test_managers.py, line \d+$"),
-        (Restless, r"Restless failed .*search_pipeline is being done; end it first.*test_managers.py, line \d+$"),
+        (
+            Restless,
+            r"Restless failed .*search_pipeline is being done; end it first.*test_managers.py, line \d+$",
+        ),
     ],
 )
 def test_what_a_manager_does_wrong_is_told_with_its_name_the_moment_and_the_line(manager, said):

@@ -30,6 +30,8 @@ def test_reactions_are_told_and_what_was_computed_for_them_stands_in_the_timing_
     invoke("run", "suave", "--manager", "bt", "--json", result, "--timing", timing, *SHORT)
     told, measured = json.loads(result.read_text()), json.loads(timing.read_text())
     assert told["reactions"]
-    assert [one["start_s"] for one in told["reactions"]] == [round(one["start_s"], 6) for one in measured["reactions"]]
+    assert [one["start_s"] for one in told["reactions"]] == [
+        round(one["start_s"], 6) for one in measured["reactions"]
+    ]
     assert all(one["compute_s"] > 0 for one in measured["reactions"])
     assert not any("compute" in key for one in told["reactions"] for key in one)

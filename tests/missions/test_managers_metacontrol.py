@@ -73,7 +73,9 @@ def test_objective_served_by_what_is_best_is_in_no_error(situation, function):
     best = best_design(situation, function)
     if best is None:
         return
-    served = Situation(situation.measured, unrealisable=situation.unrealisable, grounded={function: best.name})
+    served = Situation(
+        situation.measured, unrealisable=situation.unrealisable, grounded={function: best.name}
+    )
     assert standing(served, function) is Standing.SATISFIED
 
 
@@ -98,15 +100,24 @@ def test_design_is_unrealisable_exactly_if_it_needs_what_has_failed(situation):
             Standing.COMPONENT_ERROR,
         ),
         (
-            Situation({"water_visibility": 3.0}, grounded={SEARCH: "fd_spiral_high"}, not_in_force=frozenset({SEARCH})),
+            Situation(
+                {"water_visibility": 3.0},
+                grounded={SEARCH: "fd_spiral_high"},
+                not_in_force=frozenset({SEARCH}),
+            ),
             Standing.FUNCTION_ERROR,
         ),
         (
-            Situation({"water_visibility": 3.0}, grounded={SEARCH: "fd_spiral_high"}, recovered=True),
+            Situation(
+                {"water_visibility": 3.0}, grounded={SEARCH: "fd_spiral_high"}, recovered=True
+            ),
             Standing.QUALITY_ERROR,
         ),
         (Situation(grounded={SEARCH: "fd_spiral_high"}, recovered=True), Standing.UPDATABLE),
-        (Situation({"water_visibility": 3.25}, grounded={SEARCH: "fd_spiral_high"}), Standing.SATISFIED),
+        (
+            Situation({"water_visibility": 3.25}, grounded={SEARCH: "fd_spiral_high"}),
+            Standing.SATISFIED,
+        ),
     ],
 )
 def test_objective_stands_as_the_first_line_that_holds_says(situation, expected):
@@ -118,7 +129,9 @@ def changes_of(component, run):
 
 
 def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all_thrusters():
-    run = open_run(find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "60"})
+    run = open_run(
+        find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "60"}
+    )
     run.run()
     reaction = next(one for one in run.world.reactions() if one.uncertainty == "U1")
     assert 2 * 0.3 < reaction.delay_s < 1.5 + 2 * 0.3 + 0.1
@@ -128,7 +141,9 @@ def test_reasoner_sees_a_failure_in_one_pass_acts_in_the_next_and_returns_to_all
 
 
 def test_search_begins_with_a_cycle_and_takes_the_altitude_that_the_water_allows():
-    run = open_run(find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "20"})
+    run = open_run(
+        find_mission("suave"), manager="metacontrol", seed=2, settings={"duration_s": "20"}
+    )
     run.run()
     begun = run.robot.tasks[0].start
     first = next(change for change in changes_of("spiral_search", run) if change.active)
@@ -151,7 +166,9 @@ class Deaf(Metacontrol):
 
 
 def test_design_whose_mode_does_not_come_into_force_gives_way_to_the_next_best():
-    run = open_run(find_mission("suave"), manager=f"{__name__}:Deaf", seed=2, settings={"duration_s": "10"})
+    run = open_run(
+        find_mission("suave"), manager=f"{__name__}:Deaf", seed=2, settings={"duration_s": "10"}
+    )
     run.run()
     last = changes_of("spiral_search", run)[-1]
     assert last.active

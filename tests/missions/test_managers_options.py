@@ -62,7 +62,9 @@ def test_random_policy_chooses_anew_because_time_has_passed():
     model.action("look", requires=["see"])
     now = [0.0]
     kb = KnowledgeBase(model, clock=lambda: now[0])
-    manager = ConfigurationManager(kb, Managed(), planner=Random(model, numpy.random.default_rng(0), {"period_s": 1.0}))
+    manager = ConfigurationManager(
+        kb, Managed(), planner=Random(model, numpy.random.default_rng(0), {"period_s": 1.0})
+    )
     kb.request_action("look")
     for _ in range(200):  # nothing is measured meanwhile
         manager.update()
@@ -76,7 +78,9 @@ def test_thinking_takes_no_simulated_time():
     assert took_s == pytest.approx(SWITCHING_S)
 
 
-def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_listeners_is_none(monkeypatch):
+def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_listeners_is_none(
+    monkeypatch,
+):
     now = count()  # each look at this clock takes a second
 
     class Idle(Listener):
@@ -94,7 +98,9 @@ def test_each_reaction_knows_the_compute_time_that_went_into_it_and_time_of_list
 
 @pytest.mark.parametrize("service_s", [0.05, 0.17, 0.3])
 def test_reactions_of_rosa_as_published_are_its_calls_times_what_one_takes(service_s):
-    run = open_run(SUAVE, manager="rosa", seed=1, settings={"service_s": str(service_s), "duration_s": "60"})
+    run = open_run(
+        SUAVE, manager="rosa", seed=1, settings={"service_s": str(service_s), "duration_s": "60"}
+    )
     run.run()
     for uncertainty, calls in CALLS.items():
         delays = [one.delay_s for one in run.world.reactions() if one.uncertainty == uncertainty]
@@ -111,7 +117,9 @@ def test_rosa_whose_services_take_no_time_does_as_we_do():
     assert outcome == expected == "time_limit"
     done, doing = ([(one.action, one.result) for one in run.actions] for run in (rosa, ours))
     assert done == doing
-    assert rosa.world.results()["found_s"] == pytest.approx(ours.world.results()["found_s"], abs=2.0)
+    assert rosa.world.results()["found_s"] == pytest.approx(
+        ours.world.results()["found_s"], abs=2.0
+    )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -132,7 +140,9 @@ def test_random_picks_every_mode_at_the_period_of_the_rules():
     for rules, period_s in (("2024", 15.0), ("2025", 30.0)):
         seen, times = set(), []
         for seed in range(3):
-            run = open_run(SUAVE, manager="random", seed=seed, settings={"rules": rules, "start_y": "9"})
+            run = open_run(
+                SUAVE, manager="random", seed=seed, settings={"rules": rules, "start_y": "9"}
+            )
             run.run()
             seen |= {(one.active, one.parameters["spiral_altitude"]) for one in run.world.history}
             first = run.world.history[0].time
@@ -153,7 +163,10 @@ def test_options_are_set_with_or_without_their_unit_and_the_rest_is_for_the_worl
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"service": "1", "service_s": "2"}, "service and service_s are the same setting; give it once"),
+        (
+            {"service": "1", "service_s": "2"},
+            "service and service_s are the same setting; give it once",
+        ),
         ({"service": "fast"}, "setting service_s is 'fast'; allowed is a number of seconds from 0"),
         ({"service": "-1"}, "setting service_s is '-1'"),
         ({"service": "inf"}, "setting service_s is 'inf'"),
@@ -171,7 +184,9 @@ class Patient(Manager):
     def begin(self, task):
         self.begun_s, self.calls = self.robot.now, []
         for delay_s, name in ((2.0, "c"), (1.0, "a"), (1.0, "b"), (0.0, "now")):
-            self.robot.later(delay_s, lambda name=name: self.calls.append((name, self.robot.now - self.begun_s)))
+            self.robot.later(
+                delay_s, lambda name=name: self.calls.append((name, self.robot.now - self.begun_s))
+            )
 
 
 def test_what_is_put_off_comes_in_order_of_time_then_of_asking():

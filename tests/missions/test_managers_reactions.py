@@ -20,7 +20,12 @@ TIMES = st.integers(0, 200).map(lambda tenths: tenths / 10)
 NEWS = st.one_of(
     st.builds(News, TIMES, st.just("water_visibility"), st.sampled_from([MURKY, "2.5", CLEAR])),
     st.builds(News, TIMES, st.just("battery_level"), st.sampled_from(["0.9", "0.25", "0.2"])),
-    st.builds(News, TIMES, st.sampled_from(["c_thruster_1", "c_thruster_4"]), st.sampled_from(["FALSE", "RECOVERED"])),
+    st.builds(
+        News,
+        TIMES,
+        st.sampled_from(["c_thruster_1", "c_thruster_4"]),
+        st.sampled_from(["FALSE", "RECOVERED"]),
+    ),
 )
 
 
@@ -34,7 +39,12 @@ def switching(time, name, active):
 
 CHANGES = st.one_of(
     st.builds(searching, TIMES, st.sampled_from([1.0, 2.0, 3.0])),
-    st.builds(switching, TIMES, st.sampled_from(["recover_thrusters", "recharge", "follow_pipeline"]), st.booleans()),
+    st.builds(
+        switching,
+        TIMES,
+        st.sampled_from(["recover_thrusters", "recharge", "follow_pipeline"]),
+        st.booleans(),
+    ),
 )
 ANSWER = {"U1": "recover_thrusters", "U2": "spiral_search", "U3": "recharge"}
 QUESTION = {"U1": "c_thruster", "U2": "water_visibility", "U3": "battery_level"}
@@ -50,9 +60,14 @@ def found(news, changes, altitude=2.0):
 @given(st.lists(NEWS, max_size=20), st.lists(CHANGES, max_size=20))
 def test_reaction_leads_from_news_to_the_change_that_answers_it(news, changes):
     for one in found(news, changes):
-        assert any(told.time == one.start_s and told.key.startswith(QUESTION[one.uncertainty]) for told in news)
         assert any(
-            change.time == one.end_s and change.component == ANSWER[one.uncertainty] and change.active
+            told.time == one.start_s and told.key.startswith(QUESTION[one.uncertainty])
+            for told in news
+        )
+        assert any(
+            change.time == one.end_s
+            and change.component == ANSWER[one.uncertainty]
+            and change.active
             for change in changes
         )
         assert one.delay_s >= 0
@@ -73,7 +88,9 @@ def test_reactions_do_not_depend_on_when_the_clock_was_started(news, changes, la
         [one._replace(time=one.time + later) for one in news],
         [Change(one.time + later, one.component, one.active, one.parameters) for one in changes],
     )
-    expected = [(one.uncertainty, one.start_s + later, one.end_s + later) for one in found(news, changes)]
+    expected = [
+        (one.uncertainty, one.start_s + later, one.end_s + later) for one in found(news, changes)
+    ]
     assert [(one.uncertainty, one.start_s, one.end_s) for one in moved] == expected
 
 

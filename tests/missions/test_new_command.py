@@ -44,7 +44,9 @@ def check(*command, folder):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("options", [["--task", "bt"], ["--task", "pddl"], ["--task", "both", "--ros2"]])
+@pytest.mark.parametrize(
+    "options", [["--task", "bt"], ["--task", "pddl"], ["--task", "both", "--ros2"]]
+)
 def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
     name = new(*options)
     folder = tmp_path / name
@@ -57,13 +59,23 @@ def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
     assert {"model.py", "world.py", "README.md"} < set(changes)
     assert (folder / "bridge.toml").exists() is ("--ros2" in options)
     packed = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]
-    assert packed["packages"] == [name]  # or campaigns/ beside it would make it two, which no pip installs
+    assert packed["packages"] == [
+        name
+    ]  # or campaigns/ beside it would make it two, which no pip installs
     assert packed["package-data"] == {name: ["*.pddl"]}
 
 
 def test_new_robot_passes_its_own_tests(new, tmp_path):
     """Its types are checked with ours, in tests/house."""
-    check("pytest", "-q", "-p", "no:randomly", "-p", "no:xdist", folder=tmp_path / new("--task", "both"))
+    check(
+        "pytest",
+        "-q",
+        "-p",
+        "no:randomly",
+        "-p",
+        "no:xdist",
+        folder=tmp_path / new("--task", "both"),
+    )
 
 
 @pytest.mark.parametrize(
@@ -75,7 +87,9 @@ def test_new_robot_passes_its_own_tests(new, tmp_path):
         ("fine", ["--task", "htn"], "--task is 'htn'; there are bt, pddl and both"),
     ],
 )
-def test_robot_that_cannot_be_written_is_refused_and_nothing_is(name, options, message, tmp_path, monkeypatch, capsys):
+def test_robot_that_cannot_be_written_is_refused_and_nothing_is(
+    name, options, message, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     code, _, err = called(capsys, monkeypatch, "new", name, *options)
     assert code == 2
@@ -100,7 +114,9 @@ def test_other_managers_run_a_mission_of_ones_own_and_do_what_they_are_for(new):
     assert ended(mission, "bt")[::2] == ("explored_all", 0)
     outcome, explored_m, adaptations = ended(mission, "none")
     assert (outcome, adaptations) == ("aborted", 0)
-    assert explored_m < 25  # by day's exposure it sees no further, and nobody looks after its energy
+    assert (
+        explored_m < 25
+    )  # by day's exposure it sees no further, and nobody looks after its energy
     outcome, explored_m, adaptations = ended(mission, "fixed")
     assert (outcome, adaptations > 0) == ("aborted", True)
     assert explored_m < 25
@@ -143,7 +159,11 @@ def test_failures_make_nothing_unfeasible_where_nothing_adapts_and_are_sensed(ne
         ),
         ("uav", "bt", "mission uav has no hand-written tree"),
         ("agv", "none", "the task layer of mission agv selects configurations; run it under ours"),
-        ("uav", "missions.baselines.modes:NoManager", "make it a subclass of missions.baselines.Policy"),
+        (
+            "uav",
+            "missions.baselines.modes:NoManager",
+            "make it a subclass of missions.baselines.Policy",
+        ),
     ],
 )
 def test_manager_that_does_not_go_with_a_mission_is_refused(mission, manager, message):
@@ -160,19 +180,27 @@ def test_campaign_is_refused_before_its_first_run_if_a_mission_has_no_hand_writt
 def test_configurations_to_use_are_those_of_the_model(new):
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(f"{new()}:MISSION"), manager="fixed", settings={"use": "nite"})
-    assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(refusal.value)
+    assert "setting use names 'nite'; the model has by_camera, by_wheels, day, night" in str(
+        refusal.value
+    )
 
 
-def test_report_on_a_mission_of_ones_own_shows_who_reached_the_goal_and_no_empty_columns(new, tmp_path):
+def test_report_on_a_mission_of_ones_own_shows_who_reached_the_goal_and_no_empty_columns(
+    new, tmp_path
+):
     name = new("--task", "bt")
-    campaign = replace(read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none"))
+    campaign = replace(
+        read_campaign(tmp_path / name / "campaign.toml"), runs=2, managers=("ours", "none")
+    )
     folder = tmp_path / "runs"
     with Store(folder, campaign) as store:
         for run in campaign.planned():
             store.keep(do(run))
     write_report(read_store(folder), folder)
     text = (folder / "report.md").read_text()
-    head, _, *rows = [line for line in text.split(f"## {name}:MISSION")[1].splitlines() if line.startswith("|")][:4]
+    head, _, *rows = [
+        line for line in text.split(f"## {name}:MISSION")[1].splitlines() if line.startswith("|")
+    ][:4]
     assert head.startswith("| manager | runs | goal reached | duration_s: mean [95 %]")
     assert [row.split(" | ")[:3] for row in rows] == [
         ["| ours (bt)", "2", "2"],
@@ -187,8 +215,16 @@ def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
     model = find_mission(f"{new()}:MISSION").model()
     model.quality_attribute("tank_level", unit="l")
     model.quality_attribute("time_left_s", unit="min")
-    shown = [figure_in_words(name, 4.5, model)[:2] for name in ("battery_left", "tank_level", "time_left_s", "used_l")]
-    assert shown == [("battery left", ""), ("tank level", "l"), ("time left s", "min"), ("used", "l")]
+    shown = [
+        figure_in_words(name, 4.5, model)[:2]
+        for name in ("battery_left", "tank_level", "time_left_s", "used_l")
+    ]
+    assert shown == [
+        ("battery left", ""),
+        ("tank level", "l"),
+        ("time left s", "min"),
+        ("used", "l"),
+    ]
     assert figure_in_words("mean_speed_m_s", 0.25, model) == ("mean speed", "m/s", "0.25")
     assert figure_in_words("hits_on_wall", 3.0, model) == ("hits on wall", "", "3")
 
@@ -198,12 +234,24 @@ def test_units_are_those_of_attributes_and_of_ends_that_are_units(new):
     [
         ({"tree": None}, "mission NAME has no task: give it a tree, or a PDDL domain and problem"),
         ({"tree": "tree"}, "tree of mission NAME is 'tree'; expected is a function"),
-        ({"world": None}, "world of mission NAME is None; expected is an object of a subclass of WorldKind"),
-        ({"domain": "domain.pddl"}, "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path"),
+        (
+            {"world": None},
+            "world of mission NAME is None; expected is an object of a subclass of WorldKind",
+        ),
+        (
+            {"domain": "domain.pddl"},
+            "domain of mission NAME is 'domain.pddl'; expected is a pathlib.Path",
+        ),
         ({"actions": ["explore"]}, "actions of mission NAME is ['explore']; expected is a mapping"),
         ({"engines": "tamer"}, "engines of mission NAME is 'tamer'; expected is a tuple of names"),
-        ({"tree": lambda kb: None}, "tree of mission NAME is called with (kb, percepts), but takes (kb): too many"),
-        ({"facts": lambda percepts: {}}, "facts of mission NAME is called with (kb, percepts), but takes (percepts)"),
+        (
+            {"tree": lambda kb: None},
+            "tree of mission NAME is called with (kb, percepts), but takes (kb): too many",
+        ),
+        (
+            {"facts": lambda percepts: {}},
+            "facts of mission NAME is called with (kb, percepts), but takes (percepts)",
+        ),
     ],
 )
 def test_mission_with_a_wrong_field_is_refused_in_a_sentence(new, changes, message):
@@ -234,4 +282,6 @@ def test_mission_that_is_only_planned_says_so_when_its_tree_is_asked_for(new):
 def test_unknown_setting_of_a_mission_of_ones_own_is_answered_with_those_there_are(new):
     with pytest.raises(MissionError) as refusal:
         open_run(find_mission(f"{new()}:MISSION"), settings={"zzz": "1"})
-    assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(refusal.value)
+    assert "there are duration_s, tick_period_s, planning_delay_s, cave_m, draws_per_s" in str(
+        refusal.value
+    )

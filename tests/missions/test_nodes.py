@@ -59,7 +59,10 @@ def rclpy():
 def dds_peer():
     """Start the program that all nodes here talk to."""
     command = [sys.executable, str(HERE / "ros_peer.py"), str(DOMAIN)]
-    path = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")])}
+    path = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]),
+    }
     program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=path)
     program.stdout.readline()
     return program
@@ -132,7 +135,13 @@ def test_arrays_come_back_and_what_is_no_number_is_null(node):
 def test_nested_messages_come_back_as_they_were(node):
     pairs = [{"key": "battery_level", "value": "0.25"}, {"key": "", "value": "é"}]
     statuses = [
-        {"level": level, "name": f"n{level}", "message": "QA status", "hardware_id": "", "values": pairs[:level]}
+        {
+            "level": level,
+            "name": f"n{level}",
+            "message": "QA status",
+            "hardware_id": "",
+            "values": pairs[:level],
+        }
         for level in range(3)
     ]
     stamp = {"sec": 1_700_000_000, "nanosec": 999_999_999}
@@ -145,10 +154,20 @@ def test_services_are_called_both_ways(node):
     wanted = {"action": action, "success": True}
     until(lambda: asked(node, "/peer/ask", action=action, preference="") == wanted)
     calls, said = [], []
-    node.serve("/ours/ask", ASK, lambda one: calls.append(one) or {"action": one["action"], "success": True})
+    node.serve(
+        "/ours/ask",
+        ASK,
+        lambda one: calls.append(one) or {"action": one["action"], "success": True},
+    )
     node.subscribe("/called", STRING, lambda one: said.append(json.loads(one["data"])))
-    call = {"data": json.dumps({"service": "/ours/ask", "request": {"action": action, "preference": "é"}})}
-    until(lambda: wanted in said, turn=lambda: (node.publish("/call", STRING, call), time.sleep(0.3)))
+    call = {
+        "data": json.dumps(
+            {"service": "/ours/ask", "request": {"action": action, "preference": "é"}}
+        )
+    }
+    until(
+        lambda: wanted in said, turn=lambda: (node.publish("/call", STRING, call), time.sleep(0.3))
+    )
     assert calls[0] == {"action": action, "preference": "é"}
 
 
@@ -176,7 +195,10 @@ def test_call_that_its_caller_gives_up_leaves_the_node_as_it_is(node):
 @pytest.mark.parametrize("service", ["/peer/refuse", "/peer/fail"])
 def test_what_is_refused_or_fails_never_reads_as_success(node, service):
     answers = []
-    until(lambda: answers and answers[-1] is not None, turn=lambda: answers.append(asked(node, service)))
+    until(
+        lambda: answers and answers[-1] is not None,
+        turn=lambda: answers.append(asked(node, service)),
+    )
     assert answers[-1]["success"] is False
 
 
@@ -190,7 +212,9 @@ def test_many_threads_get_their_own_answers(node):
     until(lambda: asked(node, "/peer/ask", action={"name": "first"}) is not None)
     names = [f"action {number}" for number in range(120)]
     with ThreadPoolExecutor(6) as pool:
-        answers = list(pool.map(lambda name: asked(node, "/peer/ask", action={"name": name}), names))
+        answers = list(
+            pool.map(lambda name: asked(node, "/peer/ask", action={"name": name}), names)
+        )
     assert [one["action"]["name"] for one in answers] == names
 
 
@@ -205,7 +229,15 @@ def test_listener_that_fails_does_not_end_the_node(node):
 def test_closing_ends_what_is_open(backend):
     with BACKENDS[backend]():
         pass
-    until(lambda: not [one for one in threading.enumerate() if one.name in ("rclpy", "dds", "rosbridge", "ros-send")])
+    until(
+        lambda: (
+            not [
+                one
+                for one in threading.enumerate()
+                if one.name in ("rclpy", "dds", "rosbridge", "ros-send")
+            ]
+        )
+    )
 
 
 @pytest.mark.parametrize("backend", TYPED)
@@ -248,9 +280,15 @@ def test_bytes_are_those_of_ros_2_and_of_rosbags():
     for one in messages:
         thing, data = made(structs, one["type"], one["fields"]), bytes.fromhex(one["cdr"])
         assert thing.serialize() == data
-        assert message_of(structs, one["type"], structs.find(one["type"]).deserialize(data)) == one["fields"]
+        assert (
+            message_of(structs, one["type"], structs.find(one["type"]).deserialize(data))
+            == one["fields"]
+        )
         kept = ros.types()
-        assert kept.store.serialize_cdr(kept.decode(one["type"], data), one["type"])[: len(data)] == data
+        assert (
+            kept.store.serialize_cdr(kept.decode(one["type"], data), one["type"])[: len(data)]
+            == data
+        )
 
 
 def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
@@ -258,7 +296,10 @@ def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
         messages = Messages()
         for one in recorded("ros2_cdr.json")["messages"]:
             assert list(messages.fields(one["type"])) == list(one["fields"])
-            assert message_of(messages, one["type"], made(messages, one["type"], one["fields"])) == one["fields"]
+            assert (
+                message_of(messages, one["type"], made(messages, one["type"], one["fields"]))
+                == one["fields"]
+            )
         answered = recorded("ros2_service_wire.json")["reply_to_us"]["decoded"]
         names = re.findall(r"(\w+)=", answered.split("component=Component(")[1].split(")")[0])
         assert list(messages.fields("rosa_msgs/msg/Component"))[: len(names)] == names
@@ -267,7 +308,9 @@ def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
 def test_service_header_is_that_of_rmw_cyclonedds():
     structs, wire = Structs(), recorded("ros2_service_wire.json")
     asked_of_us = structs.find("rosa_msgs/srv/ActionQueryArray_Request", has_header=True)
-    requests = [asked_of_us.deserialize(bytes.fromhex(one)) for one in wire["request_to_us"]["raw_cdr"]]
+    requests = [
+        asked_of_us.deserialize(bytes.fromhex(one)) for one in wire["request_to_us"]["raw_cdr"]
+    ]
     assert [one.rmw_seq for one in requests] == [1, 2, 3]
     assert len({one.rmw_guid for one in requests}) == 1
     assert asked_of_us.__idl__.idl_transformed_typename == wire["request_to_us"]["type"]
@@ -275,8 +318,12 @@ def test_service_header_is_that_of_rmw_cyclonedds():
     kind = "rosa_msgs/srv/ComponentQuery_Response"
     answer = structs.find(kind, has_header=True).deserialize(bytes.fromhex(reply["raw_cdr"]))
     assert message_of(structs, kind, answer)["component"]["status"] == "from_ros"
-    request = made(structs, "rosa_msgs/srv/ComponentQuery_Request", {"component": {"name": "c_thruster_1"}})
-    sent = structs.with_header("rosa_msgs/srv/ComponentQuery_Request", answer.rmw_guid, 1, request).serialize()
+    request = made(
+        structs, "rosa_msgs/srv/ComponentQuery_Request", {"component": {"name": "c_thruster_1"}}
+    )
+    sent = structs.with_header(
+        "rosa_msgs/srv/ComponentQuery_Request", answer.rmw_guid, 1, request
+    ).serialize()
     assert bytes.fromhex(reply["our_request_cdr"])[: len(sent)] == sent
 
 

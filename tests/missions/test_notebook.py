@@ -12,7 +12,9 @@ EVIL = "<script>alert('x')</script>"
 
 def parsed(shown):
     """Return all texts of a piece of HTML, which has to be well formed."""
-    return [text for text in ElementTree.fromstring(f"<div>{shown}</div>").itertext() if text.strip()]
+    return [
+        text for text in ElementTree.fromstring(f"<div>{shown}</div>").itertext() if text.strip()
+    ]
 
 
 @pytest.fixture
@@ -27,7 +29,9 @@ def rover():
 def test_model_shows_its_elements_with_what_is_declared_of_them(rover):
     texts = parsed(rover.kb.model._repr_html_())
     assert "model rover" in texts
-    assert texts.index("attribute") < texts.index("configuration") < texts.index("action")  # after what it refers to
+    assert (
+        texts.index("attribute") < texts.index("configuration") < texts.index("action")
+    )  # after what it refers to
     assert "component: camera; parameters: {'exposure_s': 0.2}; priority: 2" in texts
 
 

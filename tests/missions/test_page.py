@@ -39,7 +39,11 @@ def at(run, time):
 
 
 def names(run):
-    return {value["name"]: key for key, value in run.last("element").items() if value["kind"] != "constraint"}
+    return {
+        value["name"]: key
+        for key, value in run.last("element").items()
+        if value["kind"] != "constraint"
+    }
 
 
 def test_rows_say_at_each_instant_what_the_knowledge_base_says():
@@ -49,11 +53,16 @@ def test_rows_say_at_each_instant_what_the_knowledge_base_says():
     class Compare(RunRecorder):
         def tick(self, run):
             super().tick(run)
-            seen = {(track, key): value for track, key, value in (row[1:] for row in self.recorder.rows.snapshot()[0])}
+            seen = {
+                (track, key): value
+                for track, key, value in (row[1:] for row in self.recorder.rows.snapshot()[0])
+            }
             with run.kb.reading() as state:
                 for node in state.network.present():
                     index = node.index
-                    assert seen.get(("status", index)) == (None if node.kind == "attribute" else state.status[index])
+                    assert seen.get(("status", index)) == (
+                        None if node.kind == "attribute" else state.status[index]
+                    )
                     assert seen.get(("value", index)) == state.value[index]
                     for track in ("required", "selected", "active", "stale"):
                         assert bool(seen.get((track, index))) == bool(getattr(state, track)[index])
@@ -124,7 +133,11 @@ def test_task_plans_of_long_ago_are_forgotten_and_nothing_is_shown_otherwise(mon
     planned = max(shown[0].last("taskplan"))
     assert len(recorder._task_plans) < planned
     assert len(recorder._own.adaptations) < len(shown[0].last("adaptation"))
-    assert any("replanned" in link["words"] for one in shown[0].last("adaptation").values() for link in one["chain"])
+    assert any(
+        "replanned" in link["words"]
+        for one in shown[0].last("adaptation").values()
+        for link in one["chain"]
+    )
     assert shown[1].rows == shown[0].rows
 
 
@@ -137,7 +150,10 @@ def test_what_if_cases_are_what_the_knowledge_base_would_have_answered():
         *((None, 1.25, False), (1.25, 2.25, False), (2.25, 3.25, True), (3.25, None, False))
     ]
     chosen = [one["chosen"][str(found["spiral_search"])] for one in cases]
-    assert chosen == [None, *(found[name] for name in ("low_altitude", "medium_altitude", "high_altitude"))]
+    assert chosen == [
+        None,
+        *(found[name] for name in ("low_altitude", "medium_altitude", "high_altitude")),
+    ]
     low = made.kb.situation(battery_level=0.2)
     last = list(run.last("whatif").values())[-1]
     cases = [one for one in last["cases"] if one["attribute"] == found["battery_level"]]
@@ -199,7 +215,9 @@ class Rover:
 
 def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
     rover = Rover()
-    recorder = Recorder(rover.kb, rover.runner, units={"light": "lx"}, pose=lambda: (rover.clock.now, 0.0, 0.0))
+    recorder = Recorder(
+        rover.kb, rover.runner, units={"light": "lx"}, pose=lambda: (rover.clock.now, 0.0, 0.0)
+    )
     rover.kb.measure("light", 0.9)
     rover.kb.measure("energy", 0.9)
     rover.work(2.0)
@@ -211,7 +229,14 @@ def test_robot_of_ones_own_is_recorded_in_three_lines(tmp_path):
     run = read_page(tmp_path / "run.html")
     shown = list(run.last("adaptation").values())
     assert [one["kind"] for one in shown] == ["parameter", "task"]
-    assert [link["what"] for link in shown[1]["chain"]] == ["news", "status", "end", "request", "plan", "force"]
+    assert [link["what"] for link in shown[1]["chain"]] == [
+        "news",
+        "status",
+        "end",
+        "request",
+        "plan",
+        "force",
+    ]
     assert shown[1]["chain"][0]["words"] == "energy 0.1 < 0.2"
     assert run.last("element")[names(run)["light"]]["unit"] == "lx"
     assert run.last("pose")[0][0] >= 5.0
@@ -265,7 +290,8 @@ def test_text_that_would_end_the_page_is_shown_and_ends_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("odd", "shown"), [({"a set"}, "{'a set'}"), (math.nan, None), ("\ud800", "?"), (3.5, 3.5), (None, None)]
+    ("odd", "shown"),
+    [({"a set"}, "{'a set'}"), (math.nan, None), ("\ud800", "?"), (3.5, 3.5), (None, None)],
 )
 def test_feedback_that_is_not_text_does_not_cost_the_whole_report(tmp_path, odd, shown):
     class Odd(Behaviour):
@@ -308,12 +334,18 @@ def test_two_runs_are_told_apart_from_the_first_difference_on(tmp_path):
     first = told[1]
     assert first["words"].startswith("the same up to here; then ")
     assert first["t"] > 50
-    assert any(re.match(r"recharge is requested: \d+\.\d s sooner in B, because inspect", one["words"]) for one in told)
+    assert any(
+        re.match(r"recharge is requested: \d+\.\d s sooner in B, because inspect", one["words"])
+        for one in told
+    )
     assert [each["t"] for each in told] == sorted(each["t"] for each in told)
     page = report(one, other)
     assert len(page) < 3_000_000
     assert differences(one, one) == []
-    with pytest.raises(MissionError, match=r"only runs of the same model can be compared, not of suave_ext.* and agv"):
+    with pytest.raises(
+        MissionError,
+        match=r"only runs of the same model can be compared, not of suave_ext.* and agv",
+    ):
         differences(one, recorded("agv")[0])
 
 
@@ -322,9 +354,15 @@ def test_what_is_no_run_is_refused_in_a_sentence(tmp_path):
     run = recorded(duration=40)[0]
     for text, words in (
         ("<html></html>", "holds no run"),
-        ('<script type="application/json" id="rosa-data">{"vers</script>', "cannot read the report"),
+        (
+            '<script type="application/json" id="rosa-data">{"vers</script>',
+            "cannot read the report",
+        ),
         ('<script type="application/json" id="rosa-data">[1]</script>', "cannot read the report"),
-        (report(run).replace('"version":1', '"version":7', 1), "is of version 7; this program reads version 1"),
+        (
+            report(run).replace('"version":1', '"version":7', 1),
+            "is of version 7; this program reads version 1",
+        ),
         (report(run, run), "holds two runs already"),
     ):
         page.write_text(text)

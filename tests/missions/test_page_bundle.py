@@ -24,10 +24,14 @@ def sources():
 def test_bundle_carries_the_hash_of_its_sources(name):
     found = sha256()
     for path in sources():
-        found.update(f"{path.relative_to(PAGE).as_posix()}\0{path.read_text(encoding='utf-8')}\0".encode())
+        found.update(
+            f"{path.relative_to(PAGE).as_posix()}\0{path.read_text(encoding='utf-8')}\0".encode()
+        )
     said = re.match(r"/\*! sources (\w{64})\b", (PAGE / "dist" / name).read_text(encoding="utf-8"))
     assert said, name
-    assert said[1] == found.hexdigest(), "the sources have changed since the page was built: run `make page`"
+    assert said[1] == found.hexdigest(), (
+        "the sources have changed since the page was built: run `make page`"
+    )
 
 
 def test_building_again_gives_the_same_bytes(tmp_path):
@@ -37,7 +41,9 @@ def test_building_again_gives_the_same_bytes(tmp_path):
         place = tmp_path / path.relative_to(PAGE)
         place.parent.mkdir(exist_ok=True)
         place.symlink_to(path)
-    subprocess.run(["node", "--preserve-symlinks-main", "build.mjs"], cwd=tmp_path, check=True, timeout=200)
+    subprocess.run(
+        ["node", "--preserve-symlinks-main", "build.mjs"], cwd=tmp_path, check=True, timeout=200
+    )
     for name in BUILT:
         assert (tmp_path / "dist" / name).read_bytes() == (PAGE / "dist" / name).read_bytes()
 
@@ -61,8 +67,12 @@ def test_bundle_carries_the_licences_of_what_is_in_it():
 
 
 def test_front_end_keeps_within_its_budget():
-    files = {path: path.read_text(encoding="utf-8").splitlines() for path in (PAGE / "src").iterdir()}
-    assert 0 < sum(map(len, files.values())) <= MOST_LINES, "before you add, look what it makes superfluous"
+    files = {
+        path: path.read_text(encoding="utf-8").splitlines() for path in (PAGE / "src").iterdir()
+    }
+    assert 0 < sum(map(len, files.values())) <= MOST_LINES, (
+        "before you add, look what it makes superfluous"
+    )
     for path, lines in files.items():
         if path.suffix in (".js", ".jsx", ".mjs"):
             assert max(map(len, lines)) <= LONGEST_LINE, path
@@ -85,7 +95,9 @@ def test_page_that_is_open_for_days_lets_go_of_what_is_old_but_not_of_what_holds
         const kept = [run.of("value", 0).times.length, run.last("adaptation").length, run.keys("action")];
         console.log(JSON.stringify([...kept, held]));
     """
-    done = subprocess.run(["node", "--input-type=module", "-e", program], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        ["node", "--input-type=module", "-e", program], capture_output=True, text=True, check=True
+    )
     kept, adaptations, actions, (status, value) = json.loads(done.stdout)
     assert 100_000 <= kept <= 200_001
     assert (adaptations, actions, status) == (0, ["1"], "feasible")

@@ -18,7 +18,15 @@ from missions.views.recorder import RunRecorder
 from missions.views.report import page_of, report
 
 sync_api = pytest.importorskip("playwright.sync_api")
-AXE = Path(__file__).parents[2] / "missions" / "views" / "page" / "node_modules" / "axe-core" / "axe.min.js"
+AXE = (
+    Path(__file__).parents[2]
+    / "missions"
+    / "views"
+    / "page"
+    / "node_modules"
+    / "axe-core"
+    / "axe.min.js"
+)
 WIDTHS = (375, 768, 1440)
 VIEWS = ("#scene", "#timelines", "#tree", "#knowledge")
 MISSIONS = (("suave_extended", "bt"), ("uav", "bt"), ("agv", "pddl"))
@@ -56,11 +64,18 @@ class Visits:
         return path.as_uri()
 
     def show(self, url, width=1440, height=900, scheme="light"):
-        context = self._browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+        context = self._browser.new_context(
+            viewport={"width": width, "height": height}, color_scheme=scheme
+        )
         self._contexts.append(context)
         context.set_default_timeout(WAIT_MS)
         page = context.new_page()
-        page.on("console", lambda said: self.wrong.append(said.text) if said.type in ("error", "warning") else None)
+        page.on(
+            "console",
+            lambda said: (
+                self.wrong.append(said.text) if said.type in ("error", "warning") else None
+            ),
+        )
         page.on("pageerror", lambda error: self.wrong.append(str(error)))
         page.on("request", lambda request: self.requests.append(request.url))
         page.on("websocket", lambda opened: self.requests.append(opened.url))
@@ -81,8 +96,14 @@ def visits(browser, tmp_path):
     yield opened
     opened.close()
     # a page asks again and again for the mission that is gone, and the browser says so each time
-    assert [words for words in opened.wrong if not (opened.outlives_its_mission and "WebSocket" in words)] == []
-    assert [url for url in opened.requests if not re.match(r"(file|data|(http|ws)://127\.0\.0\.1)", url)] == []
+    assert [
+        words
+        for words in opened.wrong
+        if not (opened.outlives_its_mission and "WebSocket" in words)
+    ] == []
+    assert [
+        url for url in opened.requests if not re.match(r"(file|data|(http|ws)://127\.0\.0\.1)", url)
+    ] == []
 
 
 @pytest.fixture
@@ -93,7 +114,8 @@ def shown(visits):
 
 def slide(page, time):
     page.locator("#instant").evaluate(
-        "(slider, t) => { slider.value = t; slider.dispatchEvent(new Event('input', {bubbles: true})) }", time
+        "(slider, t) => { slider.value = t; slider.dispatchEvent(new Event('input', {bubbles: true})) }",
+        time,
     )
     settle(page)
 
@@ -125,11 +147,19 @@ def test_slider_moves_every_view(shown):
 
 def test_views_show_what_the_run_knew_at_the_instant(shown):
     rows = recorded("suave_extended").rows
-    battery = next(key for _, track, key, one in rows if track == "element" and one["name"] == "battery_level")
+    battery = next(
+        key for _, track, key, one in rows if track == "element" and one["name"] == "battery_level"
+    )
     for time in (50, 120, 200):
         slide(shown, time)
-        value = [one for t, track, key, one in rows if (track, key) == ("value", battery) and t <= time][-1]
-        told = shown.locator("#timelines .measured", has_text="battery_level").locator("b").first.inner_text()
+        value = [
+            one for t, track, key, one in rows if (track, key) == ("value", battery) and t <= time
+        ][-1]
+        told = (
+            shown.locator("#timelines .measured", has_text="battery_level")
+            .locator("b")
+            .first.inner_text()
+        )
         assert float(told) == pytest.approx(value, rel=1e-3)
 
 
@@ -148,11 +178,23 @@ def test_choosing_an_adaptation_moves_everything_and_draws_its_chain_through_all
     assert {view for view in before if before[view] == after[view]} == set()
     assert after["clock"].startswith("151.0 s")
     chain = shown.locator(".chain").inner_text()
-    expected = ("battery_level is just below 0.25", "inspect_pipeline unfeasible", "inspect_pipeline stopped")
-    places = [chain.index(words) for words in (*expected, "recharge requested", "stop follow_pipeline")]
+    expected = (
+        "battery_level is just below 0.25",
+        "inspect_pipeline unfeasible",
+        "inspect_pipeline stopped",
+    )
+    places = [
+        chain.index(words) for words in (*expected, "recharge requested", "stop follow_pipeline")
+    ]
     assert places == sorted(places)
     assert shown.locator(".chain li").count() >= len(places)
-    for marks in ("#tree .badge", "#knowledge .badge", "#timelines .badge", "#timelines .step-line", "#scene .steps"):
+    for marks in (
+        "#tree .badge",
+        "#knowledge .badge",
+        "#timelines .badge",
+        "#timelines .step-line",
+        "#scene .steps",
+    ):
         assert shown.locator(marks).count() > 0, marks
 
 
@@ -179,7 +221,9 @@ def test_playing_goes_on_to_the_end_and_stops(shown):
 def test_moving_a_measurement_tells_what_would_be_chosen_and_of_which_instant_that_is(shown):
     slide(shown, 120)
     slider = shown.locator("#whatif label", has_text="battery_level").locator("input")
-    slider.evaluate("one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }")
+    slider.evaluate(
+        "one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }"
+    )
     told = shown.locator("#whatif").inner_text()
     assert "If battery_level were below 0.25:" in told
     feasible = told.split("feasible then")[1].split("other statuses")[0]
@@ -211,7 +255,9 @@ def test_plan_is_listed_and_its_step_that_is_under_way_is_marked(visits):
 
 
 def test_two_runs_stand_side_by_side_and_say_what_differs(visits):
-    page = visits.show(visits.file(report(recorded("suave_extended"), recorded("suave_extended", seed=1))))
+    page = visits.show(
+        visits.file(report(recorded("suave_extended"), recorded("suave_extended", seed=1)))
+    )
     assert page.locator("#scene .robot").count() == len("AB")
     assert page.locator("#timelines .lane", has_text="actions").locator("ol").count() == len("AB")
     first = page.locator(".differences button").first
@@ -268,7 +314,10 @@ def test_no_violation_of_accessibility(visits, scheme, width):
             page.keyboard.press(key)
         page.locator("#knowledge li button").first.click()
         found = page.evaluate("() => axe.run().then(found => found.violations)")
-        told = [(one["id"], one["nodes"][0]["html"][:200], one["nodes"][0]["failureSummary"]) for one in found]
+        told = [
+            (one["id"], one["nodes"][0]["html"][:200], one["nodes"][0]["failureSummary"])
+            for one in found
+        ]
         assert told == []
 
 
@@ -297,9 +346,22 @@ def test_keyboard_alone_reaches_and_works_everything(shown):
             break
         reached.append(focused())
     words = " | ".join(reached)
-    for name in ("time limit", "dark", "keys", "battery_level is 1", "search the tree", "nodes of the tree"):
+    for name in (
+        "time limit",
+        "dark",
+        "keys",
+        "battery_level is 1",
+        "search the tree",
+        "nodes of the tree",
+    ):
         assert name in words, name
-    for name in ("search what is known", "inspect_pipeline", "play", "next adaptation", "instant shown"):
+    for name in (
+        "search what is known",
+        "inspect_pipeline",
+        "play",
+        "next adaptation",
+        "instant shown",
+    ):
         assert name in words, name
     shown.keyboard.press("/")
     assert focused() == "search the tree"
@@ -318,27 +380,48 @@ def test_keyboard_alone_reaches_and_works_everything(shown):
 def test_adaptations_are_told_to_screen_readers(shown):
     slide(shown, 152)
     told = shown.locator("p[aria-live]").inner_text()
-    assert told.startswith("Adaptation at 151.0 s: battery_level is just below 0.25; inspect_pipeline -> recharge")
+    assert told.startswith(
+        "Adaptation at 151.0 s: battery_level is just below 0.25; inspect_pipeline -> recharge"
+    )
 
 
 def page_with(rows):
     """Return a page of a run of which only these rows are known, in the order of their times."""
-    run = {"header": recorded("suave_extended").header, "rows": sorted(rows, key=lambda row: row[0])}
-    return page_of({"version": 1, "runs": [run], "differences": [], "live": None, "note": ""}, "by hand")
+    run = {
+        "header": recorded("suave_extended").header,
+        "rows": sorted(rows, key=lambda row: row[0]),
+    }
+    return page_of(
+        {"version": 1, "runs": [run], "differences": [], "live": None, "note": ""}, "by hand"
+    )
 
 
 def tree_of(count):
     """Return a report whose tree has that many nodes, all of which change at the second instant."""
     nodes = [[0, None, "Sequence", "root", "sequence", []]]
-    nodes += [[uid, (uid - 1) // 5, "Action", f"node {uid}", "action", []] for uid in range(1, count)]
-    rows = [[0.0, "tree", 0, {"name": "large", "nodes": nodes}], [0.0, "tick", 0, 0], [3.0, "now", 0, "end"]]
-    rows += [[t, "node", uid, ["RSF"[(uid + int(t)) % 3], ""]] for t in (0.0, 1.0, 2.0) for uid in range(count)]
+    nodes += [
+        [uid, (uid - 1) // 5, "Action", f"node {uid}", "action", []] for uid in range(1, count)
+    ]
+    rows = [
+        [0.0, "tree", 0, {"name": "large", "nodes": nodes}],
+        [0.0, "tick", 0, 0],
+        [3.0, "now", 0, "end"],
+    ]
+    rows += [
+        [t, "node", uid, ["RSF"[(uid + int(t)) % 3], ""]]
+        for t in (0.0, 1.0, 2.0)
+        for uid in range(count)
+    ]
     return page_with(rows)
 
 
 def test_robot_whose_clock_counts_from_1970_is_shown_the_time_of_day(visits):
     day = 1_700_000_000.0
-    rows = [[day, "scene", 0, []], [day + 60, "signal", "depth [m]", 2.0], [day + 60, "now", 0, "end"]]
+    rows = [
+        [day, "scene", 0, []],
+        [day + 60, "signal", "depth [m]", 2.0],
+        [day + 60, "now", 0, "end"],
+    ]
     page = visits.show(visits.file(page_with(rows)))
     assert page.locator(".clock").inner_text().startswith("22:14:20.0 UTC")
     page.keyboard.press("Home")
@@ -351,7 +434,9 @@ def test_tree_of_a_thousand_nodes_makes_only_what_is_in_sight(visits):
     assert 0 < page.get_by_role("treeitem").count() < 100
     page.locator(".outline").focus()
     page.keyboard.press("End")
-    assert page.locator("[role=treeitem][aria-selected=true]").get_attribute("aria-posinset") == "1000"
+    assert (
+        page.locator("[role=treeitem][aria-selected=true]").get_attribute("aria-posinset") == "1000"
+    )
     page.get_by_label("search the tree").fill("node 777")
     assert page.get_by_role("treeitem").last.inner_text().strip().endswith("node 777")
     page.get_by_role("button", name="Drawn").click()
@@ -359,22 +444,51 @@ def test_tree_of_a_thousand_nodes_makes_only_what_is_in_sight(visits):
 
 
 def test_tree_that_changed_is_shown_as_it_was(visits):
-    root, step = [0, None, "Sequence", "root", "sequence", []], [1, 0, "Action", "old step", "action", []]
-    changed = [root, step, [2, 0, "Plan", "new plan", "plan", []], [3, 2, "Action", "new step", "action", []]]
-    rows = [[0.0, "tree", 0, {"name": "", "nodes": [root, step]}], [0.0, "node", 1, ["R", "begins"]]]
-    rows += [[5.0, "tree", 0, {"name": "", "nodes": changed}], [5.0, "node", 1, ["S", ""]], [9.0, "now", 0, "end"]]
+    root, step = (
+        [0, None, "Sequence", "root", "sequence", []],
+        [1, 0, "Action", "old step", "action", []],
+    )
+    changed = [
+        root,
+        step,
+        [2, 0, "Plan", "new plan", "plan", []],
+        [3, 2, "Action", "new step", "action", []],
+    ]
+    rows = [
+        [0.0, "tree", 0, {"name": "", "nodes": [root, step]}],
+        [0.0, "node", 1, ["R", "begins"]],
+    ]
+    rows += [
+        [5.0, "tree", 0, {"name": "", "nodes": changed}],
+        [5.0, "node", 1, ["S", ""]],
+        [9.0, "now", 0, "end"],
+    ]
     page = visits.show(visits.file(page_with(rows)))
     assert page.get_by_role("treeitem").count() == len(changed)
     slide(page, 4.9)
-    assert [one.split()[-3:] for one in page.get_by_role("treeitem").all_inner_texts()][1] == ["old", "step", "begins"]
+    assert [one.split()[-3:] for one in page.get_by_role("treeitem").all_inner_texts()][1] == [
+        "old",
+        "step",
+        "begins",
+    ]
     assert page.get_by_role("treeitem").count() == len([root, step])
 
 
 def test_actions_that_are_done_at_the_same_time_have_a_lane_each(visits):
     action = {"kind": "action", "functions": [], "constraints": []}
-    rows = [[0.0, "element", key, {**action, "name": name}] for key, name in enumerate(("drive", "film"))]
+    rows = [
+        [0.0, "element", key, {**action, "name": name}]
+        for key, name in enumerate(("drive", "film"))
+    ]
     for key, start in ((0, 1.0), (1, 2.0)):
-        rows.append([start, "action", key, {"action": key, "start": start, "end": 5.0, "result": "completed"}])
+        rows.append(
+            [
+                start,
+                "action",
+                key,
+                {"action": key, "start": start, "end": 5.0, "result": "completed"},
+            ]
+        )
     page = visits.show(visits.file(page_with([*rows, [9.0, "now", 0, "end"]])))
     assert page.locator(".lane .name").all_inner_texts() == ["action drive", "action film"]
 
@@ -385,13 +499,18 @@ def test_what_was_printed_has_every_node_and_is_light(visits):
     page.emulate_media(media="print")
     settle(page)
     assert page.get_by_role("treeitem").count() == 300
-    assert page.evaluate("() => getComputedStyle(document.body).backgroundColor") != "rgb(13, 17, 20)"
+    assert (
+        page.evaluate("() => getComputedStyle(document.body).backgroundColor") != "rgb(13, 17, 20)"
+    )
 
 
 def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
     header = recorded("suave_extended").header | {"live": True, "manager": ""}
     runs = [{"header": header, "rows": recorded("suave_extended").rows}]
-    text = page_of({"version": 1, "runs": runs, "differences": [], "live": None, "note": "cut off at 300 s"}, "live")
+    text = page_of(
+        {"version": 1, "runs": runs, "differences": [], "live": None, "note": "cut off at 300 s"},
+        "live",
+    )
     page = visits.show(visits.file(text))
     assert "Of the cases stored" in page.locator("#whatif").inner_text()
     assert "manager" not in page.locator(".head").inner_text()
@@ -401,7 +520,16 @@ def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
 @pytest.fixture
 def running(tmp_path):
     """The extended mission, while it runs."""
-    command = ["run", "suave_extended", "--live", "0", "--allow-control", "--speed", "0.5", "--no-progress"]
+    command = [
+        "run",
+        "suave_extended",
+        "--live",
+        "0",
+        "--allow-control",
+        "--speed",
+        "0.5",
+        "--no-progress",
+    ]
     program = [sys.executable, "-m", "missions", *command]
     process = subprocess.Popen(program, stdout=subprocess.PIPE, text=True, cwd=tmp_path)
     yield process
@@ -414,25 +542,38 @@ def address(running):
     return re.search(r"http://\S+", running.stdout.readline())[0]
 
 
-def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(address, visits):  # the page goes first
+def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(
+    address, visits
+):  # the page goes first
     page = visits.show(address)
     page.locator(".connection", has_text="connected").wait_for()
     slider = page.locator("#whatif label", has_text="battery_level").locator("input")
     slider.wait_for()
-    slider.evaluate("one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }")
+    slider.evaluate(
+        "one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }"
+    )
     page.locator("#whatif", has_text="feasible then").wait_for()
     page.get_by_role("button", name="Measure this from now on").click()
     adapted = page.locator("#adaptations li button", has_text="search_pipeline → recharge")
     adapted.click()
-    sync_api.expect(page).to_have_url(re.compile("#t=.*a="))  # it is the first, unless the page was slow to come
-    for words in ("battery_level 0.", "search_pipeline unfeasible", "search_pipeline stopped", "recharge requested"):
+    sync_api.expect(page).to_have_url(
+        re.compile("#t=.*a=")
+    )  # it is the first, unless the page was slow to come
+    for words in (
+        "battery_level 0.",
+        "search_pipeline unfeasible",
+        "search_pipeline stopped",
+        "recharge requested",
+    ):
         assert words in page.locator(".chain").inner_text()
     page.locator(".chain", has_text="in force").wait_for()
     page.get_by_role("button", name="Pause mission").click()
     page.locator(".connection", has_text="paused").wait_for()
     page.get_by_role("button", name="Resume mission").click()
     page.get_by_role("button", name="Now", exact=True).click()
-    sync_api.expect(page.get_by_role("button", name="Now", exact=True)).to_have_attribute("aria-pressed", "true")
+    sync_api.expect(page.get_by_role("button", name="Now", exact=True)).to_have_attribute(
+        "aria-pressed", "true"
+    )
     assert page.locator("#instant").evaluate("one => one.value === one.max")
 
 

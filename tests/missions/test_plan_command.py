@@ -35,7 +35,9 @@ def plans_of(domain):
     planner = Planner(warm=False)
     actions = domain.rosa_actions
     found = {}
-    for feasible in chain.from_iterable(combinations(actions, size) for size in range(len(actions) + 1)):
+    for feasible in chain.from_iterable(
+        combinations(actions, size) for size in range(len(actions) + 1)
+    ):
         state = initial_state(domain) | {domain.feasible_atom(action) for action in feasible}
         result = planner.plan(Problem(domain, state))
         found[feasible] = result.steps if result.outcome.is_solved else None
@@ -73,9 +75,15 @@ def test_json_is_outcome_engine_cost_and_steps(rosa, tmp_path):
         "engine": "fast-downward-opt",
         "cost": 3.0,
         "steps": [
-            {"action": "recharge", "arguments": ["recharge", "search_pipeline", "inspect_pipeline", "bluerov"]},
+            {
+                "action": "recharge",
+                "arguments": ["recharge", "search_pipeline", "inspect_pipeline", "bluerov"],
+            },
             {"action": "search_pipeline", "arguments": ["search_pipeline", "pipeline", "bluerov"]},
-            {"action": "inspect_pipeline", "arguments": ["inspect_pipeline", "pipeline", "bluerov"]},
+            {
+                "action": "inspect_pipeline",
+                "arguments": ["inspect_pipeline", "pipeline", "bluerov"],
+            },
         ],
     }
 
@@ -91,7 +99,9 @@ def test_situation_says_with_the_model_why_each_unfeasible_action_is_out(rosa, t
             "inspect_pipeline",
         ]
         reason = "is unfeasible because battery_level 0.2 violates >= 0.25 (measured 0.0 s ago)"
-        assert out.splitlines()[4:] == [f"out: {action}_pipeline {reason}" for action in ("search", "inspect")]
+        assert out.splitlines()[4:] == [
+            f"out: {action}_pipeline {reason}" for action in ("search", "inspect")
+        ]
 
 
 def test_action_of_the_model_that_is_never_planned_is_noted(rosa, tmp_path):
@@ -103,9 +113,16 @@ def test_action_of_the_model_that_is_never_planned_is_noted(rosa, tmp_path):
 
 
 def test_goal_may_be_another_one_and_several(rosa):
-    code, out, _ = rosa("--mission", "suave_extended", "--goal", "(recharged bluerov)(not (pipeline_found pipeline))")
+    code, out, _ = rosa(
+        "--mission",
+        "suave_extended",
+        "--goal",
+        "(recharged bluerov)(not (pipeline_found pipeline))",
+    )
     assert code == 0
-    assert out.splitlines()[1:] == ["  1  recharge(recharge, search_pipeline, inspect_pipeline, bluerov)"]
+    assert out.splitlines()[1:] == [
+        "  1  recharge(recharge, search_pipeline, inspect_pipeline, bluerov)"
+    ]
     code, out, _ = rosa("--mission", "suave", "--goal", "(not (pipeline_found pipeline))")
     assert (code, out.splitlines()[0].split(": ")[1]) == (0, "0 steps, cost 0")
 
@@ -151,7 +168,9 @@ ALL_BROKEN = "battery_level=0.2,c_thruster_1=failed,recover_thrusters=failed"
         ),
     ],
 )
-def test_unsolvable_says_which_goal_and_whether_it_is_for_want_of_feasible_actions(rosa, arguments, told):
+def test_unsolvable_says_which_goal_and_whether_it_is_for_want_of_feasible_actions(
+    rosa, arguments, told
+):
     code, out, _ = rosa(*arguments)
     lines = [line.strip() for line in out.splitlines() if not line.startswith("out: ")]
     assert (code, lines) == (1, ["no plan: fast-downward-opt: unsolvable proven", *told])
@@ -162,7 +181,9 @@ def test_goals_that_exclude_one_another_are_told_so(rosa, tmp_path):
         "(define (domain lamp) (:predicates (on) (off) (left)) (:action go :precondition (not (left))"
         " :effect (and (left) (on))) (:action stay :precondition (not (left)) :effect (and (left) (off))))"
     )
-    (tmp_path / "p.pddl").write_text("(define (problem p) (:domain lamp) (:init) (:goal (and (on) (off))))")
+    (tmp_path / "p.pddl").write_text(
+        "(define (problem p) (:domain lamp) (:init) (:goal (and (on) (off))))"
+    )
     code, out, _ = rosa("d.pddl", "p.pddl")
     assert code == 1
     assert "each goal can be reached alone, but not all together" in out
@@ -175,7 +196,11 @@ def test_files_with_a_limit_are_planned_within_it_and_told_when_no_plan_keeps_it
         " (:action glow :parameters () :precondition () :effect (and (on) (increase (used) 1)"
         " (increase (total-cost) 5))))"
     )
-    for left, code, told in [(2, 0, "  1  blaze()"), (1, 0, "  1  glow()"), (0.5, 1, "no plan: label-setting: ")]:
+    for left, code, told in [
+        (2, 0, "  1  blaze()"),
+        (1, 0, "  1  glow()"),
+        (0.5, 1, "no plan: label-setting: "),
+    ]:
         (tmp_path / "p.pddl").write_text(
             f"(define (problem p) (:domain lamp) (:init (= (used) 0) (= (total-cost) 0) (= (left) {left}))"
             " (:goal (and (on) (<= (used) (left)))) (:metric minimize (total-cost)))"
@@ -195,11 +220,15 @@ def test_problem_file_that_states_feasibility_is_believed_without_a_model(rosa, 
 
 
 def test_picture_has_a_box_for_each_step_and_the_goal_and_an_arrow_for_each_need(rosa, tmp_path):
-    assert rosa("--mission", "suave_extended", "--feasible", "recharge", "--svg", "plan.svg")[0] == 0
+    assert (
+        rosa("--mission", "suave_extended", "--feasible", "recharge", "--svg", "plan.svg")[0] == 0
+    )
     root = ElementTree.parse(tmp_path / "plan.svg").getroot()
     tags = [element.tag.rpartition("}")[2] for element in root]
     assert tags.count("rect") - 1 == 3 + 1
-    assert tags.count("path") == 4  # recharge -> search, recharge -> inspect, search -> inspect, inspect -> goal
+    assert (
+        tags.count("path") == 4
+    )  # recharge -> search, recharge -> inspect, search -> inspect, inspect -> goal
     texts = [element.text for element in root if element.tag.endswith("text")]
     assert "2 → (pipeline_found pipeline)" in texts
 
@@ -220,33 +249,70 @@ def test_without_a_plan_only_the_json_is_written_and_the_rest_is_told(rosa, tmp_
         ([], "nothing to plan; give a domain and a problem file, or a mission with --mission NAME"),
         (EXTENDED[:1], "nothing to plan; give a domain and a problem file"),
         ([*EXTENDED, "more.pddl"], "give either a domain and a problem file, or a mission"),
-        (["nowhere.pddl", EXTENDED[1]], "nowhere.pddl: cannot read this PDDL file: No such file or directory"),
+        (
+            ["nowhere.pddl", EXTENDED[1]],
+            "nowhere.pddl: cannot read this PDDL file: No such file or directory",
+        ),
         (EXTENDED[::-1], "is this the domain file?"),
-        ([*EXTENDED, "--mission", "suave"], "give either a domain and a problem file, or a mission"),
+        (
+            [*EXTENDED, "--mission", "suave"],
+            "give either a domain and a problem file, or a mission",
+        ),
         (["--mission", "suaf"], "unknown mission 'suaf'"),
         ([*EXTENDED, "--model", "nowhere.tql"], "nowhere.tql: there is no such file"),
-        ([*EXTENDED, "--feasible", "serch_pipeline"], "--feasible names 'serch_pipeline', which is no ROSA action"),
-        ([*EXTENDED, "--situation", "battery_level=0.2"], "a situation is about a model; name its file with --model"),
-        (["--mission", "suave", "--situation", "water"], "--situation takes ATTRIBUTE=NUMBER or COMPONENT=failed"),
-        (["--mission", "suave", "--situation", "water_visibility=murky"], "or water_visibility=failed for a component"),
+        (
+            [*EXTENDED, "--feasible", "serch_pipeline"],
+            "--feasible names 'serch_pipeline', which is no ROSA action",
+        ),
+        (
+            [*EXTENDED, "--situation", "battery_level=0.2"],
+            "a situation is about a model; name its file with --model",
+        ),
+        (
+            ["--mission", "suave", "--situation", "water"],
+            "--situation takes ATTRIBUTE=NUMBER or COMPONENT=failed",
+        ),
+        (
+            ["--mission", "suave", "--situation", "water_visibility=murky"],
+            "or water_visibility=failed for a component",
+        ),
         (["--mission", "suave", "--situation", "visibility=3"], "unknown attribute 'visibility'"),
         (
             ["--mission", "suave", "--situation", "c_thruster_9=failed"],
             "unknown component 'c_thruster_9'; did you",
         ),
-        (["--mission", "suave", "--situation", "water_visibility=nan"], "a finite number is needed, not nan"),
         (
-            ["--mission", "suave", "--situation", "water_visibility=3", "--feasible", "search_pipeline"],
+            ["--mission", "suave", "--situation", "water_visibility=nan"],
+            "a finite number is needed, not nan",
+        ),
+        (
+            [
+                "--mission",
+                "suave",
+                "--situation",
+                "water_visibility=3",
+                "--feasible",
+                "search_pipeline",
+            ],
             "give --feasible or --situation, not both",
         ),
-        (["--mission", "suave", "--goal", "(pipeline_lost pipeline)"], "unknown predicate 'pipeline_lost'"),
+        (
+            ["--mission", "suave", "--goal", "(pipeline_lost pipeline)"],
+            "unknown predicate 'pipeline_lost'",
+        ),
         (
             ["--mission", "suave", "--goal", "(pipeline_found bluerov)"],
             "of other types than declared: (pipeline_found ?x1 - pipeline)",
         ),
-        (["--mission", "suave", "--goal", "pipeline_found"], "found 'pipeline_found', expected a list"),
+        (
+            ["--mission", "suave", "--goal", "pipeline_found"],
+            "found 'pipeline_found', expected a list",
+        ),
         (["--mission", "suave", "--goal", "(pipeline_found pipeline"], "unbalanced parentheses"),
-        (["--mission", "suave", "--goal", " "], "--goal is empty; give a condition such as '(found it)'"),
+        (
+            ["--mission", "suave", "--goal", " "],
+            "--goal is empty; give a condition such as '(found it)'",
+        ),
         (["--mission", "suave", "--timeout", "0"], "timeout_s is 0, expected more than 0"),
         (["--mission", "suave", "--json", "nowhere/plan.json"], "cannot write nowhere/plan.json"),
         (["--mission", "suave", "--svg", "."], "it is a directory; name a file in it"),
@@ -277,7 +343,10 @@ def test_action_without_a_schema_or_with_that_of_another_is_refused():
     class Also:
         schema = ActionSchema("search_pipeline")
 
-    with pytest.raises(MissionError, match=r"the action Idle declares no schema; write schema = ActionSchema\('Idle'"):
+    with pytest.raises(
+        MissionError,
+        match=r"the action Idle declares no schema; write schema = ActionSchema\('Idle'",
+    ):
         by_schema(Idle)
     with pytest.raises(MissionError, match="two actions declare the schema 'search_pipeline'"):
         by_schema(SearchPipeline, Also)
@@ -290,7 +359,9 @@ def test_action_without_a_schema_or_with_that_of_another_is_refused():
 
 
 def test_a_certificate_is_a_table_and_json_of_what_every_combination_leaves_to_do(rosa):
-    code, out, err = rosa("--mission", "suave_extended", "--certificate", "--json", "certificate.json")
+    code, out, err = rosa(
+        "--mission", "suave_extended", "--certificate", "--json", "certificate.json"
+    )
     assert (code, err) == (0, "")
     written = json.loads(Path("certificate.json").read_text())
     plans = plans_of(load_domain(*EXTENDED))
@@ -313,7 +384,10 @@ def test_a_certificate_is_a_table_and_json_of_what_every_combination_leaves_to_d
 def test_a_failure_that_ends_the_mission_is_named(rosa):
     code, out, _ = rosa("--mission", "suave", "--certificate", "--failures", "1")
     assert code == 0
-    assert out.splitlines()[-1] == "single failures that end the mission: search_pipeline, inspect_pipeline"
+    assert (
+        out.splitlines()[-1]
+        == "single failures that end the mission: search_pipeline, inspect_pipeline"
+    )
 
 
 @pytest.mark.parametrize(

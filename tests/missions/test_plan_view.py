@@ -58,7 +58,10 @@ def test_steps_that_have_nothing_to_do_with_one_another_may_come_in_any_order():
 
 def test_step_that_would_spoil_what_another_one_needs_comes_after_it():
     domain, _, state = house("(not (broken kitchen)) (at robby attic)")
-    steps = [domain.step("scan", ["look", "robby", "hall"]), domain.step("move", ["go", "robby", "hall", "kitchen"])]
+    steps = [
+        domain.step("scan", ["look", "robby", "hall"]),
+        domain.step("move", ["go", "robby", "hall", "kitchen"]),
+    ]
     order = causal_order(domain, steps, state, [])
     assert order.links == ()
     assert order.orders == ((0, 1),)
@@ -77,14 +80,19 @@ def orders(draw):
     count = draw(st.integers(0, 7))
     pairs = [(one, other) for other in range(count + 1) for one in range(other)]
     chosen = draw(st.lists(st.sampled_from(pairs), unique=True)) if pairs else []
-    links = [Link(one, other, (f"(fact{one} {'x' * draw(st.integers(1, 60))} <&>)",)) for one, other in chosen[::2]]
+    links = [
+        Link(one, other, (f"(fact{one} {'x' * draw(st.integers(1, 60))} <&>)",))
+        for one, other in chosen[::2]
+    ]
     steps = tuple(Step(f"step{number}", ("a", "b & c")) for number in range(count))
     return CausalOrder(steps, tuple(links), tuple(pair for pair in chosen[1::2] if pair[1] < count))
 
 
 def boxes(root):
     found = [element for element in root if element.tag.endswith("rect")][1:]
-    return [tuple(float(element.get(key)) for key in ("x", "y", "width", "height")) for element in found]
+    return [
+        tuple(float(element.get(key)) for key in ("x", "y", "width", "height")) for element in found
+    ]
 
 
 @given(orders())

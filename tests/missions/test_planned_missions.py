@@ -29,7 +29,9 @@ def shelf_model():
 class Fetch(RosaAction):
     """Fetches what its step says, at once."""
 
-    schema = ActionSchema("fetch", parameters=("?x - thing",), end_effects=("(fetched ?x)",), cost="(far ?x)")
+    schema = ActionSchema(
+        "fetch", parameters=("?x - thing",), end_effects=("(fetched ?x)",), cost="(far ?x)"
+    )
 
     def __init__(self, kb, percepts, step):
         super().__init__(str(step), kb, "fetch")
@@ -46,7 +48,10 @@ THINGS = ("cup", "book", "lamp")
 
 def seen(kb, percepts):
     """Return that what is in stock needs no fetching, and that the lamp is far."""
-    return {"(fetched cup)": (kb.attributes["stock"].value or 0.0) >= 1.0 or "cup" in DONE, "(far lamp)": 9.0}
+    return {
+        "(fetched cup)": (kb.attributes["stock"].value or 0.0) >= 1.0 or "cup" in DONE,
+        "(far lamp)": 9.0,
+    }
 
 
 SHELF = Mission(
@@ -104,10 +109,19 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
     for situation in ("", "kinect=failed", "energy=500"):
         question = ask(mission=agv, situation=[situation] if situation else [])
         found[situation] = answer(question, 60.0)
-    crossed = {key: [step.action for step in one.result.steps if step.schema == "cross"] for key, one in found.items()}
-    assert crossed == {"": ["cross_c1"], "kinect=failed": ["cross_c4", "cross_c3", "cross_c2"], "energy=500": []}
+    crossed = {
+        key: [step.action for step in one.result.steps if step.schema == "cross"]
+        for key, one in found.items()
+    }
+    assert crossed == {
+        "": ["cross_c1"],
+        "kinect=failed": ["cross_c4", "cross_c3", "cross_c2"],
+        "energy=500": [],
+    }
     assert found["energy=500"].result.outcome is Outcome.UNSOLVABLE_PROVEN
-    assert "there would be a plan without the limits of energy_used_mj" in "\n".join(lines_of(found["energy=500"]))
+    assert "there would be a plan without the limits of energy_used_mj" in "\n".join(
+        lines_of(found["energy=500"])
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +145,9 @@ def test_question_by_hand_knows_what_is_possible_in_its_situation():
         ),
     ],
 )
-def test_limits_are_told_as_the_reason_only_when_they_are_and_the_mission_adds_its_own(situation, told):
+def test_limits_are_told_as_the_reason_only_when_they_are_and_the_mission_adds_its_own(
+    situation, told
+):
     lines = list(lines_of(answer(ask(mission=find_mission("agv"), situation=[situation]), 60.0)))
     obstacles = [line.strip() for line in lines[1 : 2 + len(told[0])]]
     assert obstacles == ["out of reach: (at b)", *told[0]]
@@ -151,7 +167,9 @@ def test_large_building_without_a_way_says_which_corridors_are_in_the_way():
     mission = agv_mission("generated", "drive through a generated building", building)
     told = answer(ask(mission=mission, situation=["kinect=failed"]), 60.0).obstacles
     assert told[0] == "out of reach: (at p57)"
-    assert told[1].startswith("p57 cannot be reached from p0; c7, c10, c17, c18, c26 cannot be crossed: navigate is")
+    assert told[1].startswith(
+        "p57 cannot be reached from p0; c7, c10, c17, c18, c26 cannot be crossed: navigate is"
+    )
 
 
 def test_actions_that_are_objects_of_the_problem_are_known_to_the_judge():

@@ -83,7 +83,9 @@ def test_what_crowds_on_the_map_is_written_beside_one_another():
     figure.canvas.draw()
     map_axes = axes_beside(figure, "start")
     shown = [Text.get_window_extent(text) for text in map_axes.texts]
-    assert len(shown) > len(tracked(short_run(), "adaptation")) + 1, "the start, a place and each adaptation"
+    assert len(shown) > len(tracked(short_run(), "adaptation")) + 1, (
+        "the start, a place and each adaptation"
+    )
     for number, box in enumerate(shown):
         assert box.count_overlaps(shown[:number]) == 0, map_axes.texts[number].get_text()
 
@@ -106,7 +108,9 @@ def test_run_without_a_place_has_taller_panels_instead_of_a_map():
 def test_disturbance_that_its_signal_shows_crosses_no_other_row():
     run = short_run()
     figure = pictured()
-    lines = [line for line in axes_beside(figure, "adaptations").lines if line.get_color() == "#d55e00"]
+    lines = [
+        line for line in axes_beside(figure, "adaptations").lines if line.get_color() == "#d55e00"
+    ]
     told = tracked(run, "disturbance")
     others = [one["t"] for one in told if not one["words"].startswith(("water", "battery"))]
     assert others
@@ -122,7 +126,9 @@ def test_thresholds_are_those_of_the_model(signal):
     lines = [float(path.vertices[0, 1]) for group in axes.collections for path in group.get_paths()]
     assert {one.value for one in limits} <= set(lines)
     beside = "\n".join(words(axes))
-    assert all(f"≥ {one.value:g}  {each.name}" in beside for one in limits for each in one.constrained)
+    assert all(
+        f"≥ {one.value:g}  {each.name}" in beside for one in limits for each in one.constrained
+    )
 
 
 def test_a_signal_shares_the_panel_of_the_signal_that_ends_its_name():
@@ -134,12 +140,18 @@ def test_a_disturbance_is_marked_on_its_signal_or_told_in_words():
     run = short_run()
     figure = pictured()
     told = words(axes_beside(figure, "disturbances"))
-    seen = [one for one in tracked(run, "disturbance") if one["words"].startswith("water visibility")]
+    seen = [
+        one for one in tracked(run, "disturbance") if one["words"].startswith("water visibility")
+    ]
     others = [one["words"] for one in tracked(run, "disturbance") if one not in seen]
     assert seen
     assert others
     assert told == ["disturbances", *others]
-    marked = [line.get_xdata() for line in panel(figure, "water visibility").lines if line.get_marker() == "D"]
+    marked = [
+        line.get_xdata()
+        for line in panel(figure, "water visibility").lines
+        if line.get_marker() == "D"
+    ]
     assert sorted(float(np.ravel(x)[0]) for x in marked) == [one["t"] for one in seen]
 
 
@@ -154,12 +166,20 @@ def test_the_map_has_the_same_scale_both_ways():
 def test_hardly_any_samples_are_drawn_all_the_same(samples):
     run = short_run()
     times = [row[0] for row in run.rows if row[1] == "pose"][:samples]
-    assert draw(replace(run, rows=[row for row in run.rows if row[1] not in ("pose", "signal") or row[0] in times]))
+    assert draw(
+        replace(
+            run,
+            rows=[row for row in run.rows if row[1] not in ("pose", "signal") or row[0] in times],
+        )
+    )
 
 
 def test_a_run_in_which_nothing_happened_says_so():
     run = short_run()
-    assert any("no adaptation" in words(axes) for axes in picture(without(run, "adaptation", "disturbance")).axes)
+    assert any(
+        "no adaptation" in words(axes)
+        for axes in picture(without(run, "adaptation", "disturbance")).axes
+    )
 
 
 def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm():
@@ -167,7 +187,9 @@ def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm()
     odd = [(time, "signal", "odd $x [m]", time) for time, track, *_ in run.rows if track == "pose"]
     dark = [(time, "signal", "gap [m]", None) for time, *_ in odd]
     rows = sorted([*without(run, "value").rows, *odd, *dark], key=lambda row: row[0])
-    strange = replace(run, rows=rows, header={**run.header, "signals": ["battery_level", "odd_$x", "gap"]})
+    strange = replace(
+        run, rows=rows, header={**run.header, "signals": ["battery_level", "odd_$x", "gap"]}
+    )
     figure = picture(strange)
     assert panel(figure, "odd $x")
     assert not [axes for axes in figure.axes if axes.get_ylabel().startswith(("battery", "gap"))]
@@ -176,7 +198,11 @@ def test_signals_that_are_missing_and_names_that_look_like_formulas_do_no_harm()
 
 def test_a_great_many_adaptations_are_cut_off_in_the_list_with_a_word():
     run = short_run()
-    rows = [(time, track, f"{key}.{copy}", value) for time, track, key, value in run.rows for copy in range(12)]
+    rows = [
+        (time, track, f"{key}.{copy}", value)
+        for time, track, key, value in run.rows
+        for copy in range(12)
+    ]
     many = [row for row in rows if row[1] == "adaptation"]
     figure = picture(replace(run, rows=[*run.rows[:-1], *many, run.rows[-1]]))
     assert any(word.startswith("… and") for axes in figure.axes for word in words(axes))
@@ -208,16 +234,28 @@ def test_nothing_that_is_written_is_cut_off_at_the_edges(name, task):
 def test_long_names_and_reasons_stay_within_the_picture(count):
     run = short_run("uav")
     long = "pick_up_and_analyse is unfeasible because battery_level 0.549 violates >= 0.55 (measured 0.0 s ago)"
-    change = "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
-    one = {"t": 3.0, "kind": "task", "cause": "battery_level is 0.549", "decided": long, "changed": change}
+    change = (
+        "plan anew, with search_for_samples(sample_8, drone), pick_up_and_analyse(sample_8, drone)"
+    )
+    one = {
+        "t": 3.0,
+        "kind": "task",
+        "cause": "battery_level is 0.549",
+        "decided": long,
+        "changed": change,
+    }
     told = [(3.0, "adaptation", number, {**one, "reaction": 0.2}) for number in range(count)]
-    figure = picture(replace(run, rows=[*without(run, "adaptation").rows[:-1], *told, run.rows[-1]]))
+    figure = picture(
+        replace(run, rows=[*without(run, "adaptation").rows[:-1], *told, run.rows[-1]])
+    )
     for text, box in boxes(figure).items():
         assert box.x1 <= figure.bbox.x1, text
 
 
 def test_lanes_show_which_design_and_which_configuration_was_chosen():
-    lanes = [axes for axes in pictured("agv").axes if {"designs", "configurations"} & set(words(axes))]
+    lanes = [
+        axes for axes in pictured("agv").axes if {"designs", "configurations"} & set(words(axes))
+    ]
     shown = [[label.get_text() for label in axes.get_yticklabels()] for axes in lanes]
     assert shown[0] == ["amcl_kinect", "aruco_camera"]
     assert shown[1] == ["fast"]  # the navigator's headings say no more than the corridors do
@@ -245,7 +283,13 @@ def test_map_with_a_crowd_of_places_names_those_that_the_way_leads_along():
     crowd = [{"name": f"aisle {number}", "points": points} for number, points in enumerate(aisles)]
 
     def named(places):
-        return set(words(axes_beside(picture(replace(run, rows=[*run.rows, (40.0, "scene", 0, places)])), "start")))
+        return set(
+            words(
+                axes_beside(
+                    picture(replace(run, rows=[*run.rows, (40.0, "scene", 0, places)])), "start"
+                )
+            )
+        )
 
     names = {one["name"] for one in crowd}
     all_named = named([*own, *crowd])

@@ -209,31 +209,43 @@ def is_alive(pid):
 @pytest.mark.skipif(not CAN_COPY, reason="where a process cannot begin as a copy, one explores")
 def test_no_process_is_left_when_the_program_is_killed_and_none_waits_for_one_that_was():
     for is_parent in (True, False):
-        with subprocess.Popen([sys.executable, "-c", COPIES], stdout=PIPE, stderr=PIPE, text=True) as program:
+        with subprocess.Popen(
+            [sys.executable, "-c", COPIES], stdout=PIPE, stderr=PIPE, text=True
+        ) as program:
             copies = [int(one) for one in program.stdout.readline().split()]
             assert all(map(is_alive, copies))
             os.kill(program.pid if is_parent else copies[0], signal.SIGKILL)
             said = program.communicate(timeout=PATIENCE_S)[1]
-        assert is_parent or "a process that explores has died; if memory ran out, use fewer --cores" in said
+        assert (
+            is_parent
+            or "a process that explores has died; if memory ran out, use fewer --cores" in said
+        )
         end = time.monotonic() + PATIENCE_S
         while any(map(is_alive, copies)) and time.monotonic() < end:
             time.sleep(0.05)
         assert not any(map(is_alive, copies))
 
 
-def test_exploration_goes_on_from_no_file_of_a_tree_or_of_leaves_that_do_otherwise_now(tmp_path, monkeypatch):
+def test_exploration_goes_on_from_no_file_of_a_tree_or_of_leaves_that_do_otherwise_now(
+    tmp_path, monkeypatch
+):
     case = NAMED["no guard"]
     setup = Setup(case.model, case.build, start=FULL["start"])
     kept = Exploration(setup).explore().as_bytes()
     found = Exploration(setup)
     found.go_on_from(kept)
     assert found.is_finished
-    for changed in (replace(setup, build=NAMED["either"].build), replace(setup, leaves={"explore": Leaf("F")})):
+    for changed in (
+        replace(setup, build=NAMED["either"].build),
+        replace(setup, leaves={"explore": Leaf("F")}),
+    ):
         with pytest.raises(MissionError, match="changed since"):
             Exploration(changed).go_on_from(kept)
     monkeypatch.setattr(exploration, "_ALONE_S", 0.0)
     found.go_on_from(kept)
-    monkeypatch.setitem(sys.modules, "edited", SimpleNamespace(__file__=str(tmp_path / "edited.py")))
+    monkeypatch.setitem(
+        sys.modules, "edited", SimpleNamespace(__file__=str(tmp_path / "edited.py"))
+    )
     (tmp_path / "edited.py").write_text("")
     with pytest.raises(MissionError, match="changed since"):
         Exploration(setup).go_on_from(kept)
@@ -250,7 +262,12 @@ def test_exploration_goes_on_from_no_file_in_which_a_bit_is_wrong():
 
 def test_file_of_another_mission_is_not_gone_on_from():
     text = Exploration(setup_of(SUAVE)).explore(most=20).as_bytes()
-    for other in (setup_of(MISSION), setup_of(SUAVE, "pddl"), setup_of(SUAVE, failures=2), setup_of(SUAVE, slow=True)):
+    for other in (
+        setup_of(MISSION),
+        setup_of(SUAVE, "pddl"),
+        setup_of(SUAVE, failures=2),
+        setup_of(SUAVE, slow=True),
+    ):
         with pytest.raises(MissionError, match="of another mission"):
             Exploration(other).go_on_from(text)
     for broken in (b"", b"{}", text[: len(text) // 2], pickle.dumps((1, 2)), pickle.dumps(Path())):
@@ -265,7 +282,11 @@ def test_mission_that_does_otherwise_now_is_not_gone_on_with():
         def update(self):
             return Status.SUCCESS if done else Status.RUNNING
 
-    setup = Setup(rover_model(), lambda kb: until(Moody("explore", kb, "explore")), leaves={"explore": Leaf("")})
+    setup = Setup(
+        rover_model(),
+        lambda kb: until(Moody("explore", kb, "explore")),
+        leaves={"explore": Leaf("")},
+    )
     text = Exploration(setup).explore(most=4).as_bytes()
     Exploration(setup).go_on_from(text)
     done.append(True)
@@ -275,7 +296,9 @@ def test_mission_that_does_otherwise_now_is_not_gone_on_with():
 
 def test_what_is_on_the_blackboard_belongs_to_a_situation():
     def once(kb):
-        done = CheckBlackboardVariableValue("done?", ComparisonExpression("explored", True, operator.eq))
+        done = CheckBlackboardVariableValue(
+            "done?", ComparisonExpression("explored", True, operator.eq)
+        )
         note = SetBlackboardVariable("note", "explored", True, overwrite=True)
         return until(
             Selector(
@@ -292,9 +315,13 @@ def test_what_is_on_the_blackboard_belongs_to_a_situation():
     try:
         for _ in range(2):
             proof = verify(once, rover_model(), **FULL)
-            never_ticked = next(one for one in proof.findings if one.name == "every node of the tree can be reached")
+            never_ticked = next(
+                one for one in proof.findings if one.name == "every node of the tree can be reached"
+            )
             assert never_ticked.holds is False
-            assert never_ticked.what == "never ticked: charge", "the mission ends as soon as it is noted"
+            assert never_ticked.what == "never ticked: charge", (
+                "the mission ends as soon as it is noted"
+            )
     finally:
         Blackboard.clear()
 
@@ -309,7 +336,9 @@ class Peculiar(Act):
     def update(self):
         if self.way == "asks a situation":
             return (
-                Status.SUCCESS if self.kb.situation(measure={"energy": 0.0}).is_feasible("charge") else Status.RUNNING
+                Status.SUCCESS
+                if self.kb.situation(measure={"energy": 0.0}).is_feasible("charge")
+                else Status.RUNNING
             )
         if self.way == "reads the state":
             with self.kb.reading() as state:
@@ -320,7 +349,9 @@ class Peculiar(Act):
             with suppress(UnknownName):
                 self.kb.is_feasible("fly")
         return (
-            Status.SUCCESS if self.view.status != "solved" or self.view in self.kb.actions.values() else Status.FAILURE
+            Status.SUCCESS
+            if self.view.status != "solved" or self.view in self.kb.actions.values()
+            else Status.FAILURE
         )
 
 
@@ -335,7 +366,12 @@ class Peculiar(Act):
     ],
 )
 def test_tree_that_takes_more_than_values_is_run_each_time(way, is_followed):
-    setup = Setup(rover_model(), lambda kb: until(Peculiar(kb, way)), leaves={"explore": Leaf("")}, start=FULL["start"])
+    setup = Setup(
+        rover_model(),
+        lambda kb: until(Peculiar(kb, way)),
+        leaves={"explore": Leaf("")},
+        start=FULL["start"],
+    )
     found, is_on = edges(setup)
     assert is_on is is_followed
     assert found == edges(setup, is_on=False)[0]
@@ -354,7 +390,9 @@ def test_stories_are_the_shortest():
 def test_later_reaction_is_allowed_if_it_is_stated():
     def slowly(kb):
         return until(
-            do_until_unfeasible(Act("explore", kb, "explore", even_if_unfeasible=True), Act("c", kb, "charge"))
+            do_until_unfeasible(
+                Act("explore", kb, "explore", even_if_unfeasible=True), Act("c", kb, "charge")
+            )
         )
 
     once = verify(slowly, rover_model(), start=FULL["start"], leaves={"explore": Leaf("F")})
@@ -366,7 +404,9 @@ def test_later_reaction_is_allowed_if_it_is_stated():
 
 
 def test_state_is_read_and_written_back():
-    found = Exploration(Setup(MISSION.model, lambda kb: MISSION.tree(kb, None), surroundings={"failures": 0}))
+    found = Exploration(
+        Setup(MISSION.model, lambda kb: MISSION.tree(kb, None), surroundings={"failures": 0})
+    )
     found.explore(most=60)
     assert len(found.situations) >= 60
     rig = found.load(0)
@@ -464,7 +504,12 @@ def test_components_that_are_alike_stand_for_one_another():
 
 def test_of_changes_that_come_together_one_order_stands_for_all(monkeypatch):
     case = NAMED["gives way"]
-    setup = Setup(case.model, case.build, start=FULL["start"], surroundings={"at_once": 2, "failing": ("camera",)})
+    setup = Setup(
+        case.model,
+        case.build,
+        start=FULL["start"],
+        surroundings={"at_once": 2, "failing": ("camera",)},
+    )
     one, in_order = Exploration(setup).explore(), Surroundings.changes
 
     def in_every_order(self):
@@ -508,11 +553,18 @@ def in_stages(kb):
         (lambda kb: OneShot("once", Act("scan", kb, "scan"), OneShotPolicy.ON_COMPLETION), False),
         (lambda kb: until(OneShot("once", in_stages(kb), OneShotPolicy.ON_COMPLETION)), True),
     ],
-    ids=["what an earlier stage would do", "given up for good at the root", "given up for good below a retry"],
+    ids=[
+        "what an earlier stage would do",
+        "given up for good at the root",
+        "given up for good below a retry",
+    ],
 )
 def test_mission_is_stuck_if_another_situation_of_its_stage_leads_on(build, is_stuck):
     """In the second stage low energy is not charged: begun anew it would be, but that is another stage."""
-    effects = {"charge": Leaf(effects={"S": {"energy": 1.0}}), "refill": Leaf(effects={"S": {"tank": 1.0}})}
+    effects = {
+        "charge": Leaf(effects={"S": {"energy": 1.0}}),
+        "refill": Leaf(effects={"S": {"tank": 1.0}}),
+    }
     leaves = {} if is_stuck or build is not in_stages else effects
     proof = verify(build, greenhouse, leaves=leaves)
     (stuck,) = (one for one in proof.findings if "not stuck" in one.name)
@@ -524,7 +576,12 @@ def test_what_a_user_wants_is_checked():
     wanted = (
         never("never dark", lambda rig: rig.measured("light") == 0.25),
         eventually("explores still", lambda rig: rig.is_required("explore")),
-        leads_to("at once", lambda rig: rig.is_required("charge"), lambda rig: rig.is_required("explore"), within=1),
+        leads_to(
+            "at once",
+            lambda rig: rig.is_required("charge"),
+            lambda rig: rig.is_required("explore"),
+            within=1,
+        ),
     )
     proof = verify(case.build, case.model, wanted=wanted, **FULL)
     verdicts = {one.name: one.holds for one in proof.findings[-3:]}
@@ -535,7 +592,9 @@ def test_what_a_user_wants_is_checked():
 
 def test_page_shows_the_way_to_the_goal_that_was_stated(tmp_path):
     page = tmp_path / "way.html"
-    proof = verify(NAMED["either"].build, rover_model(), goal=lambda rig: rig.is_required("charge"), **FULL)
+    proof = verify(
+        NAMED["either"].build, rover_model(), goal=lambda rig: rig.is_required("charge"), **FULL
+    )
     assert not proof.broken, proof
     proof.report(page)
     assert "charge is requested" in page.read_text()
@@ -551,7 +610,9 @@ def test_saved_test_fails_while_the_bug_is_there():
     proof = proof_of("no guard")
     found = next(one for one in proof.broken if one.trail)
     setup = "import proof_mutants\nfrom missions.proof.rig import Setup\n"
-    setup += "Setup(proof_mutants.rover_model(), proof_mutants.{}, start=proof_mutants.FULL['start'])"
+    setup += (
+        "Setup(proof_mutants.rover_model(), proof_mutants.{}, start=proof_mutants.FULL['start'])"
+    )
     for build, is_broken in (("MUTANTS[0].build", True), ("either", False)):
         namespace = {}
         exec(as_test(setup.format(build), found.name, found.what, found.trail), namespace)
@@ -562,7 +623,9 @@ def test_saved_test_fails_while_the_bug_is_there():
 
 def test_command_tells_what_holds_and_writes_it(tmp_path):
     path, page = tmp_path / "proof.json", tmp_path / "proof.html"
-    done = CliRunner().invoke(cli.app, ["verify", "suave", "--json", str(path), "--report", str(page)])
+    done = CliRunner().invoke(
+        cli.app, ["verify", "suave", "--json", str(path), "--report", str(page)]
+    )
     assert done.exit_code == 0, done.output
     assert "yes  every adaptation of the model can occur" in done.output
     table = [line.split() for line in done.output.splitlines()]
@@ -596,7 +659,10 @@ def test_command_that_does_not_finish_exits_with_3_writes_no_test_and_says_what_
     assert done.exit_code == 3, done.output
     *_, about_test, last = done.output.splitlines()
     assert about_test == "nothing is broken: no test is written"
-    assert "raise --seconds or --most, go on with --resume, or look for fewer failures at once with --failures" in last
+    assert (
+        "raise --seconds or --most, go on with --resume, or look for fewer failures at once with --failures"
+        in last
+    )
     assert not test.exists()
 
 
@@ -610,7 +676,9 @@ def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypat
         return ticks(rounds, moment)
 
     def verify_suave(*options):
-        return CliRunner().invoke(cli.app, ["verify", "suave", "--cores", "1", "--resume", str(kept), *options])
+        return CliRunner().invoke(
+            cli.app, ["verify", "suave", "--cores", "1", "--resume", str(kept), *options]
+        )
 
     whole = verify_suave("--resume", str(tmp_path / "other.json"))
     monkeypatch.setattr(Rounds, "ticks", ticks_interrupted)
@@ -620,23 +688,34 @@ def test_command_goes_on_from_a_file_also_after_an_interrupt(tmp_path, monkeypat
     done = verify_suave()
     assert done.exit_code == 0, done.output
     assert done.output.splitlines()[1:] == whole.output.splitlines()[1:]
-    assert done.output.split(" s, ")[0].rpartition(",")[0] == whole.output.split(" s, ")[0].rpartition(",")[0]
+    assert (
+        done.output.split(" s, ")[0].rpartition(",")[0]
+        == whole.output.split(" s, ")[0].rpartition(",")[0]
+    )
     kept.write_text("{}")
-    assert f"cannot go on from {kept}: it is not a saved exploration" in str(verify_suave().exception)
+    assert f"cannot go on from {kept}: it is not a saved exploration" in str(
+        verify_suave().exception
+    )
     assert kept.read_text() == "{}"
     kept.unlink()
     kept.mkdir()
     assert f"{kept}: it is a directory" in str(verify_suave().exception)
 
 
-def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(tmp_path, monkeypatch):
+def test_file_that_cannot_be_written_is_found_out_before_anything_is_explored(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr("missions.commands.check.prove", None)
     for option in ("--json", "--report", "--test", "--resume"):
-        done = CliRunner().invoke(cli.app, ["verify", "suave", option, str(tmp_path / "nowhere" / "file")])
+        done = CliRunner().invoke(
+            cli.app, ["verify", "suave", option, str(tmp_path / "nowhere" / "file")]
+        )
         assert "nowhere/file: No such file or directory" in str(done.exception)
 
 
-def test_mission_in_which_nothing_can_fail_has_no_table_of_what_that_leads_to(tmp_path, monkeypatch):
+def test_mission_in_which_nothing_can_fail_has_no_table_of_what_that_leads_to(
+    tmp_path, monkeypatch
+):
     (tmp_path / "calm.py").write_text(
         "from dataclasses import replace\nfrom py_trees.behaviours import Success\nfrom kb import Model\n"
         "from missions.suave import MISSION as SUAVE\n"
@@ -655,7 +734,9 @@ def test_fewer_failures_than_none_are_refused():
 
 
 def test_unknown_action_that_excludes_another_is_refused():
-    done = CliRunner().invoke(cli.app, ["verify", "suave", "--exclusive", "search_pipelin, inspect_pipeline"])
+    done = CliRunner().invoke(
+        cli.app, ["verify", "suave", "--exclusive", "search_pipelin, inspect_pipeline"]
+    )
     assert isinstance(done.exception, UnknownName)
     assert "unknown action 'search_pipelin'; did you mean 'search_pipeline'" in str(done.exception)
 
@@ -678,7 +759,10 @@ def seen_of_a_plan(rig):
 def test_plan_executor_put_into_a_situation_is_as_after_the_rounds_that_lead_there():
     setup = setup_of(MISSION, "pddl")
     found = Exploration(setup).explore(most=120)
-    assert any(found.path(number)[-1].answers == (("search", "F"),) for number in range(1, len(found.situations)))
+    assert any(
+        found.path(number)[-1].answers == (("search", "F"),)
+        for number in range(1, len(found.situations))
+    )
     for number in range(0, len(found.situations), 5):
         anew = Rig(setup)
         anew.begin()
@@ -698,7 +782,9 @@ def test_plans_of_a_mission_are_verified():
     done = CliRunner().invoke(cli.app, ["verify", "suave", "--task", "pddl"])
     assert done.exit_code == 0, done.output
     assert "yes  every node of the tree can be reached" in done.output
-    assert "spiral_search fails the goal from some situations inspect_pipeline" in " ".join(done.output.split())
+    assert "spiral_search fails the goal from some situations inspect_pipeline" in " ".join(
+        done.output.split()
+    )
 
 
 class KeepsSearching(Keeps, SearchPipeline):
@@ -711,7 +797,8 @@ class FindsNothing(SearchPipeline):
 
 
 @pytest.mark.parametrize(
-    ("search", "broken"), [(KeepsSearching, "every request is released"), (FindsNothing, "the goal is reached")]
+    ("search", "broken"),
+    [(KeepsSearching, "every request is released"), (FindsNothing, "the goal is reached")],
 )
 def test_bug_of_a_planned_mission_is_found_and_its_story_is_replayed(search, broken):
     proof = prove(

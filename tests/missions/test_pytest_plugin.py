@@ -10,14 +10,18 @@ import pytest
 from missions.engine.mission import MISSIONS, find_mission
 from missions.testing.decisions import golden_path
 
-for _name in MISSIONS:  # loaded here, so that the runs inside of a test do not load all of it a second time
+for (
+    _name
+) in MISSIONS:  # loaded here, so that the runs inside of a test do not load all of it a second time
     find_mission(_name)
 
 pytest_plugins = "pytester"
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
 IS_INSTALLED = bool(entry_points(group="pytest11", name="rosa"))
-PLUGINS = ["-p", "no:cacheprovider", "-p", "no:randomly"] + ([] if IS_INSTALLED else ["-p", "missions.testing.plugin"])
+PLUGINS = ["-p", "no:cacheprovider", "-p", "no:randomly"] + (
+    [] if IS_INSTALLED else ["-p", "missions.testing.plugin"]
+)
 
 STARTS_WITHOUT = """
 import sys, types
@@ -65,7 +69,11 @@ def run(pytester):
 
 
 def golden_test(outcomes, *more):
-    lines = ["    def test_it_goes(golden_trace):", f"        golden_trace(trace_of({outcomes}))", *more]
+    lines = [
+        "    def test_it_goes(golden_trace):",
+        f"        golden_trace(trace_of({outcomes}))",
+        *more,
+    ]
     return GOLDEN + "\n" + "\n".join(lines)
 
 
@@ -172,7 +180,9 @@ def test_several_traces_of_one_test_have_names(run):
 
 def test_what_is_no_trace_cannot_be_golden(run):
     result = run("def test_text(golden_trace):\n    golden_trace('text')", "--update-traces")
-    result.stdout.fnmatch_lines(["E*TypeError: a golden trace is a rosa_bt.Trace, such as decisions.trace, not a str"])
+    result.stdout.fnmatch_lines(
+        ["E*TypeError: a golden trace is a rosa_bt.Trace, such as decisions.trace, not a str"]
+    )
 
 
 @pytest.mark.parametrize("damage", ["", "{\n", '{"rosa_bt_trace": 99, "model": "rover"}\n'])
@@ -187,7 +197,11 @@ def test_golden_file_that_is_damaged_is_named_and_can_be_written_anew(run, pytes
 
 def test_tests_of_one_file_have_golden_traces_of_their_own():
     names = ["test_a", "TestB::test_a", "test_a[1-2]", "test_a[1-3]"]
-    paths = {golden_path(Path("tests/test_rover.py"), name, part) for name in names for part in ("", "second")}
+    paths = {
+        golden_path(Path("tests/test_rover.py"), name, part)
+        for name in names
+        for part in ("", "second")
+    }
     assert len(paths) == 8
     assert {path.parent for path in paths} == {Path("tests/golden")}
 
@@ -212,7 +226,9 @@ def test_fixtures_and_option_are_documented(run):
     listed = run("", "--fixtures").stdout
     for name in ("fake_clock", "managed", "replay", "golden_trace"):
         listed.fnmatch_lines([f"{name} -- *"])
-    run("", "--help").stdout.fnmatch_lines(["adaptive missions (rosa):", "*--update-traces*golden traces*"])
+    run("", "--help").stdout.fnmatch_lines(
+        ["adaptive missions (rosa):", "*--update-traces*golden traces*"]
+    )
 
 
 def test_plugin_imports_nothing_slow_when_pytest_starts():

@@ -73,7 +73,11 @@ def drop(tmp_path_factory):
 @given(
     st.lists(
         st.fixed_dictionaries(
-            {"name": st.text(), "message": st.text(), "values": st.dictionaries(st.text(), st.text(), max_size=3)}
+            {
+                "name": st.text(),
+                "message": st.text(),
+                "values": st.dictionaries(st.text(), st.text(), max_size=3),
+            }
         ),
         max_size=4,
     )
@@ -84,7 +88,9 @@ def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
     data = types.encode(ros.DIAGNOSTICS, message)
     assert ros.statuses_of(data) == statuses
     other = bytes(
-        types.store.serialize_cdr(made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False)
+        types.store.serialize_cdr(
+            made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False
+        )
     )
     assert other[:2] != data[:2]
     assert ros.statuses_of(other) == statuses
@@ -106,7 +112,9 @@ def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=F
         diagnostics = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=store)
         for message in bag.messages:
             stamp = 10**18 + ros.nanoseconds(message["time"])
-            data = ros.types().encode(ros.DIAGNOSTICS, ros.diagnostics(message["time"], message["status"]))
+            data = ros.types().encode(
+                ros.DIAGNOSTICS, ros.diagnostics(message["time"], message["status"])
+            )
             writer.write(diagnostics, stamp, data)
         if strange:
             secret = writer.add_connection("/secret", "somebody_msgs/msg/Secret", typestore=store)
@@ -129,13 +137,19 @@ def test_others_read_what_was_recorded(drop):
         messages = list(make_reader(file).iter_messages(topics=["/attributes/battery_level"]))
     assert len(messages) > 100
     last = ros.types().decode(ros.FLOAT, messages[-1][2].data).data
-    assert last == [one for one in read_bag(drop).events if one.subject == "battery_level"][-1].arguments[1]
+    assert (
+        last
+        == [one for one in read_bag(drop).events if one.subject == "battery_level"][-1].arguments[1]
+    )
 
 
 MCAP = Path(cli.__file__).parent / "views" / "page" / "node_modules" / "@mcap" / "core"
 
 
-@pytest.mark.skipif(not (shutil.which("node") and MCAP.exists()), reason="needs Node.js: npm ci in missions/views/page")
+@pytest.mark.skipif(
+    not (shutil.which("node") and MCAP.exists()),
+    reason="needs Node.js: npm ci in missions/views/page",
+)
 def test_foxgloves_library_reads_what_was_recorded(drop, tmp_path):
     script = tmp_path / "read.mjs"
     script.write_text(f"""
@@ -154,9 +168,13 @@ for await (const message of reader.readMessages()) {{
 }}
 console.log(JSON.stringify(counts));
 """)
-    done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=200, check=False)
+    done = subprocess.run(
+        ["node", str(script)], capture_output=True, text=True, timeout=200, check=False
+    )
     assert done.returncode == 0, done.stderr
-    assert json.loads(done.stdout) == {topic: count for topic, (_, count) in read_bag(drop).topics.items()}
+    assert json.loads(done.stdout) == {
+        topic: count for topic, (_, count) in read_bag(drop).topics.items()
+    }
 
 
 def test_rosbags_reads_it_as_a_bag(drop, tmp_path):
@@ -166,14 +184,19 @@ def test_rosbags_reads_it_as_a_bag(drop, tmp_path):
     with AnyReader([copy]) as reader:
         assert {one.topic for one in reader.connections} == TOPICS
         logged = [
-            reader.deserialize(data, one.msgtype) for one, _, data in reader.messages() if one.topic == "/rosa/log"
+            reader.deserialize(data, one.msgtype)
+            for one, _, data in reader.messages()
+            if one.topic == "/rosa/log"
         ]
     assert any(one.msg.startswith("inspect_pipeline is requested") for one in logged)
 
 
 def test_tree_log_names_nodes_of_the_recorded_tree(drop):
     with drop.open("rb") as file:
-        found = [(c.topic, m.data) for _, c, m in make_reader(file).iter_messages(topics=["/behavior_tree_log"])]
+        found = [
+            (c.topic, m.data)
+            for _, c, m in make_reader(file).iter_messages(topics=["/behavior_tree_log"])
+        ]
     with drop.open("rb") as file:
         (tree,) = [m.data for _, _, m in make_reader(file).iter_messages(topics=["/behavior_tree"])]
     xml = ros.types().decode(ros.STRING, tree).data
@@ -202,7 +225,9 @@ class Stop(Listener):
 def test_replay_of_a_run_that_was_stopped_by_hand_decides_as_recorded(is_told, tmp_path):
     path, run = tmp_path / "run.mcap", open_run(find_mission("suave"), seed=0, settings={})
     page = RunRecorder(run, 0, {})
-    with McapRecorder(path, run.kb, run.tree, page=page.recorder, run=header(run, 0)["run"]) as recorder:
+    with McapRecorder(
+        path, run.kb, run.tree, page=page.recorder, run=header(run, 0)["run"]
+    ) as recorder:
         run.listen(recorder, Stop())
         with pytest.raises(KeyboardInterrupt):
             run.run()
@@ -224,7 +249,9 @@ def test_recording_is_replayed_from_a_pipe():
     assert "recharge is requested" in said
 
 
-def test_recording_that_begins_late_holds_all_that_was_known_however_much_that_is(tmp_path, monkeypatch):
+def test_recording_that_begins_late_holds_all_that_was_known_however_much_that_is(
+    tmp_path, monkeypatch
+):
     monkeypatch.setattr(mcap, "WAITING", 3)
     kb = KnowledgeBase(find_mission("suave_extended").model(), clock=lambda: 0.0)
     for number in range(2000):
@@ -237,10 +264,22 @@ def test_run_says_what_could_not_be_recorded(tmp_path, monkeypatch):
     advance = Sea.advance
 
     def odd(world, until):
-        return [{**one, "status": [{"message": "\ud800", "values": {}}]} for one in advance(world, until)]
+        return [
+            {**one, "status": [{"message": "\ud800", "values": {}}]}
+            for one in advance(world, until)
+        ]
 
     monkeypatch.setattr(Sea, "advance", odd)
-    said = rosa("run", "suave", "--no-progress", "--set", "duration_s=5", "--record", tmp_path / "run.mcap", code=1)
+    said = rosa(
+        "run",
+        "suave",
+        "--no-progress",
+        "--set",
+        "duration_s=5",
+        "--record",
+        tmp_path / "run.mcap",
+        code=1,
+    )
     assert re.search(r"not recorded, \d+ times: /diagnostics: UnicodeEncodeError", said)
 
 
@@ -277,11 +316,17 @@ def test_replay_says_from_when_it_decides_otherwise(drop, tmp_path, monkeypatch)
     assert "which is another one" not in said
     monkeypatch.syspath_prepend(tmp_path)
     said = rosa("replay", drop, "--mission", "eager:MISSION", code=1)
-    assert said.startswith("recorded with the model suave_extended, decided with suave_extended, which is another one")
+    assert said.startswith(
+        "recorded with the model suave_extended, decided with suave_extended, which is another one"
+    )
     assert "0.4" in said.splitlines()[1]
-    assert said.splitlines()[1].endswith("is not in the recording")  # in the words of the store, see kb.model
+    assert said.splitlines()[1].endswith(
+        "is not in the recording"
+    )  # in the words of the store, see kb.model
     said = rosa("replay", drop, "--mission", "uav", code=1)
-    assert said.startswith("recorded with the model suave_extended, decided with uav, which is another one")
+    assert said.startswith(
+        "recorded with the model suave_extended, decided with uav, which is another one"
+    )
 
 
 def test_folder_whose_file_is_cut_off_is_read_up_to_there(drop, tmp_path):
@@ -303,11 +348,18 @@ def test_rosbag2_of_anybody_is_decided_alike(drop, tmp_path, storage, mode):
     if storage is StoragePlugin.MCAP and mode is CompressionMode.FILE:
         mode = None
     folder = as_rosbag2(drop, tmp_path / "bag", storage=storage, mode=mode)
-    began = read_bag(drop).messages[0]["time"]  # the time of somebody else's begins with its first message
-    now, then = decided(replay(folder, "suave_extended")), decided(replay(drop, "suave_extended"), began)
+    began = read_bag(drop).messages[0][
+        "time"
+    ]  # the time of somebody else's begins with its first message
+    now, then = (
+        decided(replay(folder, "suave_extended")),
+        decided(replay(drop, "suave_extended"), began),
+    )
     assert [name for name, _ in now] == ["inspect_pipeline", "recharge", "inspect_pipeline"]
     assert [name for name, _ in then] == [name for name, _ in now]
-    assert [time for _, time in now] == pytest.approx([time for _, time in then], abs=0.11), "but for a tick"
+    assert [time for _, time in now] == pytest.approx([time for _, time in then], abs=0.11), (
+        "but for a tick"
+    )
 
 
 def test_unknown_types_are_listed_and_not_fatal(drop, tmp_path):
@@ -324,10 +376,14 @@ def test_recording_without_a_mission_asks_for_one(drop, tmp_path):
 
 
 def test_recording_of_ones_own_mission_says_how_to_name_it(tmp_path):
-    (tmp_path / "own.jsonl").write_text('{"run": {"mission": "greenhouse"}, "status": [], "time": 0.0}\n')
+    (tmp_path / "own.jsonl").write_text(
+        '{"run": {"mission": "greenhouse"}, "status": [], "time": 0.0}\n'
+    )
     done = CliRunner().invoke(cli.app, ["replay", str(tmp_path / "own.jsonl")])
     assert isinstance(done.exception, MissionError)
-    assert str(done.exception).endswith("is of a mission 'greenhouse' of your own; name it with --mission module:NAME")
+    assert str(done.exception).endswith(
+        "is of a mission 'greenhouse' of your own; name it with --mission module:NAME"
+    )
 
 
 def test_every_prefix_is_read_up_to_there_and_decided_alike(drop, tmp_path):
@@ -375,7 +431,9 @@ def robot():
 def test_own_robot_is_recorded_and_shown(tmp_path):
     now = [0.0]
     kb = KnowledgeBase(robot(), clock=lambda: now[0])
-    root = first_feasible("what to do", [ForAction(name, kb, name, Running(name)) for name in ("explore", "charge")])
+    root = first_feasible(
+        "what to do", [ForAction(name, kb, name, Running(name)) for name in ("explore", "charge")]
+    )
     runner = TreeRunner(root, clock=lambda: now[0])
     with McapRecorder(tmp_path / "rover.mcap", kb, runner.tree) as recorder:
         for time, energy in enumerate((0.9, 0.3, 0.1)):
@@ -446,7 +504,9 @@ def test_malformed_recordings_get_a_clear_word(drop, tmp_path):
             read_bag(path)
         assert path.name in str(error.value)
         assert "\n" not in str(error.value)
-        assert ("holds what was heard only, for `rosa replay`" in str(error.value)) is (path.suffix == ".jsonl")
+        assert ("holds what was heard only, for `rosa replay`" in str(error.value)) is (
+            path.suffix == ".jsonl"
+        )
 
 
 def test_flipped_bytes_lose_no_more_than_what_follows(drop, tmp_path):
@@ -481,14 +541,24 @@ def test_file_that_is_there_stays_as_it_is_where_the_library_is_missing(tmp_path
 
 def test_file_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").touch()
-    places = tmp_path / "no" / "folder.mcap", tmp_path, tmp_path / "file" / "a.mcap", "/dev/null", "a\0b", "a" * 300
+    places = (
+        tmp_path / "no" / "folder.mcap",
+        tmp_path,
+        tmp_path / "file" / "a.mcap",
+        "/dev/null",
+        "a\0b",
+        "a" * 300,
+    )
     for place in places:
         with pytest.raises(MissionError, match="cannot write"):
             McapRecorder(place, KnowledgeBase(robot(), clock=lambda: 0.0))
 
 
 def test_recording_without_room_is_told_when_it_ends_and_holds_what_came_before(tmp_path):
-    kb, before = KnowledgeBase(robot(), clock=lambda: 0.0), resource.getrlimit(resource.RLIMIT_FSIZE)
+    kb, before = (
+        KnowledgeBase(robot(), clock=lambda: 0.0),
+        resource.getrlimit(resource.RLIMIT_FSIZE),
+    )
     recorder = McapRecorder(tmp_path / "full.mcap", kb)
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
     try:
@@ -512,7 +582,10 @@ def test_disk_that_hangs_ends_the_recording_and_holds_up_nobody(tmp_path, monkey
         while number == 0 and not file._queue.empty():
             time.sleep(0.001)
     assert file._queue.qsize() == 100
-    with pytest.raises(MissionError, match=r"cannot write .*hung.mcap: the disk does not keep up, 100 messages wait"):
+    with pytest.raises(
+        MissionError,
+        match=r"cannot write .*hung.mcap: the disk does not keep up, 100 messages wait",
+    ):
         file.close()
     answers.set()  # what was being written when the recording ended is whole, and nothing comes after it
     with pytest.raises(MissionError, match="does not keep up"):

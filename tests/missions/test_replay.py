@@ -45,7 +45,10 @@ class Hearing(Listener):
 
 
 def switched(decisions):
-    return [(round(plan.start, 2), plan.deactivate, plan.activate, plan.parameters) for plan in decisions.plans]
+    return [
+        (round(plan.start, 2), plan.deactivate, plan.activate, plan.parameters)
+        for plan in decisions.plans
+    ]
 
 
 @pytest.mark.parametrize("task", ["bt", "pddl"])
@@ -59,7 +62,9 @@ def test_battery_drop_is_answered_by_task_and_architecture(task):
     assert drop.change == "inspect_pipeline -> recharge; stop follow_pipeline; start recharge"
     assert drop.at_s == pytest.approx(150.0 + planning_s, abs=0.11)
     there_and_back = ["recharge -> inspect_pipeline; stop recharge; start follow_pipeline"]
-    assert [one.change for one in back] == (there_and_back if task == "bt" else []), "the next step of a plan is none"
+    assert [one.change for one in back] == (there_and_back if task == "bt" else []), (
+        "the next step of a plan is none"
+    )
 
 
 def test_decisions_of_the_tree_are_exactly_these():
@@ -85,7 +90,10 @@ def test_replay_of_a_live_run_decides_the_same_at_the_same_times(task, tmp_path)
     decisions = replay(path, "suave_extended", task=task)
     live = [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in run.adaptations]
     assert len(live) >= 6
-    assert [(one.at_s, one.kind, one.change, one.reason, one.reaction_s) for one in decisions.adaptations] == live
+    assert [
+        (one.at_s, one.kind, one.change, one.reason, one.reaction_s)
+        for one in decisions.adaptations
+    ] == live
     begun = [(one.action, one.start) for one in run.kb.history.actions]
     assert [(name, start) for name, start, _, _ in decisions.actions] == begun
 
@@ -98,7 +106,8 @@ def planned(kb, percepts):
         kb=kb,
         domain=mission_domain(mission),
         behaviours={
-            name: (lambda step, action=action: action(kb, percepts)) for name, action in mission.actions.items()
+            name: (lambda step, action=action: action(kb, percepts))
+            for name, action in mission.actions.items()
         },
         sense=lambda: mission.facts(kb, percepts),
         clock=lambda: kb.now,
@@ -114,7 +123,9 @@ def test_model_with_a_behaviour_of_ones_own_decides_as_the_mission_does(task, be
     assert own.actions == mission.actions
     assert [plan.steps for plan in own.task_plans] == [plan.steps for plan in mission.task_plans]
     assert bool(own.task_plans) == (task == "pddl")
-    own.assert_adapts(at=150.0, from_="inspect_pipeline", to="recharge", within=0.2 if task == "bt" else 0.4)
+    own.assert_adapts(
+        at=150.0, from_="inspect_pipeline", to="recharge", within=0.2 if task == "bt" else 0.4
+    )
 
 
 def test_behaviour_takes_the_place_of_the_task_layer_of_a_mission():
@@ -124,7 +135,9 @@ def test_behaviour_takes_the_place_of_the_task_layer_of_a_mission():
 
 
 def test_trace_of_a_replay_can_be_decided_once_more():
-    trace = replay(BATTERY_DROP, "suave_extended", lambda kb, percepts: suave_tree(kb, Percepts())).trace
+    trace = replay(
+        BATTERY_DROP, "suave_extended", lambda kb, percepts: suave_tree(kb, Percepts())
+    ).trace
     again = replay_trace(trace, suave_extended_model(), lambda kb: suave_tree(kb, Percepts()))
     assert str(again).replace("suave_extended", "") == str(trace).replace("suave_extended", "")
     assert len(trace.ticks) > 2000
@@ -147,7 +160,9 @@ def test_stream_written_by_hand_is_heard_as_the_file_is():
 
 
 def test_recording_is_replayed_to_its_end_however_long_it_is():
-    decisions = replay([measured(0.0, battery_level=1.0), measured(500.0, battery_level=0.1)], "suave_extended")
+    decisions = replay(
+        [measured(0.0, battery_level=1.0), measured(500.0, battery_level=0.1)], "suave_extended"
+    )
     decisions.assert_adapts(at=500.0, to="recharge", within=0.2)
 
 
@@ -155,7 +170,10 @@ def test_recording_is_replayed_to_its_end_however_long_it_is():
     ("messages", "message"),
     [
         ([{"time": -1.0, "status": []}], 'message 1: a message is an object with a number "time"'),
-        ([measured(0.0), {"time": 1.0, "status": [{"message": "x"}]}], 'message 2: each "status" is an object'),
+        (
+            [measured(0.0), {"time": 1.0, "status": [{"message": "x"}]}],
+            'message 2: each "status" is an object',
+        ),
         ([measured(2.0), measured(1.0)], "message 2: time 1.0 comes after 2.0"),
     ],
 )
@@ -166,7 +184,10 @@ def test_bad_message_is_refused_with_its_number(messages, message):
 
 def test_replay_needs_no_simulator():
     done = subprocess.run(
-        [sys.executable, "-c", BLOCKED, str(BATTERY_DROP)], capture_output=True, text=True, check=False
+        [sys.executable, "-c", BLOCKED, str(BATTERY_DROP)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines() == [
@@ -181,18 +202,36 @@ def test_replay_needs_no_simulator():
         (["{"], ":1:2: not JSON"),
         (["[]"], r':1: a message is an object with a number "time"'),
         (['{"time": true, "status": []}'], ':1: a message is an object with a number "time"'),
-        (['{"time": 1, "status": [{"message": "x"}]}'], ':1: each "status" is an object with a text "message"'),
+        (
+            ['{"time": 1, "status": [{"message": "x"}]}'],
+            ':1: each "status" is an object with a text "message"',
+        ),
         (['{"time": 0, "status": [], "run": [1]}'], ':1: "run" says how it was run'),
         (['{"time": 0, "status": [], "run": {"settings": [1]}}'], ':1: "run" says how it was run'),
         (
             ['{"time": 0, "status": [], "run": {"switching_s": {"activate": -1}}}'],
             "used: ValueError: activate takes -1",
         ),
-        (['{"time": 0, "status": [], "run": {"switching_s": {"activate": "x"}}}'], "activate takes 'x'; allowed is"),
-        (['{"time": 0, "status": [], "run": {"commands": [1]}}'], "how it was run cannot be used: TypeError"),
-        (['{"time": 0, "status": [], "run": {"settings": {"duration_s": "x"}}}'], "duration_s is 'x'"),
-        (['{"time": 0, "status": [], "run": {"settings": {"import": "os"}}}'], "unknown setting 'import'"),
-        (['{"time": 2, "status": []}', "", '{"time": 1, "status": []}'], ":3: time 1 comes after 2"),
+        (
+            ['{"time": 0, "status": [], "run": {"switching_s": {"activate": "x"}}}'],
+            "activate takes 'x'; allowed is",
+        ),
+        (
+            ['{"time": 0, "status": [], "run": {"commands": [1]}}'],
+            "how it was run cannot be used: TypeError",
+        ),
+        (
+            ['{"time": 0, "status": [], "run": {"settings": {"duration_s": "x"}}}'],
+            "duration_s is 'x'",
+        ),
+        (
+            ['{"time": 0, "status": [], "run": {"settings": {"import": "os"}}}'],
+            "unknown setting 'import'",
+        ),
+        (
+            ['{"time": 2, "status": []}', "", '{"time": 1, "status": []}'],
+            ":3: time 1 comes after 2",
+        ),
     ],
 )
 def test_bad_recording_is_refused_with_its_line(tmp_path, lines, message):
@@ -204,11 +243,14 @@ def test_bad_recording_is_refused_with_its_line(tmp_path, lines, message):
 
 def test_missing_recording_and_unknown_mission_are_named(tmp_path):
     with pytest.raises(
-        MissionError, match=r"cannot read the recording .*nothing\.jsonl: No such file or directory$"
+        MissionError,
+        match=r"cannot read the recording .*nothing\.jsonl: No such file or directory$",
     ) as missing:
         replay(tmp_path / "nothing.jsonl", "suave_extended")
     assert missing.value.__suppress_context__, "one traceback is enough"
-    with pytest.raises(MissionError, match="unknown mission 'suaf'; there are suave, suave_extended"):
+    with pytest.raises(
+        MissionError, match="unknown mission 'suaf'; there are suave, suave_extended"
+    ):
         replay(BATTERY_DROP, "suaf")
 
 
@@ -228,9 +270,18 @@ def test_faults_in_a_stream_are_reported_and_stop_nothing(tmp_path):
 @pytest.mark.parametrize(
     ("slip", "message"),
     [
-        (failed(1.0, "camra"), "at 1.00 s: camra='failure': unknown component 'camra'; did you mean 'camera'"),
-        (measured(1.0, enrgy=0.1), "at 1.00 s: enrgy='0.1': unknown attribute 'enrgy'; did you mean 'energy'"),
-        (measured(1.0, energy=math.nan), "at 1.00 s: energy='nan': a measurement is a finite number"),
+        (
+            failed(1.0, "camra"),
+            "at 1.00 s: camra='failure': unknown component 'camra'; did you mean 'camera'",
+        ),
+        (
+            measured(1.0, enrgy=0.1),
+            "at 1.00 s: enrgy='0.1': unknown attribute 'enrgy'; did you mean 'energy'",
+        ),
+        (
+            measured(1.0, energy=math.nan),
+            "at 1.00 s: energy='nan': a measurement is a finite number",
+        ),
     ],
 )
 def test_slip_in_a_stream_written_in_python_is_an_error(slip, message):
@@ -242,7 +293,9 @@ def test_slip_in_a_stream_written_in_python_is_an_error(slip, message):
 def test_failure_shows_what_of_a_recording_could_not_be_used(tmp_path):
     path = tmp_path / "run.jsonl"
     slips = [failed(float(time), "camra") for time in range(1, 4)]
-    path.write_text("".join(line_of(message) for message in [measured(0.0, light=0.9, energy=1.0), *slips]))
+    path.write_text(
+        "".join(line_of(message) for message in [measured(0.0, light=0.9, energy=1.0), *slips])
+    )
     decisions = replay(path, rover_model(), rover_tree)
     claims = [
         lambda: decisions.assert_never(activate="camera"),

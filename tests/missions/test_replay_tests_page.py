@@ -31,7 +31,9 @@ def test_page_is_a_test_file_that_passes_and_prints_what_it_shows(pytester):
 def test_page_explains_everything_that_the_plugin_offers():
     from missions.testing import Decisions, ScriptedManaged, plugin
 
-    fixtures = [name for name, one in vars(plugin).items() if isinstance(one, FixtureFunctionDefinition)]
+    fixtures = [
+        name for name, one in vars(plugin).items() if isinstance(one, FixtureFunctionDefinition)
+    ]
     assertions = [name for name in vars(Decisions) if name.startswith("assert_")]
     scripted = ScriptedManaged.script.__kwdefaults__
     assert len(fixtures) == 4

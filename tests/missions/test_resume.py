@@ -22,7 +22,9 @@ class Dive:
         self.now = 0.0
         self.kb = KnowledgeBase(suave_extended_model(), clock=lambda: self.now)
         self.percepts = Percepts()
-        self.runner = TreeRunner(suave_extended_tree(self.kb, self.percepts), clock=lambda: self.now)
+        self.runner = TreeRunner(
+            suave_extended_tree(self.kb, self.percepts), clock=lambda: self.now
+        )
 
     def leaf(self, kind):
         return next(one for one in self.runner.tree.root.iterate() if isinstance(one, kind))
@@ -39,16 +41,22 @@ class Dive:
 
 def test_search_that_the_battery_interrupts_goes_on_and_counts_both_goes_but_not_the_recharge():
     dive = Dive()
-    assert [dive.tick(level) for level in (0.9, 0.8, 0.2, 0.2)] == [["search_pipeline"]] * 2 + [["recharge"]] * 2
+    assert [dive.tick(level) for level in (0.9, 0.8, 0.2, 0.2)] == [["search_pipeline"]] * 2 + [
+        ["recharge"]
+    ] * 2
     assert dive.tick(1.0, battery_recharged="true") == ["search_pipeline"]
     search = dive.leaf(SearchPipeline)
-    assert search.searched_s == pytest.approx(2.0), "from the first tick to the third, and from now on"
+    assert search.searched_s == pytest.approx(2.0), (
+        "from the first tick to the third, and from now on"
+    )
     assert dive.tick(1.0, pipeline_found="true") == ["inspect_pipeline"]
     assert search.feedback_message == "found after 3 s of searching"
 
 
 @given(st.lists(st.lists(st.floats(0.0, 9.0), min_size=1, max_size=4), min_size=1, max_size=4))
-def test_metres_of_all_goes_of_an_inspection_add_up_although_the_follower_counts_from_nought_each_time(goes):
+def test_metres_of_all_goes_of_an_inspection_add_up_although_the_follower_counts_from_nought_each_time(
+    goes,
+):
     dive = Dive()
     dive.tick(pipeline_found="true")
     total = 0.0
@@ -62,7 +70,9 @@ def test_metres_of_all_goes_of_an_inspection_add_up_although_the_follower_counts
         assert dive.leaf(InspectPipeline).inspected_m == pytest.approx(total)
         assert dive.tick(battery=0.1) == ["recharge"]
         assert dive.tick(battery=1.0, battery_recharged="true") == ["inspect_pipeline"]
-        assert dive.leaf(InspectPipeline).inspected_m == pytest.approx(total), "the last word is not counted twice"
+        assert dive.leaf(InspectPipeline).inspected_m == pytest.approx(total), (
+            "the last word is not counted twice"
+        )
 
 
 def test_new_mission_begins_with_nothing_searched_or_inspected():
@@ -93,6 +103,8 @@ class Watch(Listener):
 def test_inspection_goes_on_after_the_recharge_in_the_simulated_sea(task):
     watch = Watch()
     data = run_mission("suave_extended", task, listeners=[watch])[2]
-    assert 0 < data["distance_inspected_m"] < data["total_inspected_m"], "the follower has begun to count again"
+    assert 0 < data["distance_inspected_m"] < data["total_inspected_m"], (
+        "the follower has begun to count again"
+    )
     assert watch.told_m == sorted(watch.told_m)
     assert watch.told_m[-1] == pytest.approx(data["total_inspected_m"], abs=1.0)

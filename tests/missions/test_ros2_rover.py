@@ -27,32 +27,60 @@ class SimulatedRover:
         self.states = dict.fromkeys(NODES, 1)
         self.parameters, self.heard = {}, []
         for node in NODES:
-            self.server.serve(f"{node}/get_state", "lifecycle_msgs/srv/GetState", lambda _, n=node: self.state(n))
             self.server.serve(
-                f"{node}/change_state", "lifecycle_msgs/srv/ChangeState", lambda one, n=node: self.go(n, one)
+                f"{node}/get_state", "lifecycle_msgs/srv/GetState", lambda _, n=node: self.state(n)
             )
-            self.server.serve(f"{node}/set_parameters_atomically", "x", lambda one, n=node: self.set(n, one))
-        self.server.subscribe("/rosa_kb/events", "std_msgs/msg/String", lambda one: self.heard.append(one["data"]))
+            self.server.serve(
+                f"{node}/change_state",
+                "lifecycle_msgs/srv/ChangeState",
+                lambda one, n=node: self.go(n, one),
+            )
+            self.server.serve(
+                f"{node}/set_parameters_atomically", "x", lambda one, n=node: self.set(n, one)
+            )
+        self.server.subscribe(
+            "/rosa_kb/events", "std_msgs/msg/String", lambda one: self.heard.append(one["data"])
+        )
 
     def state(self, node):
         return {"current_state": {"id": self.states[node], "label": ""}}
 
     def go(self, node, request):
-        goal = {(1, 1): 2, (2, 3): 3, (3, 4): 2}.get((self.states[node], request["transition"]["id"]))
+        goal = {(1, 1): 2, (2, 3): 3, (3, 4): 2}.get(
+            (self.states[node], request["transition"]["id"])
+        )
         self.states[node] = goal or self.states[node]
         return {"success": goal is not None}
 
     def set(self, node, request):
-        self.parameters[node] = {one["name"]: one["value"]["double_value"] for one in request["parameters"]}
+        self.parameters[node] = {
+            one["name"]: one["value"]["double_value"] for one in request["parameters"]
+        }
         return {"result": {"successful": True, "reason": ""}}
 
     def say(self, battery, light=0.9, **components):
         publish = self.server.publish
-        publish("/battery_state", "sensor_msgs/msg/BatteryState", {"percentage": battery, "cell_voltage": [math.nan]})
-        publish("/light_sensor", "sensor_msgs/msg/Illuminance", {"illuminance": light, "variance": 0.0})
+        publish(
+            "/battery_state",
+            "sensor_msgs/msg/BatteryState",
+            {"percentage": battery, "cell_voltage": [math.nan]},
+        )
+        publish(
+            "/light_sensor", "sensor_msgs/msg/Illuminance", {"illuminance": light, "variance": 0.0}
+        )
         values = [{"key": name, "value": said} for name, said in components.items()]
-        status = {"level": 2, "name": "watchdog", "message": "Component status", "hardware_id": "", "values": values}
-        publish("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", {"header": {}, "status": [status]})
+        status = {
+            "level": 2,
+            "name": "watchdog",
+            "message": "Component status",
+            "hardware_id": "",
+            "values": values,
+        }
+        publish(
+            "/diagnostics",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            {"header": {}, "status": [status]},
+        )
 
     def until(self, holds, **said):
         end = time.monotonic() + 120
@@ -74,29 +102,52 @@ def start(rover, *arguments):
 
 
 def bridge(*arguments, **variables):
-    command = [sys.executable, "-m", "missions", "bridge", "rover:model", "--config", "bridge.toml", *arguments]
+    command = [
+        sys.executable,
+        "-m",
+        "missions",
+        "bridge",
+        "rover:model",
+        "--config",
+        "bridge.toml",
+        *arguments,
+    ]
     environment = {
         **os.environ,
         **variables,
         "PYTHONPATH": os.pathsep.join(filter(None, (str(ROOT), os.environ.get("PYTHONPATH")))),
     }
     return subprocess.Popen(
-        command, cwd=EXAMPLE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        command,
+        cwd=EXAMPLE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env=environment,
     )
 
 
 def test_rover_is_managed_through_battery_drop_and_failed_node(rover):
     with start(rover, "--tree", "rover:tree") as program:
         try:
-            rover.until(lambda: rover.states["/front/camera"] == 3 and rover.states["/navigator"] == 3, battery=0.9)
+            rover.until(
+                lambda: rover.states["/front/camera"] == 3 and rover.states["/navigator"] == 3,
+                battery=0.9,
+            )
             assert rover.parameters["/front/camera"] == {"exposure": 0.01, "gain": 1.0}
-            rover.until(lambda: rover.parameters["/front/camera"]["gain"] == 8.0, battery=0.9, light=0.1)
+            rover.until(
+                lambda: rover.parameters["/front/camera"]["gain"] == 8.0, battery=0.9, light=0.1
+            )
             rover.until(lambda: rover.states["/lidar"] == 3, battery=0.9, camera="failure")
             assert rover.states["/front/camera"] == 2
             rover.say(battery="much")
             rover.until(lambda: rover.states["/lidar"] == 2, battery=0.1)
             assert rover.states["/navigator"] == 3, "the way to the dock is driven with it"
-            assert {"insert_monitoring_data", "action_update", "insert_reconfiguration_plan"} <= set(rover.heard)
+            assert {
+                "insert_monitoring_data",
+                "action_update",
+                "insert_reconfiguration_plan",
+            } <= set(rover.heard)
         finally:
             program.terminate()
             said = program.stdout.read()
@@ -106,7 +157,8 @@ def test_rover_is_managed_through_battery_drop_and_failed_node(rover):
 
 
 @pytest.mark.skipif(
-    not (shutil.which("node") and ROSLIB.exists()), reason="needs Node.js and roslib: npm ci in missions/views/page"
+    not (shutil.which("node") and ROSLIB.exists()),
+    reason="needs Node.js and roslib: npm ci in missions/views/page",
 )
 def test_roslib_asks_the_knowledge_base(rover, tmp_path):
     script = tmp_path / "ask.mjs"
@@ -130,7 +182,9 @@ setTimeout(() => process.exit(3), 180000);
 """)
     with start(rover, "--answer") as program:
         try:
-            done = subprocess.run(["node", str(script)], capture_output=True, text=True, timeout=200, check=False)
+            done = subprocess.run(
+                ["node", str(script)], capture_output=True, text=True, timeout=200, check=False
+            )
         finally:
             program.terminate()
             program.stdout.read()

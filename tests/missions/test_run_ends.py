@@ -80,7 +80,10 @@ def run_in(world, mission=ROVER, **settings):
 @pytest.mark.parametrize(
     ("goes", "words"),
     [
-        (lambda now, until: now, r"stands still at 0\.000 s, asked to go on to 0\.100 s; advance\(\) goes on until"),
+        (
+            lambda now, until: now,
+            r"stands still at 0\.000 s, asked to go on to 0\.100 s; advance\(\) goes on until",
+        ),
         (lambda now, until: now + 1e-12, "stands still"),
         (lambda now, until: math.nan, "shows nan s after 0.0 s; its time has to pass"),
         (lambda now, until: math.inf, "shows inf s after 0.0 s; its time has to pass"),
@@ -106,29 +109,81 @@ def test_world_that_does_not_let_time_pass_is_refused_by_name_and_closed(goes, w
 NAN = math.nan
 STATUS = {"name": "", "message": "component status", "values": {}}
 GIVEN = [  # a method of the world, what it gives, and what the message says of it
-    ("advance", None, r"advance\(\) of Odd gives None; expected is a list of messages, empty if there are none"),
-    ("advance", ["news"], r"advance\(\) of Odd: a message is an object with a number \"time\" .*, not 'news'"),
-    ("advance", [{"status": []}], r"advance\(\) of Odd: a message is an object with a number \"time\" \[s\]"),
+    (
+        "advance",
+        None,
+        r"advance\(\) of Odd gives None; expected is a list of messages, empty if there are none",
+    ),
+    (
+        "advance",
+        ["news"],
+        r"advance\(\) of Odd: a message is an object with a number \"time\" .*, not 'news'",
+    ),
+    (
+        "advance",
+        [{"status": []}],
+        r"advance\(\) of Odd: a message is an object with a number \"time\" \[s\]",
+    ),
     ("advance", [{"time": "1.0", "status": []}], r"with a number \"time\" .*, not {'time': '1.0'"),
     ("advance", [{"time": NAN, "status": []}], r"with a number \"time\" .*, not {'time': nan"),
-    ("advance", [{"time": 0.0}], 'each "status" is an object with a text "message" and an object "values", not None'),
+    (
+        "advance",
+        [{"time": 0.0}],
+        'each "status" is an object with a text "message" and an object "values", not None',
+    ),
     ("advance", [{"time": 0.0, "status": [STATUS, 3]}], 'each "status" is an object .*, not 3'),
-    ("advance", [{"time": 0.0, "status": [{**STATUS, "message": None}]}], 'a text "message" .*, not {'),
-    ("advance", [{"time": 0.0, "status": [{**STATUS, "values": [1]}]}], 'an object "values", not {'),
-    ("advance", [{"time": 0.0, "status": [{**STATUS, "values": {1: ""}}]}], 'the names in "values" are texts, not 1'),
+    (
+        "advance",
+        [{"time": 0.0, "status": [{**STATUS, "message": None}]}],
+        'a text "message" .*, not {',
+    ),
+    (
+        "advance",
+        [{"time": 0.0, "status": [{**STATUS, "values": [1]}]}],
+        'an object "values", not {',
+    ),
+    (
+        "advance",
+        [{"time": 0.0, "status": [{**STATUS, "values": {1: ""}}]}],
+        'the names in "values" are texts, not 1',
+    ),
     ("now", None, r"now of Odd is None; expected is the time, a number \[s\]"),
     ("now", "soon", "now of Odd is 'soon'; expected is the time"),
-    ("managed", None, "managed of Odd is None; expected is a kb.ManagedSystem, which has the methods activate, deact"),
+    (
+        "managed",
+        None,
+        "managed of Odd is None; expected is a kb.ManagedSystem, which has the methods activate, deact",
+    ),
     ("results", None, r"results\(\) of Odd gives None; expected is a mapping of names to numbers"),
-    ("results", {"rooms": "many"}, r"results\(\) of Odd gives {'rooms': 'many'}; expected is a mapping of names"),
+    (
+        "results",
+        {"rooms": "many"},
+        r"results\(\) of Odd gives {'rooms': 'many'}; expected is a mapping of names",
+    ),
     ("results", {3: 1.0}, r"results\(\) of Odd gives {3: 1.0}; expected is a mapping of names"),
-    ("reactions", 3, r"reactions\(\) of Odd gives 3; expected is a sequence of reactions, each with uncertainty"),
+    (
+        "reactions",
+        3,
+        r"reactions\(\) of Odd gives 3; expected is a sequence of reactions, each with uncertainty",
+    ),
     ("reactions", [3], r"reactions\(\) of Odd gives \[3\]; expected is a sequence of reactions"),
-    ("sample", 3, r"sample\(\) of Odd gives 3; expected is None or a missions.engine.mission.Sample"),
-    ("sample", Sample(0.0, (1.0, 2.0), {}), "expected is None or a .*Sample: a time, a position of three numbers"),
+    (
+        "sample",
+        3,
+        r"sample\(\) of Odd gives 3; expected is None or a missions.engine.mission.Sample",
+    ),
+    (
+        "sample",
+        Sample(0.0, (1.0, 2.0), {}),
+        "expected is None or a .*Sample: a time, a position of three numbers",
+    ),
     ("sample", Sample(0.0, (1.0, 2.0, 3.0), {"light": "dim"}), "and signals that are numbers"),
     ("sample", Sample(0.0, (1.0, 2.0, 3.0), {3: 1.0}), "and signals that are numbers"),
-    ("sample", Sample("now", (1.0, 2.0, 3.0), {}), "expected is None or a .*Sample: a time, a position"),
+    (
+        "sample",
+        Sample("now", (1.0, 2.0, 3.0), {}),
+        "expected is None or a .*Sample: a time, a position",
+    ),
     (
         "disturbances",
         None,
@@ -139,13 +194,23 @@ GIVEN = [  # a method of the world, what it gives, and what the message says of 
         [("dark", 1.0)],
         r"disturbances\(\) of Odd gives \[\('dark', 1.0\)\]; expected is a list of pairs",
     ),
-    ("scenery", [1], r"scenery\(\) of Odd gives \[1\]; expected is a mapping of names to points, each of two numbers"),
-    ("scenery", {"wall": [(1.0, 2.0, 3.0)]}, r"scenery\(\) of Odd gives {'wall'.*expected is a mapping"),
+    (
+        "scenery",
+        [1],
+        r"scenery\(\) of Odd gives \[1\]; expected is a mapping of names to points, each of two numbers",
+    ),
+    (
+        "scenery",
+        {"wall": [(1.0, 2.0, 3.0)]},
+        r"scenery\(\) of Odd gives {'wall'.*expected is a mapping",
+    ),
 ]
 
 
 @pytest.mark.parametrize(("method", "given", "words"), GIVEN)
-def test_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+def test_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(
+    method, given, words
+):
     def gives(world, *until):
         return given
 
@@ -167,7 +232,8 @@ def test_world_that_raises_is_named_with_the_method_and_the_line(method):
 
     setattr(Odd, method, fails)
     with pytest.raises(
-        MissionError, match=rf"{method}\(\) of Odd failed.*KeyError: 'camera'; test_run_ends\.py, line \d+$"
+        MissionError,
+        match=rf"{method}\(\) of Odd failed.*KeyError: 'camera'; test_run_ends\.py, line \d+$",
     ):
         drawn(run_in(Odd(), duration_s=0.5))
 
@@ -206,10 +272,16 @@ def drawn(run):
     [
         ("open", None, r"what open\(\) of Odd gives is None, not a World"),
         ("verdict", "fine", r"what verdict\(\) of Odd gives is 'fine', not a Verdict"),
-        ("settings", ("speed",), r"settings\(\) of Odd gives 'speed'; expected is a tuple of .*Setting"),
+        (
+            "settings",
+            ("speed",),
+            r"settings\(\) of Odd gives 'speed'; expected is a tuple of .*Setting",
+        ),
     ],
 )
-def test_kind_of_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+def test_kind_of_world_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(
+    method, given, words
+):
     class Odd(FieldKind):
         pass
 
@@ -238,40 +310,81 @@ SEA = find_mission("suave_extended")
     ("mission", "options", "words"),
     [
         (replace(LIT, model=lambda: fails()), {}, "cannot build the model of mission rover"),
-        (replace(SEA, facts=lambda kb, percepts: fails()), {"task": "pddl"}, "suave_extended under manager ours"),
-        (replace(LIT, world=Lit(close=fails)), {}, r"mission rover under manager ours failed after 1\.\d\d s"),
-        (LIT, {"manager": type("Own", (Policy,), {"pick": fails})}, "rover under manager .*Own failed after 0.00 s"),
-        (LIT, {"manager": type("Own", (Policy,), {"hear": fails})}, "rover under manager .*Own failed after 0.00 s"),
-        (LIT, {"manager": type("Own", (Policy,), {"__init__": fails})}, "rover under manager .*Own"),
+        (
+            replace(SEA, facts=lambda kb, percepts: fails()),
+            {"task": "pddl"},
+            "suave_extended under manager ours",
+        ),
+        (
+            replace(LIT, world=Lit(close=fails)),
+            {},
+            r"mission rover under manager ours failed after 1\.\d\d s",
+        ),
+        (
+            LIT,
+            {"manager": type("Own", (Policy,), {"pick": fails})},
+            "rover under manager .*Own failed after 0.00 s",
+        ),
+        (
+            LIT,
+            {"manager": type("Own", (Policy,), {"hear": fails})},
+            "rover under manager .*Own failed after 0.00 s",
+        ),
+        (
+            LIT,
+            {"manager": type("Own", (Policy,), {"__init__": fails})},
+            "rover under manager .*Own",
+        ),
     ],
 )
 def test_function_of_an_author_that_raises_is_named_with_its_line(mission, options, words):
-    with pytest.raises(MissionError, match=rf"{words}: KeyError: 'lens'.*; test_run_ends\.py, line \d+$"):
+    with pytest.raises(
+        MissionError, match=rf"{words}: KeyError: 'lens'.*; test_run_ends\.py, line \d+$"
+    ):
         open_run(mission, settings={"duration_s": "1"}, **options).run()
 
 
 @pytest.mark.parametrize(
     ("method", "given", "words"),
     [
-        ("pick", "fast", r"pick\(\) of Own gives 'fast'; expected is one of those that are possible, or None"),
-        ("hear", None, r"hear\(\) of manager .*Own: a message is an object with a number .*, not None"),
+        (
+            "pick",
+            "fast",
+            r"pick\(\) of Own gives 'fast'; expected is one of those that are possible, or None",
+        ),
+        (
+            "hear",
+            None,
+            r"hear\(\) of manager .*Own: a message is an object with a number .*, not None",
+        ),
         ("alter", None, r"what alter\(\) of .*Own gives is None, not a Mission"),
     ],
 )
-def test_manager_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(method, given, words):
+def test_manager_that_gives_something_else_than_it_is_to_give_is_told_what_that_is(
+    method, given, words
+):
     with pytest.raises(MissionError, match=words):
-        open_run(LIT, settings={"duration_s": "1"}, manager=type("Own", (Policy,), {method: lambda *_: given})).run()
+        open_run(
+            LIT,
+            settings={"duration_s": "1"},
+            manager=type("Own", (Policy,), {method: lambda *_: given}),
+        ).run()
 
 
 def test_mistake_of_ours_stays_a_traceback(monkeypatch):
-    monkeypatch.setattr("missions.engine.runner.AdaptationLog.ticking", lambda log, time: next(iter(())))
+    monkeypatch.setattr(
+        "missions.engine.runner.AdaptationLog.ticking", lambda log, time: next(iter(()))
+    )
     monkeypatch.setitem(globals(), "__name__", "missions.mended")
     with pytest.raises(StopIteration):
         run_in(Field(), duration_s=0.5).run()
 
 
 def test_numbers_of_numpy_are_numbers_and_can_be_recorded(tmp_path):
-    light = {"time": numpy.float32(0.25), "status": [{**STATUS, "message": "attribute measurement", "values": {}}]}
+    light = {
+        "time": numpy.float32(0.25),
+        "status": [{**STATUS, "message": "attribute measurement", "values": {}}],
+    }
     light["status"][0]["values"] = {"light": numpy.float32(0.5), "energy": numpy.int64(1)}
     run, lines = run_in(Field(news=[light]), duration_s=0.5), []
     LineRecorder(run, 0, lines.append)
@@ -334,7 +447,10 @@ def test_task_that_ends_early_is_told_so_and_not_that_time_ran_out():
     assert not verdict.success
     assert world.now < 1.0
     assert verdict.outcome == "ended_early"
-    assert verdict.reason == f"the task ended after {world.now:.1f} s of 5 s, short of the mission's goal"
+    assert (
+        verdict.reason
+        == f"the task ended after {world.now:.1f} s of 5 s, short of the mission's goal"
+    )
 
 
 def test_task_that_ends_in_the_sea_before_anything_is_found_is_told_so(monkeypatch):
@@ -356,10 +472,20 @@ def test_task_that_reaches_the_goal_early_is_a_success_and_one_without_time_says
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_vehicle_that_has_no_way_ends_when_that_is_proven(task):
     plan = {"a": [0, 0], "b": [6, 0]}
-    building = {"start": "a", "goal": "b", "places": plan, "corridors": {"c1": {"from": "a", "to": "b", "light": 0.0}}}
+    building = {
+        "start": "a",
+        "goal": "b",
+        "places": plan,
+        "corridors": {"c1": {"from": "a", "to": "b", "light": 0.0}},
+    }
     mission = agv_mission("small", "drives", building_from(building))
     lost = {"incidents": "lamp fails in c1, lidar fails in c1, kinect fails in c1"}
-    run = rosa_run(mission, task, mission.world.open(lost, numpy.random.default_rng(0)), RunSettings(duration_s=900.0))
+    run = rosa_run(
+        mission,
+        task,
+        mission.world.open(lost, numpy.random.default_rng(0)),
+        RunSettings(duration_s=900.0),
+    )
     verdict = run.run()
     assert run.world.now < 60.0
     assert verdict.outcome == "aborted"
@@ -368,8 +494,12 @@ def test_vehicle_that_has_no_way_ends_when_that_is_proven(task):
 
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_aircraft_whose_battery_is_empty_ends_then_and_not_before_all_that_is_wanted_is_known(task):
-    run, verdict, data = run_mission("uav", task, seed=0, capacity_j=1000, charge_s=1e6, added_s=100)
-    empty = next(one["at_s"] for one in data["disturbances"] if one["what"] == "the battery is empty")
+    run, verdict, data = run_mission(
+        "uav", task, seed=0, capacity_j=1000, charge_s=1e6, added_s=100
+    )
+    empty = next(
+        one["at_s"] for one in data["disturbances"] if one["what"] == "the battery is empty"
+    )
     assert empty < 100 <= run.world.now < 101
     assert verdict.reason.startswith("the battery ran empty, 0 of 8 samples were analysed")
 
@@ -396,5 +526,6 @@ def test_settings_that_a_mission_fixes_are_how_it_is_run_and_may_be_changed():
     assert split_settings(mission, {})[1] == {"battery": "false"}
     with pytest.raises(MissionError, match="'nonsense'"):
         mission.world.open(
-            split_settings(replace(mission, fixed={"nonsense": "1"}), {})[1], numpy.random.default_rng(0)
+            split_settings(replace(mission, fixed={"nonsense": "1"}), {})[1],
+            numpy.random.default_rng(0),
         )

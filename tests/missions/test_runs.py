@@ -36,14 +36,21 @@ def test_extended_mission_finds_recharges_resumes_and_answers_every_disturbance(
     assert data["total_inspected_m"] > data["distance_inspected_m"]
     names = [one["name"] for one in data["actions"]]
     assert names == ["search_pipeline", "inspect_pipeline", "recharge", "inspect_pipeline"]
-    assert [one["result"] for one in data["actions"]] == ["completed", "abandoned", "completed", "abandoned"]
+    assert [one["result"] for one in data["actions"]] == [
+        "completed",
+        "abandoned",
+        "completed",
+        "abandoned",
+    ]
     triggers = {one["kind"]: [] for one in data["adaptations"]}
     for one in data["adaptations"]:
         triggers[one["kind"]].append(one["trigger"])
     assert any("water_visibility" in trigger for trigger in triggers["parameter"])
     assert triggers["structural"][0] == "c_thruster_1 has failed"
     # that a plan goes back to inspecting once it has recharged is its next step; a tree does so by what it measures
-    assert [trigger.split(" ")[0] for trigger in triggers["task"]] == ["battery_level"] * (2 if task == "bt" else 1)
+    assert [trigger.split(" ")[0] for trigger in triggers["task"]] == ["battery_level"] * (
+        2 if task == "bt" else 1
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -91,7 +98,9 @@ def test_plans_of_all_behaviours_of_a_tree_are_told_in_the_order_in_which_they_c
     assert [plan.reason for plan in told()] == ["a", "b", "c"]
 
 
-def test_run_that_forgets_its_oldest_task_plans_is_the_same_and_says_where_what_it_shows_begins(monkeypatch):
+def test_run_that_forgets_its_oldest_task_plans_is_the_same_and_says_where_what_it_shows_begins(
+    monkeypatch,
+):
     shown, told = [], []
     for most in (100, 1):
         monkeypatch.setattr(PlanRecord.added_to, "__defaults__", (most,))
@@ -158,12 +167,16 @@ def test_every_adaptation_says_when_what_why_and_how_fast():
         assert 0 < one["reaction_s"] < 1
     drop = next(one for one in adaptations if one["kind"] == "task")
     assert drop["change"] == "inspect_pipeline -> recharge; stop follow_pipeline; start recharge"
-    assert drop["reason"].startswith("inspect_pipeline is unfeasible because battery_level just below 0.25 violates")
+    assert drop["reason"].startswith(
+        "inspect_pipeline is unfeasible because battery_level just below 0.25 violates"
+    )
 
 
 def test_reactions_follow_the_disturbances_that_truly_happened():
     data = result("suave_extended")
-    failure = next(one["at_s"] for one in data["disturbances"] if one["what"] == "thruster 1 failed")
+    failure = next(
+        one["at_s"] for one in data["disturbances"] if one["what"] == "thruster 1 failed"
+    )
     answer = next(one["at_s"] for one in data["adaptations"] if one["kind"] == "structural")
     assert failure <= answer <= failure + 1.1  # the monitor looks once a second
     drop = next(one["at_s"] for one in data["disturbances"] if "battery" in one["what"])
@@ -183,7 +196,16 @@ def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
 def test_result_is_plain_json_without_what_depends_on_the_machine():
     data = json.loads(text("suave_extended", "pddl"))
     for key in (
-        *("mission", "task", "manager", "seed", "outcome", "search_time_s", "distance_inspected_m", "duration_s"),
+        *(
+            "mission",
+            "task",
+            "manager",
+            "seed",
+            "outcome",
+            "search_time_s",
+            "distance_inspected_m",
+            "duration_s",
+        ),
         *("adaptations", "actions", "plans"),
     ):
         assert key in data
@@ -248,8 +270,12 @@ def test_mission_that_runs_out_of_time_says_what_was_under_way_since_when(name, 
     assert verdict.reason.endswith(f"; under way: {action} since {last['start_s']:.1f} s")
 
 
-@pytest.mark.parametrize(("name", "others"), [("suave", "agv uav"), ("agv", "suave uav"), ("uav", "agv suave")])
-def test_mission_is_opened_without_the_others_and_imported_without_a_simulator_or_a_model(name, others):
+@pytest.mark.parametrize(
+    ("name", "others"), [("suave", "agv uav"), ("agv", "suave uav"), ("uav", "agv suave")]
+)
+def test_mission_is_opened_without_the_others_and_imported_without_a_simulator_or_a_model(
+    name, others
+):
     script = (
         "import sys, kb; from missions.baselines import open_run; from missions.engine.mission import find_mission; "
         f"make, kb.Model.__init__ = kb.Model.__init__, None; mission = find_mission({name!r}); "

@@ -14,7 +14,9 @@ from missions.engine.mission import MissionError
 from missions.testing import CommandFailed, FakeClock, ScriptedManaged, replay
 
 VERB = st.sampled_from(["activate", "deactivate"])
-COMMANDS = st.lists(st.tuples(VERB, st.sampled_from(["a", "b"]), st.sampled_from([0.0, 0.5, 2.0])), max_size=12)
+COMMANDS = st.lists(
+    st.tuples(VERB, st.sampled_from(["a", "b"]), st.sampled_from([0.0, 0.5, 2.0])), max_size=12
+)
 
 
 @given(COMMANDS, st.sampled_from([0.0, 0.5, 3.0]))
@@ -28,10 +30,18 @@ def test_commands_to_one_component_are_carried_out_one_after_the_other(commands,
         ends = [operation.end for _, operation in operations]
         assert all(later >= earlier + takes for earlier, later in pairwise(ends))
     managed.clock.advance(takes * (len(commands) + 1))
-    assert all(operation.done() and operation.exception() is None for one in given_to.values() for _, operation in one)
-    assert managed.active == {name for name, operations in given_to.items() if operations[-1][0] == "activate"}
+    assert all(
+        operation.done() and operation.exception() is None
+        for one in given_to.values()
+        for _, operation in one
+    )
+    assert managed.active == {
+        name for name, operations in given_to.items() if operations[-1][0] == "activate"
+    }
     assert managed.next_event() == math.inf
-    assert [(one.verb, one.component) for one in managed.commands] == [(verb, name) for verb, name, _ in commands]
+    assert [(one.verb, one.component) for one in managed.commands] == [
+        (verb, name) for verb, name, _ in commands
+    ]
 
 
 @given(st.integers(0, 4), st.integers(1, 6))
@@ -102,7 +112,9 @@ def test_robot_that_restarted_is_started_again_on_a_reopened_base(tmp_path):
     clock = FakeClock()
     for _ in range(2):
         managed = ScriptedManaged(clock)
-        with closing(KnowledgeBase(rover_model(), clock=clock, store=tmp_path / "rover.sqlite3")) as kb:
+        with closing(
+            KnowledgeBase(rover_model(), clock=clock, store=tmp_path / "rover.sqlite3")
+        ) as kb:
             manager = ConfigurationManager(kb, managed)
             kb.measure("light", 0.9)
             kb.measure("energy", 0.9)
@@ -126,9 +138,9 @@ def test_manager_gets_along_with_a_slow_and_failing_system():
         clock.advance(0.1)
     assert managed.active == {"camera"}
     assert managed.parameters("camera") == {"exposure_s": 0.2}
-    assert [attempt.result for attempt in kb.history.attempts if attempt.operation == "activate"] == [
-        *("failed", "failed", "completed")
-    ]
+    assert [
+        attempt.result for attempt in kb.history.attempts if attempt.operation == "activate"
+    ] == [*("failed", "failed", "completed")]
 
 
 def test_replay_takes_the_next_design_when_a_component_cannot_be_started():
@@ -141,13 +153,34 @@ def test_replay_takes_the_next_design_when_a_component_cannot_be_started():
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        (lambda managed: managed.script("camera", "start"), "'start' is no command; commands are activate, deactivate"),
-        (lambda managed: managed.script("camera", takes=-1.0), "takes of camera is -1.0; allowed is a number from 0"),
-        (lambda managed: managed.script("camera", fail_first=math.nan), "fail_first of camera is nan"),
-        (lambda managed: ScriptedManaged(FakeClock(), takes={"start": 1.0}), "'start' is no command"),
-        (lambda managed: ScriptedManaged(FakeClock(), takes=-2.0), "activate takes -2.0; allowed is"),
-        (lambda managed: managed.clock.advance(-1.0), "a clock that shows 0 s cannot be moved to -1 s"),
-        (lambda managed: managed.clock.advance(math.nan), "a clock that shows 0 s cannot be moved to nan s"),
+        (
+            lambda managed: managed.script("camera", "start"),
+            "'start' is no command; commands are activate, deactivate",
+        ),
+        (
+            lambda managed: managed.script("camera", takes=-1.0),
+            "takes of camera is -1.0; allowed is a number from 0",
+        ),
+        (
+            lambda managed: managed.script("camera", fail_first=math.nan),
+            "fail_first of camera is nan",
+        ),
+        (
+            lambda managed: ScriptedManaged(FakeClock(), takes={"start": 1.0}),
+            "'start' is no command",
+        ),
+        (
+            lambda managed: ScriptedManaged(FakeClock(), takes=-2.0),
+            "activate takes -2.0; allowed is",
+        ),
+        (
+            lambda managed: managed.clock.advance(-1.0),
+            "a clock that shows 0 s cannot be moved to -1 s",
+        ),
+        (
+            lambda managed: managed.clock.advance(math.nan),
+            "a clock that shows 0 s cannot be moved to nan s",
+        ),
     ],
 )
 def test_script_without_meaning_is_refused(wrong, message):

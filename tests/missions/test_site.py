@@ -23,15 +23,31 @@ def site(tmp_path_factory):
     """Make the site as `make site` does; a warning, such as a link or an anchor that leads nowhere, is an error."""
     folder = tmp_path_factory.mktemp("site")
     doctrees = tmp_path_factory.mktemp("doctrees")
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-d", str(doctrees), "-b", "html"]
-    done = subprocess.run([*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True, check=False)
+    command = [
+        sys.executable,
+        "-m",
+        "sphinx",
+        "-q",
+        "-W",
+        "--keep-going",
+        "-d",
+        str(doctrees),
+        "-b",
+        "html",
+    ]
+    done = subprocess.run(
+        [*command, "docs", str(folder)], cwd=ROOT, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
     yield folder
     shutil.rmtree(folder)
 
 
 def test_makefile_makes_the_site_as_this_test_does():
-    assert "sphinx-build -W --keep-going -b html -d build/doctrees docs build/site" in (ROOT / "Makefile").read_text()
+    assert (
+        "sphinx-build -W --keep-going -b html -d build/doctrees docs build/site"
+        in (ROOT / "Makefile").read_text()
+    )
 
 
 def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
@@ -40,11 +56,15 @@ def test_every_page_is_found_and_every_public_name_is_in_the_reference(site):
     linked = (site / "index.html").read_text()
     for page in (ROOT / "docs").rglob("*.md"):
         address = page.relative_to(ROOT / "docs").with_suffix(".html").as_posix()
-        assert address == "index.html" or f'href="{address}"' in linked, f"{page} is in no list of README.md"
+        assert address == "index.html" or f'href="{address}"' in linked, (
+            f"{page} is in no list of README.md"
+        )
     for package in ("kb", "rosa_bt", "rosa_pddl", "suave_env", "missions.testing"):
         shown = (site / "api" / f"{package}.html").read_text()
         module = importlib.import_module(package)
-        named = [name for name in module.__all__ if not isinstance(getattr(module, name), GenericAlias)]
+        named = [
+            name for name in module.__all__ if not isinstance(getattr(module, name), GenericAlias)
+        ]
         assert not [name for name in named if f'id="{package}.{name}"' not in shown]
 
 
@@ -56,7 +76,10 @@ def test_every_picture_of_the_docs_is_made_by_one_command():
     assert "ROSA_GROWTH_PNG=docs/agv_growth.png" in rules
     gallery = (ROOT / "docs" / "gallery.md").read_text()
     for mission, *options in RUNS:
-        assert " ".join(["rosa run", mission, "--no-progress", *options, "--plot", f"{mission}.png"]) in gallery
+        assert (
+            " ".join(["rosa run", mission, "--no-progress", *options, "--plot", f"{mission}.png"])
+            in gallery
+        )
 
 
 class Quiet(SimpleHTTPRequestHandler):

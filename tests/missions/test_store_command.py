@@ -15,8 +15,12 @@ def rover(*, changed=False):
     light = model.environmental_attribute("light")
     if not changed:
         model.quality_attribute("energy")
-    camera = model.component("camera", kind="lifecycle", always_improve=True, constraints=[light >= 0.05])
-    camera.configuration("day", {"exposure": 0.01}, priority=1, constraints=[light >= (0.6 if changed else 0.5)])
+    camera = model.component(
+        "camera", kind="lifecycle", always_improve=True, constraints=[light >= 0.05]
+    )
+    camera.configuration(
+        "day", {"exposure": 0.01}, priority=1, constraints=[light >= (0.6 if changed else 0.5)]
+    )
     camera.configuration("night", {"exposure": 0.2}, priority=3 if changed else 2)
     lidar = model.component("radar" if changed else "lidar")
     model.function("see").design("by camera", [camera], priority=1)
@@ -73,7 +77,9 @@ def test_check_finds_a_flipped_bit_and_repair_writes_what_is_sound(path, tmp_pat
     assert status == 1
     assert "event 6 is not as it was written" in said
     assert store("info", path)[0] == 1
-    with pytest.raises(StoreError, match=r"sound up to event 5, and 8 that were acknowledged after it are missing"):
+    with pytest.raises(
+        StoreError, match=r"sound up to event 5, and 8 that were acknowledged after it are missing"
+    ):
         KnowledgeBase(rover(), store=path)
     new = tmp_path / "new.sqlite3"
     status, said = store("repair", path, new)
@@ -82,7 +88,10 @@ def test_check_finds_a_flipped_bit_and_repair_writes_what_is_sound(path, tmp_pat
     assert path.read_bytes() == damaged
     kb = KnowledgeBase(rover(), clock=lambda: 9.0, store=new)
     assert (kb.attributes["energy"].value, kb.attributes["light"].value) == (2.0, 0.3)
-    assert kb.store.events()[-1].text == "repaired: sound up to event 5; 8 acknowledged ones are missing"
+    assert (
+        kb.store.events()[-1].text
+        == "repaired: sound up to event 5; 8 acknowledged ones are missing"
+    )
     kb.close()
     with pytest.raises(StoreError, match="there is a file already"):
         store("repair", path, new)
@@ -94,12 +103,18 @@ def test_log_that_is_deleted_after_a_kill_is_missed(path, tmp_path):
     assert kb.flush(10.0)
     killed = tmp_path / "killed.sqlite3"
     for end in ("", "-mark"):
-        killed.with_name(f"killed.sqlite3{end}").write_bytes(path.with_name(f"m.sqlite3{end}").read_bytes())
+        killed.with_name(f"killed.sqlite3{end}").write_bytes(
+            path.with_name(f"m.sqlite3{end}").read_bytes()
+        )
     kb.close()
-    with pytest.raises(StoreError, match=r"event 14 was acknowledged, and is missing.*and 1 that were acknowledged"):
+    with pytest.raises(
+        StoreError, match=r"event 14 was acknowledged, and is missing.*and 1 that were acknowledged"
+    ):
         KnowledgeBase(rover(), store=killed)
     killed.with_name("killed.sqlite3-mark").unlink()
-    with pytest.raises(StoreError, match="the mark of what was acknowledged, a file beside it, is missing"):
+    with pytest.raises(
+        StoreError, match="the mark of what was acknowledged, a file beside it, is missing"
+    ):
         KnowledgeBase(rover(), store=killed)
 
 
@@ -166,13 +181,19 @@ def test_migration_tells_what_changed_and_takes_over_the_rest(path, tmp_path):
         "dropped: what was measured of energy",
     ):
         assert words in said, said
-    with pytest.raises(StoreError, match=r"of another model: .*Action.film .*is not in the store.*rosa store migrate"):
+    with pytest.raises(
+        StoreError,
+        match=r"of another model: .*Action.film .*is not in the store.*rosa store migrate",
+    ):
         KnowledgeBase(Model.load(model), store=path)
     assert store("migrate", path, model)[0] == 0
     kb = KnowledgeBase(Model.load(model), clock=lambda: 9.0, store=path)
     assert kb.attributes["light"].history == ((1.0, 0.1), (2.0, 0.2), (3.0, 0.3))
     assert [one.action for one in kb.required_actions] == ["inspect"]
-    assert [(one.action, one.result) for one in kb.history.actions] == [("inspect", None), ("chart", "abandoned")]
+    assert [(one.action, one.result) for one in kb.history.actions] == [
+        ("inspect", None),
+        ("chart", "abandoned"),
+    ]
     assert kb.components["camera"].is_active
     assert kb.components["camera"].selected_configuration == "night"
     assert kb.configurations["day"].status == "unfeasible"

@@ -37,9 +37,18 @@ def shown(feed):
                     assert time.monotonic() < end, app.sub_title
                     await pilot.pause(0.05)
 
-            await until(lambda: "inspect_pipeline -> recharge" in str(app.query_one("#adaptations", Static).content))
+            await until(
+                lambda: (
+                    "inspect_pipeline -> recharge"
+                    in str(app.query_one("#adaptations", Static).content)
+                )
+            )
             panes = {name: str(app.query_one(f"#{name}", Static).content) for name in app.PANES}
-            return panes, app.sub_title, max(pane.region.right for pane in app.query("VerticalScroll"))
+            return (
+                panes,
+                app.sub_title,
+                max(pane.region.right for pane in app.query("VerticalScroll")),
+            )
 
     return asyncio.run(look())
 
@@ -51,7 +60,9 @@ def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
     assert "battery_level" in panes["known"], "the reason"
     assert "recharge required" in panes["known"]
     assert "inspect_pipeline -> recharge" in panes["adaptations"]
-    assert panes["adaptations"].index("recharge") < panes["adaptations"].index("12.6"), "the latest first"
+    assert panes["adaptations"].index("recharge") < panes["adaptations"].index("12.6"), (
+        "the latest first"
+    )
     assert "water_visibility" in panes["measurements"]
     assert "█" in panes["measurements"]
     assert "over: " in title
@@ -81,7 +92,9 @@ def test_nobody_there_is_told():
 def test_what_is_watched_for_days_is_forgotten_from_the_oldest_on():
     fold = Fold()
     for number in range(1000):
-        fold.put((float(number), "adaptation", number, {"t": float(number), "changed": "", "cause": ""}))
+        fold.put(
+            (float(number), "adaptation", number, {"t": float(number), "changed": "", "cause": ""})
+        )
     assert list(fold.track("adaptation")) == list(range(600, 1000))
 
 

@@ -31,7 +31,9 @@ def flown(vehicle, seconds):
     return vehicle
 
 
-@given(place=PLACES, bearing=st.floats(0, 2 * math.pi), load=st.floats(0, 0.5), folded=st.booleans())
+@given(
+    place=PLACES, bearing=st.floats(0, 2 * math.pi), load=st.floats(0, 0.5), folded=st.booleans()
+)
 @settings(max_examples=8)
 def test_vehicle_arrives_and_stays_with_any_wind_load_and_arm(place, bearing, load, folded):
     vehicle = Quadrotor(Settings(), (4 * math.cos(bearing), 4 * math.sin(bearing)))
@@ -145,7 +147,9 @@ def test_component_that_does_not_exist_is_refused_with_those_that_do():
     world = UavWorld(Settings(), numpy.random.default_rng(0))
     with pytest.raises(MissionError, match=r"'griper' with .* is unknown; there are .*, gripper, "):
         world.managed.activate("griper")
-    with pytest.raises(MissionError, match=r"'gripper' with .*force.* is unknown; .* have no parameters"):
+    with pytest.raises(
+        MissionError, match=r"'gripper' with .*force.* is unknown; .* have no parameters"
+    ):
         world.managed.set_parameters("gripper", {"force": 1.0})
 
 

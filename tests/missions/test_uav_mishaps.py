@@ -63,7 +63,9 @@ class Witness(Listener):
             self.breaches.append(f"{seen.time} s: {movers} move it at once")
         self.looked += is_active("infrared_camera")
         self.unfolded += seen.signals["gripper [deg]"] > FOLDED_DEG
-        if is_active("infrared_camera") and (seen.signals["gripper [deg]"] > FOLDED_DEG or is_active("gripper")):
+        if is_active("infrared_camera") and (
+            seen.signals["gripper [deg]"] > FOLDED_DEG or is_active("gripper")
+        ):
             self.breaches.append(f"{seen.time} s: it looks with an unfolded gripper")
         if seen.position[2] < 0.3:
             self.breaches.append(f"{seen.time} s: it is in the ground")
@@ -91,22 +93,38 @@ HAPPENS = st.one_of(
     seed=st.integers(0, 100),
 )
 @settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
-def test_whatever_happens_whenever_all_is_analysed_and_nothing_unsafe_is_done(happens, switching, seed):
+def test_whatever_happens_whenever_all_is_analysed_and_nothing_unsafe_is_done(
+    happens, switching, seed
+):
     reports = [one for one in happens if one[1] == "report"]
     happens = [one for one in happens if one not in reports[3:]]
     takes = dict(zip(("activation_s", "deactivation_s"), switching, strict=True))
-    verdict, run, witness = flown("bt", seed, happens, 900, samples=2, added_s=0, gripper_worn_s=0, **takes)
+    verdict, run, witness = flown(
+        "bt", seed, happens, 900, samples=2, added_s=0, gripper_worn_s=0, **takes
+    )
     assert witness.breaches == []
     assert verdict.success, verdict
-    assert run.world.results()["wanted_samples"] == 2 + len([one for one in reports[:3] if one[0] < run.world.now])
+    assert run.world.results()["wanted_samples"] == 2 + len(
+        [one for one in reports[:3] if one[0] < run.world.now]
+    )
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
 @pytest.mark.parametrize("jams_s", [5.5, 7.5, 9.0])
-def test_gripper_that_fails_while_it_is_still_being_started_unfolds_and_is_folded_before_the_look(task, jams_s):
+def test_gripper_that_fails_while_it_is_still_being_started_unfolds_and_is_folded_before_the_look(
+    task, jams_s
+):
     happens = [(jams_s, "jam", 400.0)]
     verdict, run, witness = flown(
-        task, 0, happens, 400, samples=1, added_s=0, gripper_worn_s=0, activation_s=0.5, deactivation_s=3.0
+        task,
+        0,
+        happens,
+        400,
+        samples=1,
+        added_s=0,
+        gripper_worn_s=0,
+        activation_s=0.5,
+        deactivation_s=3.0,
     )
     assert witness.breaches == []
     assert witness.looked > 0

@@ -55,7 +55,9 @@ def breaches(run, data):
             after = one["name"]
     looks = [(one["start_s"], one["end_s"]) for one in data["actions"] if one["name"] == LOOK]
     for sample in run.listeners[0].samples:
-        if sample.signals["gripper [deg]"] > 10 and any(start <= sample.time < end for start, end in looks):
+        if sample.signals["gripper [deg]"] > 10 and any(
+            start <= sample.time < end for start, end in looks
+        ):
             yield f"{sample.time} s: {LOOK} with an unfolded gripper"
     starts = [one["start_s"] for one in data["actions"]]
     ends = [one["end_s"] for one in data["actions"]]
@@ -74,7 +76,9 @@ def test_each_scenario_occurs_in_every_run_and_is_answered(task, seed):
     # 1 too little for searching; 2 too little for picking up, but not for looking; 3 the gripper fails meanwhile
     assert any(what == f"{SEARCH} -> {RETURN}" and "battery_level" in why for what, why in changed)
     assert any(what == f"{PICK_UP} -> {FOLD}" and "battery_level" in why for what, why in changed)
-    assert any(what == f"{PICK_UP} -> {FOLD}" and "gripper has failed" in why for what, why in changed)
+    assert any(
+        what == f"{PICK_UP} -> {FOLD}" and "gripper has failed" in why for what, why in changed
+    )
     happened = [one["what"] for one in data["disturbances"]]
     assert "the gripper jammed" in happened
     for first, second in zip(names(data), names(data)[1:], strict=False):
@@ -89,7 +93,9 @@ def test_each_scenario_occurs_in_every_run_and_is_answered(task, seed):
 def sample_that_was_added_in_flight_is_the_next_to_be_analysed(data, told):
     added = next(time for time, key, _ in told if key == "sample_8_wanted")
     assert added == pytest.approx(60, abs=0.2)
-    targets = [(time, key) for time, key, value in told if key.endswith("_target") and value == "true"]
+    targets = [
+        (time, key) for time, key, value in told if key.endswith("_target") and value == "true"
+    ]
     assert next(key for time, key in targets if time >= added) == "sample_8_target"
     assert [key for _, key, _ in told].count("sample_8_analysed") == 1
     assert {"at_s": added, "what": "an operator reports sample_8"} in data["disturbances"]
@@ -99,14 +105,18 @@ def plans_are_made_anew_for_the_goal_that_changed(data):
     assert all(plan["outcome"] == "solved optimally" for plan in data["plans"])
     told = [plan for plan in data["plans"] if plan["at_s"] == pytest.approx(60, abs=0.3)]
     assert any("forall" in plan["reason"] for plan in told)
-    steps = " ".join(step for plan in data["plans"] if plan["at_s"] < 59.9 for step in plan["steps"])
+    steps = " ".join(
+        step for plan in data["plans"] if plan["at_s"] < 59.9 for step in plan["steps"]
+    )
     assert "sample_8" not in steps
     assert any("sample_8" in step for plan in told for step in plan["steps"])
 
 
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
-    short, *others = (as_json(run_mission("uav", task, seed, duration_s=70)[2]) for seed in (0, 0, 1))
+    short, *others = (
+        as_json(run_mission("uav", task, seed, duration_s=70)[2]) for seed in (0, 0, 1)
+    )
     assert [one == short for one in others] == [True, False]
 
 
@@ -154,7 +164,14 @@ def test_battery_that_charges_faster_than_it_is_measured_is_charged_once_each_ti
 
 
 def test_vehicle_with_hardly_any_thrust_to_spare_flies_fast_in_a_strong_wind_without_tumbling():
-    changed = {"rotor_limit_n": 5.5, "gravity_m_s2": 12, "sample_kg": 0.1, "wind_m_s": 4, "drag": 1, "speed_m_s": 5}
+    changed = {
+        "rotor_limit_n": 5.5,
+        "gravity_m_s2": 12,
+        "sample_kg": 0.1,
+        "wind_m_s": 4,
+        "drag": 1,
+        "speed_m_s": 5,
+    }
     _, verdict, _ = run_mission("uav", "bt", 1, climb_m_s=3, duration_s=500, **changed)
     assert verdict.success
 
@@ -191,16 +208,22 @@ def test_nothing_is_all_analysed_before_anything_is_wanted():
     condition.tick_once()
     assert condition.status.name == "FAILURE"
     assert not is_all_analysed(percepts)
-    percepts.receive({"status": [{"message": "mission status", "values": {"sample_2_wanted": "true"}}]})
+    percepts.receive(
+        {"status": [{"message": "mission status", "values": {"sample_2_wanted": "true"}}]}
+    )
     assert not is_all_analysed(percepts)
-    percepts.receive({"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]})
+    percepts.receive(
+        {"status": [{"message": "mission status", "values": {"sample_2_analysed": "true"}}]}
+    )
     assert is_all_analysed(percepts)
     assert facts(None, percepts)["(analysed sample_2)"]
 
 
 def test_gripper_that_will_unfold_before_long_is_not_folded_to_a_plan():
     kb, percepts = KnowledgeBase(uav_model(), clock=lambda: 0.0), Percepts()
-    percepts.receive({"status": [{"message": "mission status", "values": {"gripper_folded": "true"}}]})
+    percepts.receive(
+        {"status": [{"message": "mission status", "values": {"gripper_folded": "true"}}]}
+    )
     assert facts(kb, percepts)["(gripper_folded drone)"]
     kb.request_action(PICK_UP)
     plan = kb.select(dict.fromkeys(("grip_sample",), "by_gripper"))

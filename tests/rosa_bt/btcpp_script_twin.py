@@ -7,7 +7,9 @@ import math
 import operator
 import re
 
-TOKEN = re.compile(r"'[^']*'|0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|@?\w+|[-+*/:]=|[=!<>]=|&&|\|\||\.\.|\S")
+TOKEN = re.compile(
+    r"'[^']*'|0[xX][0-9a-fA-F]+|\d+(?:\.\d+)?(?:[eE][-+]?\d+)?|@?\w+|[-+*/:]=|[=!<>]=|&&|\|\||\.\.|\S"
+)
 EXCLUDED = {"<": operator.ge, ">": operator.le, "<=": operator.gt, ">=": operator.lt}
 BITS = {"&": operator.and_, "|": operator.or_, "^": operator.xor}
 BINDS = {"||": 1, "&&": 2, **dict.fromkeys((*EXCLUDED, "==", "!="), 3), "|": 4, "^": 4, "&": 5}
@@ -160,7 +162,11 @@ def joined(sign, one, other):
         if not (sign == ".." or (sign == "+" and texts == 2)):
             raise Thrown
         return "".join(
-            side if isinstance(side, str) else f"{side:f}" if isinstance(side, float) else f"{side:d}"
+            side
+            if isinstance(side, str)
+            else f"{side:f}"
+            if isinstance(side, float)
+            else f"{side:d}"
             for side in (one, other)
         )
     if sign in BITS:
@@ -180,7 +186,10 @@ def joined(sign, one, other):
 def compared(sign, one, other, enums):
     if not (isinstance(one, str) and isinstance(other, str)):
         named = {**enums, "true": 1, "false": 0}
-        one, other = (double(number_of(side, named) if isinstance(side, str) else side) for side in (one, other))
+        one, other = (
+            double(number_of(side, named) if isinstance(side, str) else side)
+            for side in (one, other)
+        )
     if sign in EXCLUDED:
         return not EXCLUDED[sign](one, other)
     is_equal = one == other if isinstance(one, str) else abs(one - other) < 2**-23
@@ -190,7 +199,11 @@ def compared(sign, one, other, enums):
 def assigned(sign, target, given, board, enums):
     while target[0] == "inner":
         target = target[1]
-    if target[0] != "leaf" or not re.match(r"[@A-Za-z_]", target[1]) or target[1] in ("true", "false"):
+    if (
+        target[0] != "leaf"
+        or not re.match(r"[@A-Za-z_]", target[1])
+        or target[1] in ("true", "false")
+    ):
         raise Thrown
     name = target[1]
     if name not in board:
@@ -202,7 +215,11 @@ def assigned(sign, target, given, board, enums):
     if new is None:
         raise Thrown
     if sign not in (":=", "="):
-        if held is None or isinstance(held, str) != isinstance(new, str) or (isinstance(held, str) and sign != "+="):
+        if (
+            held is None
+            or isinstance(held, str) != isinstance(new, str)
+            or (isinstance(held, str) and sign != "+=")
+        ):
             raise Thrown
         new = joined(sign[0], held, new)
     if isinstance(held, int | float) and isinstance(new, str):

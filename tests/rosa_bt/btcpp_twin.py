@@ -27,7 +27,9 @@ class Board(UserDict):
     def place(self, key):
         if self.around is None or key in self.own:
             return self, key.lstrip("@")
-        if key.startswith("@") or (self.is_auto and key not in self.remapped and not key.startswith("_")):
+        if key.startswith("@") or (
+            self.is_auto and key not in self.remapped and not key.startswith("_")
+        ):
             return self.around.place(key)
         return self.around.place(self.remapped[key]) if key in self.remapped else (self, key)
 
@@ -69,7 +71,13 @@ class World:
 
 class Node:
     def __init__(self, tag, ports, children, world, board):
-        self.tag, self.ports, self.children, self.world, self.board = tag, ports, children, world, board
+        self.tag, self.ports, self.children, self.world, self.board = (
+            tag,
+            ports,
+            children,
+            world,
+            board,
+        )
         self.status = IDLE
         self.clear()
 
@@ -92,10 +100,18 @@ class Node:
         return truth(run(code, self.board, self.world.enums))
 
     def judged(self):
-        for rule, verdict in (("_failureIf", FAILURE), ("_successIf", SUCCESS), ("_skipIf", SKIPPED)):
+        for rule, verdict in (
+            ("_failureIf", FAILURE),
+            ("_successIf", SUCCESS),
+            ("_skipIf", SKIPPED),
+        ):
             if self.status == IDLE and rule in self.ports and self.holds(self.ports[rule]):
                 return verdict
-        if "_while" in self.ports and self.status in (IDLE, RUNNING) and not self.holds(self.ports["_while"]):
+        if (
+            "_while" in self.ports
+            and self.status in (IDLE, RUNNING)
+            and not self.holds(self.ports["_while"])
+        ):
             if self.status == RUNNING:
                 self.halt_node()
             return SKIPPED
@@ -238,7 +254,10 @@ class Together(Node):
 
 class Parallel(Together):
     def tick(self):
-        successes, failures = self.threshold("success_count", -1), self.threshold("failure_count", 1)
+        successes, failures = (
+            self.threshold("success_count", -1),
+            self.threshold("failure_count", 1),
+        )
         counts_skipped = int(self.ports.get("success_count", -1)) < 0
         self.status, skipped, count = RUNNING, 0, len(self.children)
         for child in self.children:
@@ -324,7 +343,9 @@ class Switch(Node):
             return False
         value = f"{value:f}" if isinstance(value, float) else str(value)
         one, other = (str(self.world.enums.get(text, text)) for text in (value, case))
-        wholes, numbers = ([re.match(form, text) for text in (one, other)] for form in (r"-?\d+", r"-?\d+(\.\d+)?"))
+        wholes, numbers = (
+            [re.match(form, text) for text in (one, other)] for form in (r"-?\d+", r"-?\d+(\.\d+)?")
+        )
         if one == other or (all(wholes) and int(wholes[0][0]) == int(wholes[1][0])):
             return True
         return all(numbers) and float(numbers[0][0]) == float(numbers[1][0])
@@ -334,7 +355,9 @@ class Switch(Node):
         value = self.board.get(self.ports["variable"].strip("{}"))
         value = int(value) if isinstance(value, bool) else value
         for number in range(len(cases), 0, -1):
-            chosen = cases[number - 1] if self.is_case(value, self.ports[f"case_{number}"]) else chosen
+            chosen = (
+                cases[number - 1] if self.is_case(value, self.ports[f"case_{number}"]) else chosen
+            )
         if self.running not in (None, chosen):
             self.reset(self.running)
         status = chosen.execute()
@@ -634,13 +657,21 @@ class Twin:
         if element.tag == "SubTree":
             children, inner = [self.trees[element.get("ID")]], self.board_of(element, board)
         made = [self.made(child, inner) for child in children]
-        return KINDS.get(element.tag, Leaf)(element.tag, dict(element.attrib), made, self.world, board)
+        return KINDS.get(element.tag, Leaf)(
+            element.tag, dict(element.attrib), made, self.world, board
+        )
 
     def board_of(self, element, board):
         ports = {key: text for key, text in element.attrib.items() if key != "ID" and key[0] != "_"}
-        keys = {key: key if text == "{=}" else text[1:-1] for key, text in ports.items() if text[0] == "{"}
+        keys = {
+            key: key if text == "{=}" else text[1:-1]
+            for key, text in ports.items()
+            if text[0] == "{"
+        }
         constants = {key: literal(text) for key, text in ports.items() if key not in keys}
-        self.world.boards.append(Board(board, keys, constants, is_auto=element.get("_autoremap") == "true"))
+        self.world.boards.append(
+            Board(board, keys, constants, is_auto=element.get("_autoremap") == "true")
+        )
         return self.world.boards[-1]
 
     def tick(self):

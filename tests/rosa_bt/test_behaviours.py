@@ -60,7 +60,10 @@ def test_condition_follows_feasibility_and_gives_the_reason(kb):
     kb.measure("light", 0.24)
     condition.tick_once()
     assert condition.status is Status.FAILURE
-    assert condition.feedback_message == "scan is unfeasible because light 0.24 violates >= 0.5 (measured 0.0 s ago)"
+    assert (
+        condition.feedback_message
+        == "scan is unfeasible because light 0.24 violates >= 0.5 (measured 0.0 s ago)"
+    )
 
 
 def test_running_action_is_feasible_although_its_status_is_solved(kb):
@@ -181,7 +184,10 @@ def test_condition_whose_port_carries_nothing_or_nonsense_fails_with_the_text(kb
     empty, wrong = IsActionFeasible("empty", kb), IsActionFeasible("wrong", kb)
     empty.setup_ports({})
     wrong.setup_ports({"action": "__const_scam"})
-    for condition, text in ((empty, "NoDataAvailable"), (wrong, "UnknownName: unknown action 'scam'; did you mean")):
+    for condition, text in (
+        (empty, "NoDataAvailable"),
+        (wrong, "UnknownName: unknown action 'scam'; did you mean"),
+    ):
         condition.tick_once()
         assert condition.status is Status.FAILURE
         assert condition.feedback_message.startswith(text)
@@ -192,7 +198,10 @@ def test_update_that_returns_no_status_is_a_failure_that_says_so(kb):
     action = Scripted(kb, "rest", [None])
     action.tick_once()
     assert action.status is Status.FAILURE
-    assert action.feedback_message == "TypeError: update returned None, which is no py_trees.common.Status"
+    assert (
+        action.feedback_message
+        == "TypeError: update returned None, which is no py_trees.common.Status"
+    )
     assert results(kb) == [("rest", "failed")]
 
 

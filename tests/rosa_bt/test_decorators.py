@@ -44,7 +44,12 @@ def test_something_is_required_at_the_end_of_every_tick_of_a_mission_that_altern
             return Status.SUCCESS if kb.is_feasible("explore") else Status.RUNNING
 
     mission = Selector("mission", memory=True)
-    mission.add_children([Explore("explore", kb, "explore"), SuccessIsFailure("go on", Charge("charge", kb, "charge"))])
+    mission.add_children(
+        [
+            Explore("explore", kb, "explore"),
+            SuccessIsFailure("go on", Charge("charge", kb, "charge")),
+        ]
+    )
     runner = TreeRunner(UntilSuccess("until done", mission), clock=lambda: 0.0)
     doing = []
     for level in (1.0, 0.1, 0.1, 1.0, 1.0):

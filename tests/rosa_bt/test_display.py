@@ -29,7 +29,9 @@ def mission():
     model.action("explore", constraints=[energy >= 0.2])
     model.action("charge")
     kb = KnowledgeBase(model, clock=lambda: 0.0)
-    root = do_until_unfeasible(Act("explore", kb, "explore"), ForAction("charge", kb, "charge", Running("plug in")))
+    root = do_until_unfeasible(
+        Act("explore", kb, "explore"), ForAction("charge", kb, "charge", Running("plug in"))
+    )
     kb.measure("energy", 0.1)
     root.tick_once()
     return root
@@ -52,7 +54,10 @@ def test_graph_has_a_node_for_each_behaviour_and_an_edge_to_each_but_the_root():
     assert lines[0] == "digraph tree {"
     assert lines[-1] == "}"
     assert sum("label=" in line for line in lines) == len(list(root.iterate()))
-    assert sum("->" in line and "label=" not in line for line in lines) == len(list(root.iterate())) - 1
+    assert (
+        sum("->" in line and "label=" not in line for line in lines)
+        == len(list(root.iterate())) - 1
+    )
     assert any("explore is unfeasible because" in line for line in lines)
 
 
@@ -72,13 +77,19 @@ TREES = st.recursive(
     st.builds(lambda kind, name: kind(name), st.sampled_from([Success, Failure, Running]), NAMES),
     lambda children: st.one_of(
         st.builds(
-            lambda name, below: Sequence(name, memory=True, children=below), NAMES, st.lists(children, max_size=3)
+            lambda name, below: Sequence(name, memory=True, children=below),
+            NAMES,
+            st.lists(children, max_size=3),
         ),
         st.builds(
-            lambda name, below: Selector(name, memory=False, children=below), NAMES, st.lists(children, max_size=3)
+            lambda name, below: Selector(name, memory=False, children=below),
+            NAMES,
+            st.lists(children, max_size=3),
         ),
         st.builds(
-            lambda name, below: Parallel(name, policy=ParallelPolicy.SuccessOnAll(), children=below),
+            lambda name, below: Parallel(
+                name, policy=ParallelPolicy.SuccessOnAll(), children=below
+            ),
             NAMES,
             st.lists(children, max_size=3),
         ),

@@ -112,7 +112,10 @@ def test_a_file_says_how_long_an_action_takes(kb):
     found = [one.status for one in root.iterate() if isinstance(one, IsActionFeasible)]
     assert found == [Status.FAILURE, Status.SUCCESS]
     again = load_xml(export_xml(root), BehaviourRegistry(kb=kb))
-    assert [one.during for one in again.iterate() if isinstance(one, IsActionFeasible)] == [20.0, 10.0]
+    assert [one.during for one in again.iterate() if isinstance(one, IsActionFeasible)] == [
+        20.0,
+        10.0,
+    ]
     written = export_xml(IsActionFeasible("can?", kb, "inspect", during=2.5))
     alone = load_xml(written, BehaviourRegistry(kb=kb))
     assert [one.during for one in alone.iterate() if isinstance(one, IsActionFeasible)] == [2.5]

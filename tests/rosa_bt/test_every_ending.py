@@ -124,9 +124,17 @@ class Plan:
         if self.kind == "sequence":
             return Sequence("sequence", memory=self.memory, children=children)
         if self.kind == "parallel":
-            return Parallel("parallel", policy=ParallelPolicy.SuccessOnAll(synchronise=self.memory), children=children)
+            return Parallel(
+                "parallel",
+                policy=ParallelPolicy.SuccessOnAll(synchronise=self.memory),
+                children=children,
+            )
         if self.kind == "or else":
-            return do_until_unfeasible(children[0], children[-1], memory=self.memory) if children[1:] else children[0]
+            return (
+                do_until_unfeasible(children[0], children[-1], memory=self.memory)
+                if children[1:]
+                else children[0]
+            )
         decorators = {"inverter": Inverter, "until": UntilSuccess, "go on": FailureIsRunning}
         if self.kind in decorators:
             return decorators[self.kind](self.kind, children[0])
@@ -182,7 +190,9 @@ def happen(what, number, kb, runner, spare):
 
 @settings(max_examples=100)
 @given(TREES, st.lists(HAPPENINGS, min_size=3, max_size=10), TREES)
-def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened(plan, happenings, spare):
+def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened(
+    plan, happenings, spare
+):
     kb = rover()
     released = []
     cancel = kb.cancel_action
@@ -197,7 +207,9 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
         nodes = list(runner.tree.root.iterate())
         for node in nodes:
             if node.status is Status.RUNNING and node is not runner.tree.root:
-                assert node.parent.status is Status.RUNNING, f"{node.name} runs, {node.parent.name} does not"
+                assert node.parent.status is Status.RUNNING, (
+                    f"{node.name} runs, {node.parent.name} does not"
+                )
         shown = visitor.trace.ticks[-1]
         assert [shown.tree[visit.node].name for visit in shown.visited][-1] == runner.tree.root.name
         held = {node.action for node in nodes if is_holding(node)}
@@ -206,7 +218,10 @@ def test_no_request_is_open_or_released_twice_and_nothing_runs_whatever_happened
     assert kb.required_actions == ()
     assert len(released) == len(kb.history.actions)
     assert len(visitor.trace.ticks) == len(happenings)
-    left = [*runner.tree.root.iterate(), *(node for subtree in taken_out for node in subtree.iterate())]
+    left = [
+        *runner.tree.root.iterate(),
+        *(node for subtree in taken_out for node in subtree.iterate()),
+    ]
     assert all(node.status is not Status.RUNNING for node in left)
 
 

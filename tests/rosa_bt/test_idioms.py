@@ -96,7 +96,9 @@ def history(kb):
 
 @pytest.mark.parametrize("ending", [Status.SUCCESS, Status.FAILURE])
 def test_unmodified_behaviour_is_requested_for_while_it_runs_and_released_as_it_ends(kb, ending):
-    root = ForAction("search", kb, "search", StatusQueue("look", queue=[Status.RUNNING], eventually=ending))
+    root = ForAction(
+        "search", kb, "search", StatusQueue("look", queue=[Status.RUNNING], eventually=ending)
+    )
     root.tick_once()
     assert required(kb) == ["search"]
     root.tick_once()
@@ -111,7 +113,10 @@ def test_unmodified_behaviour_is_stopped_with_the_reason_when_its_action_becomes
     kb.measure("light", 0.0)
     root.tick_once()
     assert (root.status, child.status) == (Status.FAILURE, Status.INVALID)
-    assert root.feedback_message == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
+    assert (
+        root.feedback_message
+        == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
+    )
     assert history(kb) == [("search", "abandoned")]
     root.stop(Status.INVALID)
     assert len(kb.history.actions) == 1
@@ -134,10 +139,17 @@ def test_status_condition_follows_the_element(kb):
     ("element", "status", "error", "message"),
     [
         ("camra", "failure", UnknownName, "unknown element 'camra'; did you mean 'camera'"),
-        ("camera", "broken", InvalidValue, "component 'camera' is never 'broken'; it can be 'failure'"),
+        (
+            "camera",
+            "broken",
+            InvalidValue,
+            "component 'camera' is never 'broken'; it can be 'failure'",
+        ),
     ],
 )
-def test_what_a_status_condition_cannot_mean_is_found_at_construction(kb, element, status, error, message):
+def test_what_a_status_condition_cannot_mean_is_found_at_construction(
+    kb, element, status, error, message
+):
     with pytest.raises(error, match=message):
         HasStatus("x", kb, element, status)
 
@@ -147,7 +159,8 @@ def test_name_that_elements_of_two_kinds_share_needs_a_view():
     model.component("charge").configuration("charge")
     kb = KnowledgeBase(model, clock=lambda: 0.0)
     with pytest.raises(
-        AmbiguousName, match=r"a component, a configuration; pass the view meant, e.g. kb.components\['"
+        AmbiguousName,
+        match=r"a component, a configuration; pass the view meant, e.g. kb.components\['",
     ):
         HasStatus("x", kb, "charge", "unfeasible")
     condition = HasStatus("x", kb, kb.components["charge"], "feasible")
@@ -156,7 +169,8 @@ def test_name_that_elements_of_two_kinds_share_needs_a_view():
 
 
 @pytest.mark.parametrize(
-    ("operator", "holds"), [(">=", [0, 1, 1]), (">", [0, 0, 1]), ("<=", [1, 1, 0]), ("<", [1, 0, 0])]
+    ("operator", "holds"),
+    [(">=", [0, 1, 1]), (">", [0, 0, 1]), ("<=", [1, 1, 0]), ("<", [1, 0, 0])],
 )
 def test_measurement_condition_compares(kb, operator, holds):
     condition = Measurement("x", kb, "energy", operator, 0.25)
@@ -206,7 +220,9 @@ def test_action_that_waits_starts_when_the_robot_is_configured_for_it(kb, make):
 
     task.tick_once()
     assert (task.status, has_begun()) == (Status.RUNNING, False)
-    assert task.feedback_message.startswith("waiting: inspect is unsolved because function look is unsolved")
+    assert task.feedback_message.startswith(
+        "waiting: inspect is unsolved because function look is unsolved"
+    )
     kb.select(designs={"look": "by_camera"}, configurations={"camera": "night"})
     kb.component_active("camera", True)
     task.tick_once()
@@ -243,7 +259,9 @@ def test_time_out_is_more_than_zero(kb, timeout):
 
 
 @pytest.mark.parametrize(("memory", "expected"), [(False, "search"), (True, "charge")])
-def test_first_feasible_action_is_done_and_a_preferred_one_takes_over_unless_there_is_memory(kb, memory, expected):
+def test_first_feasible_action_is_done_and_a_preferred_one_takes_over_unless_there_is_memory(
+    kb, memory, expected
+):
     root = first_feasible("best", [Act(kb, "search"), Act(kb, "charge")], memory=memory)
     root.tick_once()
     assert required(kb) == ["search"]
@@ -266,7 +284,9 @@ def test_first_feasible_action_is_done_and_a_preferred_one_takes_over_unless_the
     ),
     st.booleans(),
 )
-def test_exactly_one_action_is_required_after_every_tick_and_the_task_whenever_it_can_be(moments, memory):
+def test_exactly_one_action_is_required_after_every_tick_and_the_task_whenever_it_can_be(
+    moments, memory
+):
     kb = KnowledgeBase(drone(), clock=Clock())
     charge = Act(kb, "charge")
     root = do_until_unfeasible(Act(kb, "search"), charge, memory=memory)
@@ -285,7 +305,9 @@ def test_exactly_one_action_is_required_after_every_tick_and_the_task_whenever_i
 
 
 @pytest.mark.parametrize("memory", [False, True])
-def test_task_gives_way_while_it_is_unfeasible_and_something_is_required_after_every_tick(kb, memory):
+def test_task_gives_way_while_it_is_unfeasible_and_something_is_required_after_every_tick(
+    kb, memory
+):
     search, charge = Act(kb, "search"), Act(kb, "charge")
     root = do_until_unfeasible(search, charge, memory=memory)
     doing = []
@@ -324,7 +346,11 @@ def test_ending_of_the_task_for_any_other_reason_is_the_ending_of_the_whole(kb, 
 
 
 def test_task_may_be_a_subtree_of_several_actions(kb):
-    both = Sequence("both", memory=True, children=[feasible_then_act(Act(kb, name)) for name in ("search", "inspect")])
+    both = Sequence(
+        "both",
+        memory=True,
+        children=[feasible_then_act(Act(kb, name)) for name in ("search", "inspect")],
+    )
     root = do_until_unfeasible(both, ForAction("charge", kb, "charge", Running("plug in")))
     root.tick_once()
     kb.measure("energy", 0.1)
@@ -334,7 +360,9 @@ def test_task_may_be_a_subtree_of_several_actions(kb):
 
 
 def test_task_whose_action_is_taken_out_of_the_model_gives_way_too(kb):
-    runner = TreeRunner(do_until_unfeasible(Act(kb, "search"), Act(kb, "charge")), clock=lambda: 0.0)
+    runner = TreeRunner(
+        do_until_unfeasible(Act(kb, "search"), Act(kb, "charge")), clock=lambda: 0.0
+    )
     runner.tick()
     kb.model.remove(kb.model.actions["search"])
     runner.tick()
@@ -403,7 +431,9 @@ def test_action_does_not_begin_when_its_transition_fails(kb):
 
 def test_transition_names_actions_of_the_tree_and_has_one_place(kb):
     root = first_feasible("mission", [Act(kb, "search"), Act(kb, "charge"), Act(kb, "charge")])
-    with pytest.raises(UnknownName, match="unknown action of the tree 'serch'; did you mean 'search'"):
+    with pytest.raises(
+        UnknownName, match="unknown action of the tree 'serch'; did you mean 'search'"
+    ):
         switch_safely(root, {("serch", "charge"): Success("land")})
     with pytest.raises(TreeChangeError, match="2 behaviours do 'charge'"):
         switch_safely(root, {("search", "charge"): Success("land")})
@@ -447,14 +477,20 @@ def test_action_continues_where_an_adaptation_interrupted_it(kb, action):
 
 
 def test_another_behaviour_of_the_same_name_continues_as_the_steps_of_a_plan_do(kb):
-    first, second, other = Counting(kb, "search"), Counting(kb, "search"), Counting(kb, "search", name="elsewhere")
+    first, second, other = (
+        Counting(kb, "search"),
+        Counting(kb, "search"),
+        Counting(kb, "search", name="elsewhere"),
+    )
     for task in (first, second, other):
         task.tick_once()
         task.stop(Status.INVALID)
     assert (first.done, second.done, other.done) == ([0], [1], [0])
 
 
-@pytest.mark.parametrize("how", ["completed", "shut down", "another runner", "forgotten", "root succeeded"])
+@pytest.mark.parametrize(
+    "how", ["completed", "shut down", "another runner", "forgotten", "root succeeded"]
+)
 def test_progress_is_dropped_when_the_action_completes_and_when_the_mission_begins_anew(kb, how):
     task = Counting(kb, "search")
     root = Sequence("root", memory=True, children=[task])
@@ -506,7 +542,9 @@ def test_progress_is_kept_apart_for_two_runners_with_behaviours_of_one_name(kb):
 # ---------------------------------------------------------------- what becomes unfeasible is given up
 
 
-@pytest.mark.parametrize("around", [lambda task: task, lambda task: Sequence("all", memory=True, children=[task])])
+@pytest.mark.parametrize(
+    "around", [lambda task: task, lambda task: Sequence("all", memory=True, children=[task])]
+)
 def test_action_that_becomes_unfeasible_is_given_up_with_the_reason_wherever_it_stands(kb, around):
     task = Counting(kb, "search")
     root = around(task)
@@ -514,7 +552,10 @@ def test_action_that_becomes_unfeasible_is_given_up_with_the_reason_wherever_it_
     kb.measure("light", 0.0)
     root.tick_once()
     assert (root.status, task.status, task.done) == (Status.FAILURE, Status.FAILURE, [0])
-    assert task.feedback_message == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
+    assert (
+        task.feedback_message
+        == "search is unfeasible because light 0 violates >= 0.1 (measured 0.0 s ago)"
+    )
     assert history(kb) == [("search", "abandoned")]
     kb.measure("light", 1.0)
     root.tick_once()
@@ -547,16 +588,25 @@ def test_bare_actions_of_a_task_give_way_too(kb):
         (lambda bad, real: Selector("choice", memory=True, children=[real, bad]), Status.RUNNING),
         (
             lambda bad, real: Sequence(
-                "steps", memory=True, children=[Selector("s", memory=False, children=[bad, Success("ok")]), real]
+                "steps",
+                memory=True,
+                children=[Selector("s", memory=False, children=[bad, Success("ok")]), real],
             ),
             Status.FAILURE,
         ),
-        (lambda bad, real: Parallel("p", policy=ParallelPolicy.SuccessOnAll(), children=[bad, real]), Status.FAILURE),
+        (
+            lambda bad, real: Parallel(
+                "p", policy=ParallelPolicy.SuccessOnAll(), children=[bad, real]
+            ),
+            Status.FAILURE,
+        ),
         (lambda bad, real: ForAction("f", real_kb(bad), "charge", real), Status.FAILURE),
     ],
     ids=["choice", "condition first", "steps", "parallel", "for"],
 )
-def test_failure_for_a_real_reason_surfaces_although_another_action_in_the_task_is_unfeasible(kb, compose, expected):
+def test_failure_for_a_real_reason_surfaces_although_another_action_in_the_task_is_unfeasible(
+    kb, compose, expected
+):
     kb.measure("light", 0.0)
     task = compose(feasible_then_act(Act(kb, "search")), Failure("broken"))
     root = do_until_unfeasible(task, Act(kb, "inspect"))
@@ -573,10 +623,16 @@ def test_actions_that_nothing_stops_when_they_become_unfeasible_are_named(kb):
     def stubborn(action="search"):
         return Act(kb, action, even_if_unfeasible=True)
 
-    asked = [feasible_then_act(stubborn()), ForAction("for", kb, "search", stubborn()), Act(kb, "inspect")]
+    asked = [
+        feasible_then_act(stubborn()),
+        ForAction("for", kb, "search", stubborn()),
+        Act(kb, "inspect"),
+    ]
     assert unguarded(Sequence("all", memory=True, children=asked)) == []
     bare, for_another = stubborn(), stubborn()
-    too_late = Sequence("s", memory=True, children=[IsActionFeasible("?", kb, "search"), stubborn()])
+    too_late = Sequence(
+        "s", memory=True, children=[IsActionFeasible("?", kb, "search"), stubborn()]
+    )
     others = [bare, ForAction("for", kb, "inspect", for_another), too_late]
     found = unguarded(Sequence("all", memory=True, children=others))
     assert found == [bare, for_another, too_late.children[1]]

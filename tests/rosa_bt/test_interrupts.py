@@ -71,10 +71,15 @@ def held(kb):
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize("when", ["first", "next", "success", "failure", "unfeasible"])
-def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_running_to_be_stopped(make, when):
+def test_interrupt_at_any_instruction_of_a_tick_ends_the_action_or_leaves_it_running_to_be_stopped(
+    make, when
+):
     def case():
         kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-        ends = {"success": [Status.RUNNING, Status.SUCCESS], "failure": [Status.RUNNING, Status.FAILURE]}
+        ends = {
+            "success": [Status.RUNNING, Status.SUCCESS],
+            "failure": [Status.RUNNING, Status.FAILURE],
+        }
         action = make(kb, ends.get(when, []))
         if when != "first":
             action.tick_once()
@@ -107,7 +112,9 @@ def test_interrupt_at_any_instruction_of_a_tick_of_a_runner_leaves_nothing_open(
             assert held(kb) == [] or runner.status is Status.RUNNING, instruction
             runner.shutdown()
             assert held(kb) == [], instruction
-            assert not any(one.is_on for one in runner.tree.root.iterate() if isinstance(one, Act)), instruction
+            assert not any(
+                one.is_on for one in runner.tree.root.iterate() if isinstance(one, Act)
+            ), instruction
 
         return runner.tick, check
 
@@ -139,7 +146,9 @@ def test_interrupt_in_the_end_of_one_action_keeps_no_other_from_being_stopped():
 
     kb = KnowledgeBase(rover(), clock=lambda: 0.0)
     policy = ParallelPolicy.SuccessOnAll(synchronise=False)
-    root = Parallel("all", policy=policy, children=[Rude(kb, "scan"), Act(kb, "rest"), Running("on")])
+    root = Parallel(
+        "all", policy=policy, children=[Rude(kb, "scan"), Act(kb, "rest"), Running("on")]
+    )
     runner = TreeRunner(root, clock=lambda: 0.0)
     runner.tick()
     with pytest.raises(KeyboardInterrupt):
@@ -192,5 +201,7 @@ def test_request_of_a_program_that_has_ended_is_settled_with_that_reason(tmp_pat
     TreeRunner(Act(kb, "rest"), clock=lambda: 0.0)
     assert held(kb) == []
     cancelled = [one for one in kb.store.events() + list(kb.log) if one.verb == "cancel_action"]
-    assert {one.arguments for one in cancelled} == {("rest", "abandoned", "the program that requested it has ended")}
+    assert {one.arguments for one in cancelled} == {
+        ("rest", "abandoned", "the program that requested it has ended")
+    }
     kb.close()

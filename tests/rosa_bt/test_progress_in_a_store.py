@@ -82,7 +82,9 @@ def test_killed_program_is_gone_on_with(path):
         "import os, sys\nfrom test_progress_in_a_store import Program\n"
         "program = Program(sys.argv[1])\nprogram.tick(4)\nprogram.kb.flush(300)\nos._exit(9)"
     )
-    done = subprocess.run([sys.executable, "-c", script, path], cwd=__file__.rpartition("/")[0], timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", script, path], cwd=__file__.rpartition("/")[0], timeout=300
+    )
     assert done.returncode == 9
     assert Program(path).tick(1) == 5
 

@@ -11,7 +11,8 @@ from rosa_bt import BehaviourRegistry, TraceVisitor, TreeRunner, XmlError, expor
 LEAVES = {"a": ("A", "RS"), "b": ("A", "SF"), "c": ("C", "SF")}
 S, F, R = Status.SUCCESS, Status.FAILURE, Status.RUNNING
 TREE = wrapped(
-    '<Sequence><c/><SubTree ID="Sub"/><a name="last"/></Sequence>', Sub='<Sequence><a/><b name="b2"/></Sequence>'
+    '<Sequence><c/><SubTree ID="Sub"/><a name="last"/></Sequence>',
+    Sub='<Sequence><a/><b name="b2"/></Sequence>',
 )
 
 
@@ -31,7 +32,10 @@ def ran(substitutes, ticks=3, text=TREE):
             {"*/b?": [F, R, S], "a": S},
             ["0| c:c:S => FAILURE", "1| c:c:F => FAILURE", "2| c:c:S => RUNNING", "3| => SUCCESS"],
         ),
-        ({"c": [S, S, F], "Main*": S}, ["0| => SUCCESS", "1| => SUCCESS", "2| => FAILURE", "3| => FAILURE"]),
+        (
+            {"c": [S, S, F], "Main*": S},
+            ["0| => SUCCESS", "1| => SUCCESS", "2| => FAILURE", "3| => FAILURE"],
+        ),
     ],
 )
 def test_leaf_is_substituted_by_name_tag_or_pattern_of_its_path(substitutes, lines):
@@ -39,7 +43,9 @@ def test_leaf_is_substituted_by_name_tag_or_pattern_of_its_path(substitutes, lin
 
 
 def test_substitute_needs_no_registered_behaviour_and_rules_stay():
-    text = wrapped('<Sequence><drive speed="2" _onSuccess="driven := 1"/><turn _skipIf="driven == 1"/></Sequence>')
+    text = wrapped(
+        '<Sequence><drive speed="2" _onSuccess="driven := 1"/><turn _skipIf="driven == 1"/></Sequence>'
+    )
     tree = load_xml(text, BehaviourRegistry(), substitutes={"drive": [R, S], "turn": F})
     for outcome in (R, S):
         tree.tick_once()
@@ -72,8 +78,15 @@ def test_substitute_is_asked_again_only_if_the_leaf_would_be():
 
 def test_function_makes_the_substitute():
     said = []
-    tree = load_xml(TREE, registry_of(LEAVES, said), substitutes={"last": lambda name: Action(name, iter("RS"), said)})
-    assert trace(tree.tick_once, tree, said, 3)[1:] == ["1| a:r:S b:s:S last:s:R => RUNNING", "2| last:r:S => SUCCESS"]
+    tree = load_xml(
+        TREE,
+        registry_of(LEAVES, said),
+        substitutes={"last": lambda name: Action(name, iter("RS"), said)},
+    )
+    assert trace(tree.tick_once, tree, said, 3)[1:] == [
+        "1| a:r:S b:s:S last:s:R => RUNNING",
+        "2| last:r:S => SUCCESS",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +94,10 @@ def test_function_makes_the_substitute():
     [
         ({"lst": S}, "no leaf matches 'lst'; leaves: Main/Sub/a, Main/Sub/b2, Main/c, Main/last"),
         ({"last": []}, r"'last' is replaced by statuses of py_trees or by a function, not by \[\]"),
-        ({"last": "SUCCESS"}, "'last' is replaced by statuses of py_trees or by a function, not by 'SUCCESS'"),
+        (
+            {"last": "SUCCESS"},
+            "'last' is replaced by statuses of py_trees or by a function, not by 'SUCCESS'",
+        ),
     ],
 )
 def test_substitute_that_cannot_be_is_refused(substitutes, problem):
@@ -102,7 +118,11 @@ def test_leaves_do_again_what_was_recorded_of_them():
     assert len(set(outcomes)) == 3
     recorded = {name: visitor.trace.statuses(name) for name in "cb"}
     assert recorded["c"][:2] == (S, F)
-    again = load_xml(TREE, registry_of({"a": LEAVES["a"], "b": ("A", "F"), "c": ("C", "F")}, []), substitutes=recorded)
+    again = load_xml(
+        TREE,
+        registry_of({"a": LEAVES["a"], "b": ("A", "F"), "c": ("C", "F")}, []),
+        substitutes=recorded,
+    )
     for outcome in outcomes:
         again.tick_once()
         assert again.status is outcome

@@ -34,7 +34,12 @@ def within_every_node(leaf, kb):
     registry = BehaviourRegistry(kb=kb)
     registry.register("leaf", leaf)
     registry.register("under", lambda name, child: ForAction(name, kb, "scan", child))
-    ports = {"Repeat": "num_cycles", "RetryUntilSuccessful": "num_attempts", "Delay": "delay_msec", "Timeout": "msec"}
+    ports = {
+        "Repeat": "num_cycles",
+        "RetryUntilSuccessful": "num_attempts",
+        "Delay": "delay_msec",
+        "Timeout": "msec",
+    }
     needed = {**{tag: f'{port}="3"' for tag, port in ports.items()}, "Precondition": 'if="true"'}
     needed |= dict.fromkeys(("SkipUnlessUpdated", "WaitValueUpdate"), 'entry="x"')
     needed |= dict.fromkeys(("LoopInt", "LoopDouble", "LoopBool", "LoopString"), 'queue="1;1"')
@@ -44,7 +49,12 @@ def within_every_node(leaf, kb):
         yield count, load_xml(wrapped(f"<under>{tree}</under>"), registry)
     yield 1, UntilSuccess("until", leaf("leaf"))
     yield 2, DoUntilUnfeasible("do", leaf("leaf"), leaf("leaf"))
-    yield 2, switch_safely(ForAction("scan", kb, "scan", leaf("leaf")), {("scan", "scan"): leaf("leaf")})
+    yield (
+        2,
+        switch_safely(
+            ForAction("scan", kb, "scan", leaf("leaf")), {("scan", "scan"): leaf("leaf")}
+        ),
+    )
 
 
 def test_every_node_passes_on_setup_and_shutdown_and_its_tip_is_what_is_running():
@@ -59,7 +69,11 @@ def test_every_node_passes_on_setup_and_shutdown_and_its_tip_is_what_is_running(
         assert Device.said == [("setup", "the node")] * count
         assert root.tip() is None
         runner.tick()
-        running = [one for one in root.iterate() if isinstance(one, Device) and one.status is Status.RUNNING]
+        running = [
+            one
+            for one in root.iterate()
+            if isinstance(one, Device) and one.status is Status.RUNNING
+        ]
         if running:
             assert root.tip() in running, root.name
             tips += 1

@@ -49,7 +49,9 @@ class Act(RosaAction):
 
 
 def act(kb):
-    return do_until_unfeasible(Act("explore", kb, "explore", wait=True), Act("charge", kb, "charge"), name="mission")
+    return do_until_unfeasible(
+        Act("explore", kb, "explore", wait=True), Act("charge", kb, "charge"), name="mission"
+    )
 
 
 def tree(kb):
@@ -72,13 +74,17 @@ TOLD = {
     "fail": lambda kb, number: kb.component_failed("camera", "dirt" if number % 2 else ""),
     "recover": lambda kb, number: kb.component_recovered("camera"),
     "stop": lambda kb, number: kb.component_active("radar", False, "crashed" if number % 2 else ""),
-    "assert": lambda kb, number: kb.assert_status(kb.actions["explore"], "unfeasible", "a person says so", kb.now + 1),
+    "assert": lambda kb, number: kb.assert_status(
+        kb.actions["explore"], "unfeasible", "a person says so", kb.now + 1
+    ),
     "forbid": lambda kb, number: kb.assert_status("by_camera", "unfeasible"),
     "allow": lambda kb, number: kb.retract_status("by_camera"),
     "ask": lambda kb, number: kb.request_action("charge"),
     "stop asking": lambda kb, number: kb.cancel_action("charge", "failed", "a person says so"),
 }
-TELLING = st.lists(st.lists(st.tuples(st.sampled_from(sorted(TOLD)), st.integers(0, 9)), max_size=3), max_size=8)
+TELLING = st.lists(
+    st.lists(st.tuples(st.sampled_from(sorted(TOLD)), st.integers(0, 9)), max_size=3), max_size=8
+)
 
 
 def run(told, path=None, keep=1000):
@@ -124,10 +130,16 @@ def test_tick_tells_what_was_ticked_what_was_told_and_what_was_decided_with_the_
     ]
     shown = {first.tree[visit.node].name: visit for visit in first.visited}
     assert (shown["explore"].status, shown["explore"].feedback[:8]) == ("RUNNING", "waiting:")
-    assert [one[:4] for one, place in first.events if place == -1] == [(1, 0.0, "measure", ("energy", 1.0))]
-    assert [(one.verb, one.subject) for one, place in first.events if place is None] == [("request_action", "explore")]
+    assert [one[:4] for one, place in first.events if place == -1] == [
+        (1, 0.0, "measure", ("energy", 1.0))
+    ]
+    assert [(one.verb, one.subject) for one, place in first.events if place is None] == [
+        ("request_action", "explore")
+    ]
     assert first.decisions == (("explore", "requested", ""),)
-    assert [one[1:4] for one, _ in third.events if one.verb == "measure"] == [(1.0, "measure", ("energy", 0.1))]
+    assert [one[1:4] for one, _ in third.events if one.verb == "measure"] == [
+        (1.0, "measure", ("energy", 0.1))
+    ]
     why = "explore is unfeasible because energy 0.1 violates >= 0.2 (measured 0.0 s ago)"
     assert third.decisions == (
         ("explore", "unfeasible", why),
@@ -157,12 +169,18 @@ def test_text_in_any_language_is_written_as_it_is():
 def test_tick_that_is_like_the_one_before_takes_few_bytes(tmp_path):
     path = tmp_path / "run.jsonl"
     run([[]] * 50, path)
-    assert [line for line in path.read_text().splitlines() if json.loads(line).keys() == {"tick", "time"}][40:]
+    assert [
+        line
+        for line in path.read_text().splitlines()
+        if json.loads(line).keys() == {"tick", "time"}
+    ][40:]
 
 
 def test_tree_that_has_changed_is_written_again():
     kb = KnowledgeBase(rover(), clock=lambda: 0.0)
-    root = Sequence("root", memory=False, children=[StatusQueue("a", queue=[], eventually=Status.SUCCESS)])
+    root = Sequence(
+        "root", memory=False, children=[StatusQueue("a", queue=[], eventually=Status.SUCCESS)]
+    )
     runner = TreeRunner(root, clock=lambda: 0.0)
     visitor = TraceVisitor(kb)
     runner.tree.add_visitor(visitor)
@@ -195,8 +213,14 @@ def test_trace_that_begins_late_holds_what_was_known_already_and_is_replayed():
         runner.tree.add_visitor(visitor)
         runner.tick()
         runner.shutdown()
-    assert [one.verb for one, place in visitor.trace.ticks[0].events if place == -1] == ["request_action", "measure"]
-    assert replay_trace(visitor.trace, rover(), tree).ticks[0].visited == visitor.trace.ticks[0].visited
+    assert [one.verb for one, place in visitor.trace.ticks[0].events if place == -1] == [
+        "request_action",
+        "measure",
+    ]
+    assert (
+        replay_trace(visitor.trace, rover(), tree).ticks[0].visited
+        == visitor.trace.ticks[0].visited
+    )
 
 
 def test_trace_without_its_first_events_says_so():
@@ -207,7 +231,10 @@ def test_trace_without_its_first_events_says_so():
 
 
 @settings(max_examples=50)
-@given(st.text(max_size=8) | st.sampled_from(["a\x85b\u2028c\u2029d\x0be\x1cf", "\udc80", "a\nb\r\n", "é🤖\0"]))
+@given(
+    st.text(max_size=8)
+    | st.sampled_from(["a\x85b\u2028c\u2029d\x0be\x1cf", "\udc80", "a\nb\r\n", "é🤖\0"])
+)
 def test_any_text_is_read_as_it_was_written(tmp_path_factory, reason):
     path = tmp_path_factory.getbasetemp() / "odd.jsonl"
     kb = KnowledgeBase(rover(), clock=lambda: 0.0)
@@ -227,7 +254,10 @@ EVENT = '{"number":1,"time":0.0,"verb":"cancel_action","arguments":["search"]}'
     ("text", "message"),
     [
         ("", "is empty"),
-        ("nonsense\n", r":1: not a line of a trace .JSONDecodeError: Expecting value: line 1 column 1"),
+        (
+            "nonsense\n",
+            r":1: not a line of a trace .JSONDecodeError: Expecting value: line 1 column 1",
+        ),
         ("[]\n", r":1: not a line of a trace"),
         ('{"rosa_bt_trace":1,"model":"x"}\n', "version 1; this program reads version 3"),
         (HEAD + '{"tick":0}\n', r":2: not a line of a trace"),
@@ -240,8 +270,14 @@ EVENT = '{"number":1,"time":0.0,"verb":"cancel_action","arguments":["search"]}'
             HEAD + '{"tick":0,"time":0.0,"tree":[[0,"A","a"]],"visited":[[0,"WELL",""]]}\n',
             ":2: .*no status of py_trees",
         ),
-        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},"x"]]}}\n', ":2: .*the place of an event is"),
-        (HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},null]]}}\n', ":2: not a line of a trace"),
+        (
+            HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},"x"]]}}\n',
+            ":2: .*the place of an event is",
+        ),
+        (
+            HEAD + f'{{"tick":0,"time":0.0,"visited":[],"events":[[{EVENT},null]]}}\n',
+            ":2: not a line of a trace",
+        ),
         (HEAD + '"tick"\n', r":2: not a line of a trace"),
         (HEAD + '{"tick":1e999,"time":0.0}\n', r":2: not a line of a trace"),
         pytest.param("[" * 100_000, r":1: not a line of a trace \(RecursionError", id="deep"),
@@ -254,7 +290,9 @@ def test_file_that_is_no_trace_is_refused_with_its_line(tmp_path, text, message)
         read_trace(path)
 
 
-@pytest.mark.parametrize(("verb", "arguments"), [("explode", []), ("measure", ["light"]), ("amend", ["declared", "x"])])
+@pytest.mark.parametrize(
+    ("verb", "arguments"), [("explode", []), ("measure", ["light"]), ("amend", ["declared", "x"])]
+)
 def test_event_that_cannot_be_told_again_is_named(tmp_path, verb, arguments):
     path = tmp_path / "run.jsonl"
     event = json.dumps({"number": 1, "time": 0.0, "verb": verb, "arguments": arguments})
@@ -269,7 +307,11 @@ def test_guarded_leaf_is_in_the_trace_as_it_ended():
     visitor = TraceVisitor(kb)
     runner.tree.add_visitor(visitor)
     runner.tick()
-    assert [visit.status for visit in visitor.trace.ticks[0].visited] == ["SUCCESS", "RUNNING", "RUNNING"]
+    assert [visit.status for visit in visitor.trace.ticks[0].visited] == [
+        "SUCCESS",
+        "RUNNING",
+        "RUNNING",
+    ]
     visitor.close()
 
 
@@ -295,10 +337,14 @@ class Between(Running):
 def tree_between(kb, told):
     """A tree in which facts arrive before, in the midst of and after what asks for them."""
     can = [IsActionFeasible(f"can {number}?", kb, "explore") for number in (1, 2)]
-    asked = Sequence("asked", memory=False, children=[can[0], Between("meanwhile", kb, told[::2]), can[1]])
+    asked = Sequence(
+        "asked", memory=False, children=[can[0], Between("meanwhile", kb, told[::2]), can[1]]
+    )
     either = Selector("either", memory=False, children=[asked, Act("charge", kb, "charge")])
     mission = FailureIsSuccess("go on", RunningIsSuccess("go on", act(kb)))
-    return Sequence("root", memory=False, children=[mission, either, Between("late", kb, told[1::2])])
+    return Sequence(
+        "root", memory=False, children=[mission, either, Between("late", kb, told[1::2])]
+    )
 
 
 TOLD_WITHIN = st.sampled_from(["light", "energy", "fail", "recover", "assert", "forbid", "allow"])
@@ -306,7 +352,9 @@ TOLD_WITHIN = st.sampled_from(["light", "energy", "fail", "recover", "assert", "
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.none() | st.tuples(TOLD_WITHIN, st.integers(0, 9)), max_size=16))
-def test_facts_that_another_thread_tells_within_a_tick_are_replayed_in_their_place(tmp_path_factory, told):
+def test_facts_that_another_thread_tells_within_a_tick_are_replayed_in_their_place(
+    tmp_path_factory, told
+):
     path = tmp_path_factory.getbasetemp() / "within.jsonl"
     now = 0.0
     kb = KnowledgeBase(rover(), clock=lambda: now)
@@ -344,7 +392,9 @@ def test_facts_that_threads_tell_as_fast_as_they_can_are_replayed_as_they_were_k
         with TraceVisitor(kb) as visitor:
             runner.tree.add_visitor(visitor)
             thread.start()
-            for _ in range(100):  # until a fact has come within a tick, which is soon unless others compute much
+            for _ in range(
+                100
+            ):  # until a fact has come within a tick, which is soon unless others compute much
                 for _ in range(100):
                     runner.tick()
                 trace = visitor.trace
@@ -427,7 +477,9 @@ def test_program_that_is_killed_leaves_a_trace_of_every_tick(tmp_path):
     path = tmp_path / "run.jsonl"
     subprocess.run([sys.executable, "-c", KILLED, str(path)], timeout=300, check=False)
     trace = read_trace(path)
-    assert [tick.events[0].event.arguments for tick in trace.ticks] == [("light", number) for number in (0.0, 1.0, 2.0)]
+    assert [tick.events[0].event.arguments for tick in trace.ticks] == [
+        ("light", number) for number in (0.0, 1.0, 2.0)
+    ]
     whole = path.read_bytes()
     for cut in range(whole.rindex(b"\n", 0, -1) + 1, len(whole)):
         path.write_bytes(whole[:cut])

@@ -83,7 +83,9 @@ def test_all_are_stopped_although_one_of_them_cannot_be():
     runner.shutdown()
     assert gentle.ended == [Status.INVALID]
     assert stubborn.status is Status.INVALID
-    assert re.fullmatch(r"OSError: stuck; .*\.py, line \d+ \(at the end\)", stubborn.feedback_message)
+    assert re.fullmatch(
+        r"OSError: stuck; .*\.py, line \d+ \(at the end\)", stubborn.feedback_message
+    )
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, float("nan")])
@@ -142,7 +144,9 @@ def test_what_interrupts_a_tick_stops_everything_and_is_raised():
             raise KeyboardInterrupt
 
     steady = Probe("steady")
-    root = Parallel("root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, Interrupted("x")])
+    root = Parallel(
+        "root", policy=ParallelPolicy.SuccessOnAll(), children=[steady, Interrupted("x")]
+    )
     runner = TreeRunner(root, clock=lambda: 0.0)
     with pytest.raises(KeyboardInterrupt):
         runner.tick()
@@ -182,7 +186,10 @@ def test_visitors_and_handlers_are_called_as_by_py_trees():
         tree.add_pre_tick_handler(lambda tree, calls=calls: calls.append(("pre", tree.count)))
         tree.add_post_tick_handler(lambda tree, calls=calls: calls.append(("post", tree.count)))
         for _ in range(2):
-            tree.tick(lambda tree, calls=calls: calls.append("once"), lambda tree, calls=calls: calls.append("last"))
+            tree.tick(
+                lambda tree, calls=calls: calls.append("once"),
+                lambda tree, calls=calls: calls.append("last"),
+            )
     assert heard[runner.tree] == heard[plain]
     assert heard[plain]
     assert root.status is Status.RUNNING

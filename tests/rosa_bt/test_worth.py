@@ -31,7 +31,9 @@ def mower(drain=DRAIN):
     blade = model.component("blade", always_improve=True)
     blade.configuration("fast", {"speed": 2.0}, priority=1, constraints=[light >= 0.5])
     blade.configuration("slow", {"speed": 1.0}, priority=2)
-    model.action("mow", requires=[model.function("cut").design("with_blade", [blade], priority=1).function])
+    model.action(
+        "mow", requires=[model.function("cut").design("with_blade", [blade], priority=1).function]
+    )
     model.actions["mow"].constrain(charge >= 0.25)
     model.action("dock", requires=[])
     charge.changes(-drain)
@@ -43,7 +45,9 @@ def mower(drain=DRAIN):
 
 
 def dock(there=5.0, back=5.0, spread=0.0):
-    return Errand("dock", {"charge": 1.0}, lambda away: there + away, lambda away: back + away, spread)
+    return Errand(
+        "dock", {"charge": 1.0}, lambda away: there + away, lambda away: back + away, spread
+    )
 
 
 def test_charge_is_filled_when_the_next_one_lasts_to_the_end_and_it_is_said_why():
@@ -112,7 +116,9 @@ def test_no_other_course_gains_more(steps, level, there, back, drain, away_m_s):
     kb.measure("charge", level)
     gain = Gain("mow", 1.5, away=float(away_m_s))
     decision = Lookahead(kb, Worth(float(steps), (gain,), (dock(there, back),))).decide()
-    assert decision.worth == pytest.approx(best_by_trying(steps, level, there, back, drain, 1.5, away_m_s), abs=1e-6)
+    assert decision.worth == pytest.approx(
+        best_by_trying(steps, level, there, back, drain, 1.5, away_m_s), abs=1e-6
+    )
 
 
 def test_what_is_to_be_kept_is_left_at_the_end_of_an_errand_at_the_worse_end():
@@ -143,7 +149,9 @@ def test_a_change_that_takes_longer_than_it_is_good_for_is_not_made():
 
 
 def test_wrong_forecasts_sensors_and_clocks_violate_nothing_that_reacting_keeps():
-    found = [wrong_case(case) for case in range(20)]  # 1,000 of them in tests/benchmarks/test_wrong_worlds.py
+    found = [
+        wrong_case(case) for case in range(20)
+    ]  # 1,000 of them in tests/benchmarks/test_wrong_worlds.py
     assert [only for only, _ in found if only] == []
     assert sum(put_off for _, put_off in found) > 10
 
@@ -168,7 +176,11 @@ def test_first_that_is_feasible_is_done_and_with_nothing_stated_nothing_else_is_
         (Worth(9.0, (Gain("mov", 1.0),)), UnknownName, "mow"),
         (Worth(float("inf"), (Gain("mow", 1.0),)), InvalidValue, "a finite number is needed"),
         (Worth(9.0, (Gain("mow", {"fst": 1.0}),)), UnknownName, "fast"),
-        (Worth(9.0, (Gain("mow", -1.0),)), InvalidValue, "what mow gains in a second is 0 or more, not -1.0"),
+        (
+            Worth(9.0, (Gain("mow", -1.0),)),
+            InvalidValue,
+            "what mow gains in a second is 0 or more, not -1.0",
+        ),
         (Worth(9.0, (Gain("mow", 1.0, 1.5),)), InvalidValue, "a share from 0 to below 1, not 1.5"),
         (Worth(9.0, (Gain("mow", 1.0),), keep={"charg": 0.1}), UnknownName, "charge"),
     ],
@@ -183,4 +195,6 @@ def test_what_is_not_known_is_decided_as_without_looking_ahead():
     kb.model.change(kb.model.attributes["charge"], rates=())
     decision = Lookahead(kb, Worth(60.0, (Gain("mow", 1.0),), (dock(),))).decide()
     assert decision.action is None
-    assert decision.reason.startswith("as without looking ahead, since it is not known what charge is in ")
+    assert decision.reason.startswith(
+        "as without looking ahead, since it is not known what charge is in "
+    )

@@ -62,7 +62,9 @@ def robot(chance):
 
     camera = model.component("camera")
     for number in range(chance.randint(0, 3)):
-        camera.configuration(f"c{number}", {"n": number}, constraints=[some() for _ in range(chance.randint(0, 1))])
+        camera.configuration(
+            f"c{number}", {"n": number}, constraints=[some() for _ in range(chance.randint(0, 1))]
+        )
     see = model.function("see")
     see.design("by camera", [camera], constraints=[some()] if chance.random() < 0.3 else [])
     model.action("work", requires=[see], constraints=[some() for _ in range(chance.randint(0, 2))])
@@ -86,18 +88,26 @@ def test_wrong_forecasts_only_add_caution_in_random_cases():
         for case in range(CASES):
             chance, clock = Random(case), Clock()
             kb = KnowledgeBase(robot(chance), clock=clock)
-            tree = do_until_unfeasible(Act(kb, "work"), Act(kb, "rest"), during=chance.choice((0.0, 5.0, 60.0)))
+            tree = do_until_unfeasible(
+                Act(kb, "work"), Act(kb, "rest"), during=chance.choice((0.0, 5.0, 60.0))
+            )
             time = 1.0
             for _ in range(14):
-                time += chance.choice((0.0, 0.1, 1.0, 1.0, 1.0, 1000.0))  # a clock that jumps, and back a little
+                time += chance.choice(
+                    (0.0, 0.1, 1.0, 1.0, 1.0, 1000.0)
+                )  # a clock that jumps, and back a little
                 clock.now = time - chance.choice((0.0, 0.0, 0.0, 0.5))
                 for name in ("energy", "light"):
-                    if chance.random() < 0.8:  # a sensor that is silent now and then, and sometimes mad
+                    if (
+                        chance.random() < 0.8
+                    ):  # a sensor that is silent now and then, and sometimes mad
                         kb.measure(name, chance.choice((0.1, 0.4, 0.6, 0.6, 0.9, 1e9, -1e9)))
                 if chance.random() < 0.3:
                     tree.tick_once()
                     doing = {one.action for one in kb.required_actions}
-                    assert all(map(kb.is_feasible, doing)), case  # as the reactive tree would have kept it
+                    assert all(map(kb.is_feasible, doing)), (
+                        case
+                    )  # as the reactive tree would have kept it
                     idle += "rest" in doing and kb.is_feasible("work")
             ahead = kb.now + chance.choice((0.0, 1.0, 30.0, 1e4))
             now, then = feasible(kb), feasible(kb.situation(at=ahead))

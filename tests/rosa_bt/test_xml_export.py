@@ -8,7 +8,15 @@ from py_trees.ports import PortsMixin
 from xml_leaves import registry_of, trace, wrapped
 
 from kb import KnowledgeBase, Model
-from rosa_bt import BehaviourRegistry, ExportError, IsActionFeasible, RosaAction, TreeRunner, export_xml, load_xml
+from rosa_bt import (
+    BehaviourRegistry,
+    ExportError,
+    IsActionFeasible,
+    RosaAction,
+    TreeRunner,
+    export_xml,
+    load_xml,
+)
 
 LEAVES = {"a": ("A", "RS"), "b": ("A", "SF"), "c": ("C", "SSF")}
 
@@ -56,10 +64,22 @@ class Remember(Zoom):
 @pytest.mark.parametrize(
     ("tree", "written"),
     [
-        (lambda: composites.Sequence("s", memory=True, children=[Look("l")]), '<Sequence name="s">'),
-        (lambda: composites.Sequence("s", memory=False, children=[Look("l")]), '<ReactiveSequence name="s">'),
-        (lambda: composites.Selector("s", memory=True, children=[Look("l")]), '<Fallback name="s">'),
-        (lambda: composites.Selector("s", memory=False, children=[Look("l")]), '<ReactiveFallback name="s">'),
+        (
+            lambda: composites.Sequence("s", memory=True, children=[Look("l")]),
+            '<Sequence name="s">',
+        ),
+        (
+            lambda: composites.Sequence("s", memory=False, children=[Look("l")]),
+            '<ReactiveSequence name="s">',
+        ),
+        (
+            lambda: composites.Selector("s", memory=True, children=[Look("l")]),
+            '<Fallback name="s">',
+        ),
+        (
+            lambda: composites.Selector("s", memory=False, children=[Look("l")]),
+            '<ReactiveFallback name="s">',
+        ),
         (lambda: decorators.Inverter("d", Look("l")), '<Inverter name="d">'),
         (lambda: decorators.FailureIsSuccess("d", Look("l")), '<ForceSuccess name="d">'),
         (lambda: decorators.SuccessIsFailure("d", Look("l")), '<ForceFailure name="d">'),
@@ -92,11 +112,20 @@ def test_what_py_trees_shares_with_it_is_written_and_read_again(tree, written):
         (lambda: decorators.Retry("r", Look("l"), num_failures=2), "Retry 'r' has no exact"),
         (lambda: decorators.Timeout("t", Look("l"), duration=1.0), "Timeout 't' has no exact"),
         (lambda: decorators.SuccessIsRunning("k", Look("l")), "SuccessIsRunning 'k' has no exact"),
-        (lambda: composites.Sequence("s", memory=True), "Sequence 's' without children has no exact"),
+        (
+            lambda: composites.Sequence("s", memory=True),
+            "Sequence 's' without children has no exact",
+        ),
         (lambda: Turn("t", 3.0), "Turn 't' was made with angle, which cannot be written"),
-        (lambda: behaviours.TickCounter("t", 3, Status.SUCCESS), "TickCounter 't' was made with duration"),
+        (
+            lambda: behaviours.TickCounter("t", 3, Status.SUCCESS),
+            "TickCounter 't' was made with duration",
+        ),
         (lambda: Look("\x00"), "cannot be written so that it can be read again"),
-        (lambda: type("Sequence", (Look,), {})("s"), "'Sequence' is a node of BehaviorTree.CPP itself"),
+        (
+            lambda: type("Sequence", (Look,), {})("s"),
+            "'Sequence' is a node of BehaviorTree.CPP itself",
+        ),
     ],
 )
 def test_what_has_no_exact_counterpart_is_refused_by_name(tree, message):
@@ -151,7 +180,9 @@ def test_actions_are_written_with_what_they_do():
     again = load_xml(written, registry).child.node
     assert (again.wait, again.timeout) == (True, 2.5)
     registry.register("Zoom", Zoom)
-    assert load_xml(export_xml(Zoom("in", kb, "scan", preference="light"), registry), registry).child.node.preference
+    assert load_xml(
+        export_xml(Zoom("in", kb, "scan", preference="light"), registry), registry
+    ).child.node.preference
     with pytest.raises(ExportError, match="was made with memory"):
         export_xml(Remember("in", kb, "scan", 3))
     with pytest.raises(ExportError, match="'do' names no action"):
@@ -189,7 +220,9 @@ def test_tree_that_was_changed_while_it_ran_is_written_as_it_is_now():
     runner = TreeRunner(tree, clock=lambda: 0.0)
     runner.tick()
     second = tree.child.node.children[1].child.node
-    runner.tree.replace_subtree(second.children[0].id, registry.entries["d"].make("d", {}, [], tree.blackboard))
+    runner.tree.replace_subtree(
+        second.children[0].id, registry.entries["d"].make("d", {}, [], tree.blackboard)
+    )
     runner.tree.insert_subtree(behaviours.Success("yes"), second.id, 1)
     runner.tree.prune_subtree(second.children[2].id)
     runner.tick()
@@ -216,5 +249,7 @@ def test_tree_that_changes_goes_on_where_it_was():
     sequence = tree.child.node
     runner.tick()
     for place in (0, 3):
-        runner.tree.insert_subtree(registry.entries["d"].make("d", {}, [], tree.blackboard), sequence.id, place)
+        runner.tree.insert_subtree(
+            registry.entries["d"].make("d", {}, [], tree.blackboard), sequence.id, place
+        )
     assert trace(runner.tick, tree, said, 1) == ["0| a:r:S d:s:S b:s:F => FAILURE"]

@@ -40,7 +40,13 @@ class Work(RosaAction):
 
     def update(self):
         self.left -= 1
-        return Status.RUNNING if self.left else Status.FAILURE if self.rounds % 3 == 0 else Status.SUCCESS
+        return (
+            Status.RUNNING
+            if self.left
+            else Status.FAILURE
+            if self.rounds % 3 == 0
+            else Status.SUCCESS
+        )
 
 
 class Turn(Behaviour):
@@ -68,18 +74,29 @@ def work(kb, name):
 IDIOMS = {
     "feasible": lambda kb: feasible_then_act(work(kb, "scan")),
     "first": lambda kb: first_feasible("first", [work(kb, name) for name in ACTIONS]),
-    "first that goes on": lambda kb: first_feasible("first", [work(kb, name) for name in ACTIONS], memory=True),
+    "first that goes on": lambda kb: first_feasible(
+        "first", [work(kb, name) for name in ACTIONS], memory=True
+    ),
     "until": lambda kb: do_until_unfeasible(work(kb, "scan"), work(kb, "charge")),
-    "until, to the end": lambda kb: do_until_unfeasible(work(kb, "scan"), work(kb, "charge"), memory=True),
+    "until, to the end": lambda kb: do_until_unfeasible(
+        work(kb, "scan"), work(kb, "charge"), memory=True
+    ),
     "subtree": lambda kb: do_until_unfeasible(
-        UntilSuccess("again", first_feasible("either", [work(kb, "scan"), work(kb, "drive")])), work(kb, "charge")
+        UntilSuccess("again", first_feasible("either", [work(kb, "scan"), work(kb, "drive")])),
+        work(kb, "charge"),
     ),
     "under an action": lambda kb: ForAction(
         "for", kb, "scan", Turn("turn"), preference="for_scan", wait=True, timeout=3
     ),
     "switching": lambda kb: switch_safely(
-        do_until_unfeasible(work(kb, "scan"), first_feasible("or", [work(kb, "drive"), work(kb, "charge")])),
-        {("scan", "charge"): Turn("down"), ("charge", "scan"): Turn("up"), ("drive", "scan"): Turn("back")},
+        do_until_unfeasible(
+            work(kb, "scan"), first_feasible("or", [work(kb, "drive"), work(kb, "charge")])
+        ),
+        {
+            ("scan", "charge"): Turn("down"),
+            ("charge", "scan"): Turn("up"),
+            ("drive", "scan"): Turn("back"),
+        },
     ),
 }
 
@@ -101,7 +118,9 @@ def lived(build, seed):
             for one in runner.tree.root.iterate()
             if isinstance(one, Turn | Work) and one.status is Status.RUNNING
         )
-        told.append((runner.status, running, [(one.verb, one.arguments) for one in kb.log.since(0)][-6:]))
+        told.append(
+            (runner.status, running, [(one.verb, one.arguments) for one in kb.log.since(0)][-6:])
+        )
     runner.shutdown()
     return told
 
@@ -118,7 +137,9 @@ def test_idiom_that_was_written_and_read_again_does_the_same(name):
     build = IDIOMS[name]
     for seed in range(5):
         before = lived(build, seed)
-        again = lived(lambda kb: load_xml(export_xml(build(kb), registered(kb)), registered(kb)), seed)
+        again = lived(
+            lambda kb: load_xml(export_xml(build(kb), registered(kb)), registered(kb)), seed
+        )
         assert again == before
     assert len({status for status, _, _ in before}) > 1 or any(running for _, running, _ in before)
 
@@ -127,7 +148,13 @@ def test_what_is_written_of_an_idiom_is_its_nodes():
     kb = rover([0.0])
     text = export_xml(IDIOMS["switching"](kb), registered(kb))
     tags = [one.tag for one in ElementTree.fromstring(text).iter()]
-    assert tags[2:7] == ["DoUntilUnfeasible", "ReactiveSequence", "IsActionFeasible", "SafeSwitch", "Turn"]
+    assert tags[2:7] == [
+        "DoUntilUnfeasible",
+        "ReactiveSequence",
+        "IsActionFeasible",
+        "SafeSwitch",
+        "Turn",
+    ]
     assert '<SafeSwitch name="switch to scan" action="scan" after="charge;drive">' in text
     assert '<DoUntilUnfeasible name="scan, or else charge" memory="true">' in export_xml(
         IDIOMS["until, to the end"](kb)
@@ -137,7 +164,10 @@ def test_what_is_written_of_an_idiom_is_its_nodes():
 @pytest.mark.parametrize(
     ("content", "problem"),
     [
-        ("<DoUntilUnfeasible><Turn/></DoUntilUnfeasible>", "has 1 children; it takes 2: the task, and what is done"),
+        (
+            "<DoUntilUnfeasible><Turn/></DoUntilUnfeasible>",
+            "has 1 children; it takes 2: the task, and what is done",
+        ),
         (
             '<SafeSwitch action="scan" after="drive"><Turn/></SafeSwitch>',
             "one for each action in `after`",
@@ -174,15 +204,26 @@ def test_models_of_what_is_registered_are_written_with_their_ports():
     def made(name: str) -> Behaviour:
         return Ported(name)
 
-    text = export_xml(load_xml(wrapped("<Sequence><Turn/><made/></Sequence>"), registry), registry, models=True)
+    text = export_xml(
+        load_xml(wrapped("<Sequence><Turn/><made/></Sequence>"), registry), registry, models=True
+    )
     root = ElementTree.fromstring(text)
-    models = {one.get("ID"): (one.tag, [(port.tag, *port.attrib.values()) for port in one]) for one in root[-1]}
+    models = {
+        one.get("ID"): (one.tag, [(port.tag, *port.attrib.values()) for port in one])
+        for one in root[-1]
+    }
     assert root[-1].tag == "TreeNodesModel"
     assert models == {
         "Turn": ("Action", []),
-        "Ported": ("Condition", [("input_port", "metres", "double", "2.5"), ("output_port", "driven", "bool")]),
+        "Ported": (
+            "Condition",
+            [("input_port", "metres", "double", "2.5"), ("output_port", "driven", "bool")],
+        ),
         "asked": ("Condition", [("input_port", "where")]),
-        "guarded": ("Decorator", [("input_port", "times", "int"), ("input_port", "said", "std::string")]),
+        "guarded": (
+            "Decorator",
+            [("input_port", "times", "int"), ("input_port", "said", "std::string")],
+        ),
         "made": ("Condition", []),
     }
     again = load_xml(text, registry)
@@ -190,7 +231,9 @@ def test_models_of_what_is_registered_are_written_with_their_ports():
     assert [slot.is_condition for slot in again.child.node.slots] == [False, True]
 
 
-@pytest.mark.parametrize(("name", "instead"), [("look around", "look_around"), ("a/b", "a_b"), ("Root", "Main")])
+@pytest.mark.parametrize(
+    ("name", "instead"), [("look around", "look_around"), ("a/b", "a_b"), ("Root", "Main")]
+)
 def test_name_that_the_library_refuses_is_refused_with_what_to_write(name, instead):
     registry = BehaviourRegistry()
     registry.register(name, Turn)

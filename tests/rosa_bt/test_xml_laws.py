@@ -17,11 +17,27 @@ TICKS = 12
 MANY = (
     *("Sequence", "AsyncSequence", "SequenceWithMemory", "ReactiveSequence"),
     *("Fallback", "AsyncFallback", "ReactiveFallback"),
-    *('Parallel success_count="1" failure_count="1"', 'ParallelAll max_failures="1"', "PipelineSequence", "RoundRobin"),
+    *(
+        'Parallel success_count="1" failure_count="1"',
+        'ParallelAll max_failures="1"',
+        "PipelineSequence",
+        "RoundRobin",
+    ),
 )
 ONE = (
-    *("Inverter", "ForceSuccess", "ForceFailure", "KeepRunningUntilFailure", "RunOnce", 'RunOnce then_skip="false"'),
-    *('Repeat num_cycles="2"', 'RetryUntilSuccessful num_attempts="2"', 'RetryUntilSuccessful num_attempts="-1"'),
+    *(
+        "Inverter",
+        "ForceSuccess",
+        "ForceFailure",
+        "KeepRunningUntilFailure",
+        "RunOnce",
+        'RunOnce then_skip="false"',
+    ),
+    *(
+        'Repeat num_cycles="2"',
+        'RetryUntilSuccessful num_attempts="2"',
+        'RetryUntilSuccessful num_attempts="-1"',
+    ),
     *('Delay delay_msec="1500"', 'Timeout msec="2500"'),
 )
 scripts = st.lists(st.sampled_from("SFR"), min_size=1, max_size=6).map("".join)
@@ -42,7 +58,11 @@ class Grower:
         return f"<{tag}{rule}/>"
 
     def node(self, depth):
-        kind = self.draw(st.sampled_from(["leaf", "many", "many", "one", "choice"])) if depth else "leaf"
+        kind = (
+            self.draw(st.sampled_from(["leaf", "many", "many", "one", "choice"]))
+            if depth
+            else "leaf"
+        )
         if kind == "leaf":
             return self.leaf()
         if kind == "one":
@@ -56,10 +76,14 @@ class Grower:
         return self.around(tag, "".join(children))
 
     def choice(self, depth):
-        tag = self.draw(st.sampled_from(["WhileDoElse", "IfThenElse", 'RecoveryNode number_of_retries="2"']))
+        tag = self.draw(
+            st.sampled_from(["WhileDoElse", "IfThenElse", 'RecoveryNode number_of_retries="2"'])
+        )
         most = 1 if tag.startswith("RecoveryNode") else 2
         rest = [self.node(depth) for _ in range(self.draw(st.integers(1, most)))]
-        return self.around(tag, self.leaf(rules=[""]) + "".join(rest))  # a condition cannot be skipped
+        return self.around(
+            tag, self.leaf(rules=[""]) + "".join(rest)
+        )  # a condition cannot be skipped
 
     @staticmethod
     def around(tag, content):
@@ -125,7 +149,11 @@ def test_every_start_is_followed_by_an_end_or_a_halt(file):
         elif rest == ["halt"]:
             assert open_ones[leaf]
             open_ones[leaf] = False
-    running = [one.name for one in tree.iterate() if isinstance(one, Action) and one.status is Status.RUNNING]
+    running = [
+        one.name
+        for one in tree.iterate()
+        if isinstance(one, Action) and one.status is Status.RUNNING
+    ]
     assert sorted(running) == sorted(leaf for leaf, is_open in open_ones.items() if is_open)
 
 
@@ -133,7 +161,11 @@ def test_every_start_is_followed_by_an_end_or_a_halt(file):
 def test_nothing_runs_in_a_tree_that_was_stopped_and_only_what_ran_was_halted(file, ticks):
     tree, said, _ = loaded(file)
     trace(tree.tick_once, tree, said, ticks)
-    running = {one.name for one in tree.iterate() if isinstance(one, Action) and one.status is Status.RUNNING}
+    running = {
+        one.name
+        for one in tree.iterate()
+        if isinstance(one, Action) and one.status is Status.RUNNING
+    }
     said.clear()
     tree.stop(Status.INVALID)
     assert sorted(said) == sorted(f"{name}:halt" for name in running)
@@ -206,7 +238,11 @@ def py_trees_trees(draw):
     leaves = {}
 
     def node(depth):
-        kind = draw(st.sampled_from(["leaf", "composite", "composite", "decorator", "constant"])) if depth else "leaf"
+        kind = (
+            draw(st.sampled_from(["leaf", "composite", "composite", "decorator", "constant"]))
+            if depth
+            else "leaf"
+        )
         if kind == "leaf":
             name = f"L{len(leaves)}"
             leaves[name] = (draw(st.sampled_from("AAC")), draw(scripts))
@@ -220,7 +256,9 @@ def py_trees_trees(draw):
             return lambda made: decorator("decorated", child(made))
         composite, memory = draw(st.sampled_from([Sequence, Selector])), draw(st.booleans())
         children = [node(depth - 1) for _ in range(draw(st.integers(1, 3)))]
-        return lambda made: composite("composite", memory=memory, children=[child(made) for child in children])
+        return lambda made: composite(
+            "composite", memory=memory, children=[child(made) for child in children]
+        )
 
     return node(3), leaves
 
@@ -232,7 +270,9 @@ def test_exported_py_trees_tree_behaves_as_it_did(drawn):
     said = []
     own = registry_of(leaves, said)
     classes = {"A": Action, "C": Condition}
-    tree: Behaviour = make(lambda name: classes[leaves[name][0]](name, iter(leaves[name][1] * 1000), said))
+    tree: Behaviour = make(
+        lambda name: classes[leaves[name][0]](name, iter(leaves[name][1] * 1000), said)
+    )
     before = trace(tree.tick_once, tree, said, TICKS)
     after = load_xml(export_xml(tree, own), own)
     assert trace(after.tick_once, after, said, TICKS) == before

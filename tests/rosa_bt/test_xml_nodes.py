@@ -16,8 +16,16 @@ from rosa_bt.xml.controls import NODES
 PAGE = Path(__file__).parents[2] / "docs" / "trees_in_xml.md"
 
 EXAMPLES = {
-    "Sequence": ("<Sequence><c/><a/><b/></Sequence>", "a:RS b:RF c:S", "c:S a:s:R | a:r:S b:s:R | b:r:F => F"),
-    "AsyncSequence": ("<AsyncSequence><c/><a/><b/></AsyncSequence>", "a:S b:S c:S", "c:S | a:s:S | b:s:S => S"),
+    "Sequence": (
+        "<Sequence><c/><a/><b/></Sequence>",
+        "a:RS b:RF c:S",
+        "c:S a:s:R | a:r:S b:s:R | b:r:F => F",
+    ),
+    "AsyncSequence": (
+        "<AsyncSequence><c/><a/><b/></AsyncSequence>",
+        "a:S b:S c:S",
+        "c:S | a:s:S | b:s:S => S",
+    ),
     "SequenceWithMemory": (
         "<SequenceWithMemory><a/><b/></SequenceWithMemory>",
         "a:S b:FS",
@@ -28,7 +36,11 @@ EXAMPLES = {
         "a:RR c:SSF",
         "c:S a:s:R | c:S a:r:R | c:F a:halt => F",
     ),
-    "Fallback": ("<Fallback><c/><a/><b/></Fallback>", "a:RF b:RS c:F", "c:F a:s:R | a:r:F b:s:R | b:r:S => S"),
+    "Fallback": (
+        "<Fallback><c/><a/><b/></Fallback>",
+        "a:RF b:RS c:F",
+        "c:F a:s:R | a:r:F b:s:R | b:r:S => S",
+    ),
     "AsyncFallback": ("<AsyncFallback><c/><a/></AsyncFallback>", "a:S c:F", "c:F | a:s:S => S"),
     "ReactiveFallback": (
         "<ReactiveFallback><c/><a/></ReactiveFallback>",
@@ -122,9 +134,21 @@ EXAMPLES = {
         "w=0 b:s:R | v=1 b:r:S => S | a:s:R | a:r:F | w=0 b:s:R",
     ),
     "SubTree": ('<SubTree ID="Other" x="1" y="{v}"/>', "a:RS", "v=7 a:s:R | v=8 a:r:S => S"),
-    "AlwaysSuccess, AlwaysFailure": ("<Sequence><AlwaysSuccess/><AlwaysFailure/></Sequence>", "", "=> F"),
-    "Script": ('<Sequence><Script code="x := 2; x = 3"/><a _skipIf="x != 3"/></Sequence>', "a:S", "a:s:S => S"),
-    "ScriptCondition": ('<ScriptCondition code="v &gt; 1 &amp;&amp; v &lt;= 3"/>', "", "v=1 => F | v=2 => S"),
+    "AlwaysSuccess, AlwaysFailure": (
+        "<Sequence><AlwaysSuccess/><AlwaysFailure/></Sequence>",
+        "",
+        "=> F",
+    ),
+    "Script": (
+        '<Sequence><Script code="x := 2; x = 3"/><a _skipIf="x != 3"/></Sequence>',
+        "a:S",
+        "a:s:S => S",
+    ),
+    "ScriptCondition": (
+        '<ScriptCondition code="v &gt; 1 &amp;&amp; v &lt;= 3"/>',
+        "",
+        "v=1 => F | v=2 => S",
+    ),
     "SetBlackboard, UnsetBlackboard": (
         '<Sequence><SetBlackboard value="{v}" output_key="w"/><ScriptCondition code="w == 5"/>'
         '<UnsetBlackboard key="v"/></Sequence>',
@@ -157,7 +181,11 @@ EXAMPLES = {
         "a:RSS b:R",
         "g=1 a:s:R | g=1 a:r:S b:s:R | g=1 b:r:R | g=2 a:s:S b:r:R | g=2 b:r:R",
     ),
-    "RoundRobin": ("<RoundRobin><a/><b/></RoundRobin>", "a:SF b:FS", "a:s:S => S | b:s:F a:s:F => F | a:s:S => S"),
+    "RoundRobin": (
+        "<RoundRobin><a/><b/></RoundRobin>",
+        "a:SF b:FS",
+        "a:s:S => S | b:s:F a:s:F => F | a:s:S => S",
+    ),
 }
 SHORT = {"S": "SUCCESS", "F": "FAILURE"}
 
@@ -215,18 +243,36 @@ def test_every_row_of_the_page_has_an_example_and_every_node_a_row():
 
 
 RULES = {
-    "_skipIf": ('<Sequence><a _skipIf="v == 1"/><b/></Sequence>', "v=1 b:s:S => S | v=0 a:s:R | v=1 a:r:R"),
+    "_skipIf": (
+        '<Sequence><a _skipIf="v == 1"/><b/></Sequence>',
+        "v=1 b:s:S => S | v=0 a:s:R | v=1 a:r:R",
+    ),
     "_failureIf": ('<Sequence><a _failureIf="v == 1"/><b/></Sequence>', "v=1 => F | v=0 a:s:R"),
     "_successIf": ('<Sequence><a _successIf="v == 1"/><b/></Sequence>', "v=1 b:s:S => S"),
-    "_while": ('<Sequence><a _while="v == 1"/><b/></Sequence>', "v=1 a:s:R | v=1 a:r:R | v=0 a:halt b:s:S => S"),
-    "_onSuccess": ('<Sequence><b _onSuccess="n := 1"/><ScriptCondition code="n == 1"/></Sequence>', "b:s:S => S"),
-    "_onFailure": ('<Fallback><c _onFailure="n := 1"/><ScriptCondition code="n == 1"/></Fallback>', "c:F => S"),
-    "_post": ('<Fallback><c _post="n := 1"/><ScriptCondition code="n == 1"/></Fallback>', "c:F => S"),
+    "_while": (
+        '<Sequence><a _while="v == 1"/><b/></Sequence>',
+        "v=1 a:s:R | v=1 a:r:R | v=0 a:halt b:s:S => S",
+    ),
+    "_onSuccess": (
+        '<Sequence><b _onSuccess="n := 1"/><ScriptCondition code="n == 1"/></Sequence>',
+        "b:s:S => S",
+    ),
+    "_onFailure": (
+        '<Fallback><c _onFailure="n := 1"/><ScriptCondition code="n == 1"/></Fallback>',
+        "c:F => S",
+    ),
+    "_post": (
+        '<Fallback><c _post="n := 1"/><ScriptCondition code="n == 1"/></Fallback>',
+        "c:F => S",
+    ),
     "_onHalted": (
         '<Sequence><ScriptCondition code="v == 1 || h == 1"/><SubTree ID="Other" v="{v}" h="{h}"/></Sequence>',
         "v=1 h=0 a:s:R | v=0 a:halt => F | v=0 a:s:R",
     ),
-    "several": ('<a _failureIf="v == 1" _skipIf="v >= 1" _while="v == 0"/>', "v=1 => F | v=2 => SKIPPED | v=0 a:s:R"),
+    "several": (
+        '<a _failureIf="v == 1" _skipIf="v >= 1" _while="v == 0"/>',
+        "v=1 => F | v=2 => SKIPPED | v=0 a:s:R",
+    ),
 }
 
 
@@ -277,16 +323,36 @@ MIXED = {
     "Sequence": ('<Sequence><a _skipIf="true"/><b/></Sequence>', "b:S", "b:s:S => S"),
     "Fallback": ('<Fallback><a _skipIf="true"/><b/></Fallback>', "b:F", "b:s:F => F"),
     "Parallel": ('<Parallel><a _skipIf="true"/><b/></Parallel>', "b:S", "b:s:S => S"),
-    "Parallel of all": ('<Parallel><a _skipIf="true"/><b _skipIf="true"/></Parallel>', "b:S", "=> S"),
-    "Parallel that counts": ('<Parallel success_count="2"><a _skipIf="true"/><b/></Parallel>', "b:S", "b:s:S"),
-    "ParallelAll": ('<ParallelAll><a _skipIf="true"/><b/></ParallelAll>', "b:RF", "b:s:R | b:r:F => F"),
+    "Parallel of all": (
+        '<Parallel><a _skipIf="true"/><b _skipIf="true"/></Parallel>',
+        "b:S",
+        "=> S",
+    ),
+    "Parallel that counts": (
+        '<Parallel success_count="2"><a _skipIf="true"/><b/></Parallel>',
+        "b:S",
+        "b:s:S",
+    ),
+    "ParallelAll": (
+        '<ParallelAll><a _skipIf="true"/><b/></ParallelAll>',
+        "b:RF",
+        "b:s:R | b:r:F => F",
+    ),
     "KeepRunningUntilFailure": (
         '<KeepRunningUntilFailure><a _skipIf="v == 0"/></KeepRunningUntilFailure>',
         "a:F",
         "v=0 | v=0 | v=1 a:s:F => F",
     ),
-    "RecoveryNode": ('<RecoveryNode><a/><b _skipIf="true"/></RecoveryNode>', "a:F b:S", "a:s:F => F | a:s:F => F"),
-    "RoundRobin": ("<RoundRobin><a/><b/></RoundRobin>", "a:F b:SF", "a:s:F b:s:S => S | a:s:F b:s:F => F"),
+    "RecoveryNode": (
+        '<RecoveryNode><a/><b _skipIf="true"/></RecoveryNode>',
+        "a:F b:S",
+        "a:s:F => F | a:s:F => F",
+    ),
+    "RoundRobin": (
+        "<RoundRobin><a/><b/></RoundRobin>",
+        "a:F b:SF",
+        "a:s:F b:s:S => S | a:s:F b:s:F => F",
+    ),
     "Timeout that found nothing to halt": (
         '<Timeout msec="100"><a _skipIf="v == 0"/></Timeout>',
         "a:R",
@@ -339,7 +405,9 @@ def test_what_cannot_be_decided_raises_and_fails_in_a_runner(text):
 
 def test_leaf_that_was_stopped_before_its_parent_is_not_halted_twice():
     said = []
-    tree = load_xml(wrapped("<Parallel><a/><b/></Parallel>"), registry_of(leaves_of("a:R b:R"), said))
+    tree = load_xml(
+        wrapped("<Parallel><a/><b/></Parallel>"), registry_of(leaves_of("a:R b:R"), said)
+    )
     runner = TreeRunner(tree, clock=lambda: 0.0)
     runner.tick()
     said.clear()
@@ -357,26 +425,57 @@ def test_how_often_is_asked_only_when_a_child_has_ended_so_that_it_may_write_it_
 
 def test_action_that_failed_as_a_condition_is_not_started_again():
     said = []
-    tree = load_xml(wrapped("<IfThenElse><a/><b/></IfThenElse>"), registry_of({"a": ("A", "F"), "b": ("A", "S")}, said))
+    tree = load_xml(
+        wrapped("<IfThenElse><a/><b/></IfThenElse>"),
+        registry_of({"a": ("A", "F"), "b": ("A", "S")}, said),
+    )
     assert perform(tree, said, "a | b", Hand()) == "a:s:F => F | => F"
 
 
 @pytest.mark.parametrize(
     ("tag", "leaves", "namesake"),
     [
-        ("SequenceWithMemory", "a:S b:FS", lambda a, b: composites.Sequence("s", memory=True, children=[a, b])),
+        (
+            "SequenceWithMemory",
+            "a:S b:FS",
+            lambda a, b: composites.Sequence("s", memory=True, children=[a, b]),
+        ),
         (
             'Parallel success_count="1"',
             "a:S b:R",
             lambda a, b: composites.Parallel("p", common.ParallelPolicy.SuccessOnOne(), [a, b]),
         ),
         ('Repeat num_cycles="2"', "a:RS", lambda a: decorators.Repeat("r", a, num_success=2)),
-        ('RetryUntilSuccessful num_attempts="2"', "a:RF", lambda a: decorators.Retry("r", a, num_failures=2)),
-        ("RunOnce", "a:S", lambda a: decorators.OneShot("o", a, common.OneShotPolicy.ON_COMPLETION)),
-        ("ReactiveSequence", "a:S b:R", lambda a, b: composites.Sequence("s", memory=False, children=[a, b])),
-        ("Sequence", "c:S a:RF", lambda c, a: composites.Sequence("s", memory=True, children=[c, a])),
-        ("Fallback", "c:F a:RS", lambda c, a: composites.Selector("f", memory=True, children=[c, a])),
-        ("ReactiveFallback", "c:FS a:R", lambda c, a: composites.Selector("f", memory=False, children=[c, a])),
+        (
+            'RetryUntilSuccessful num_attempts="2"',
+            "a:RF",
+            lambda a: decorators.Retry("r", a, num_failures=2),
+        ),
+        (
+            "RunOnce",
+            "a:S",
+            lambda a: decorators.OneShot("o", a, common.OneShotPolicy.ON_COMPLETION),
+        ),
+        (
+            "ReactiveSequence",
+            "a:S b:R",
+            lambda a, b: composites.Sequence("s", memory=False, children=[a, b]),
+        ),
+        (
+            "Sequence",
+            "c:S a:RF",
+            lambda c, a: composites.Sequence("s", memory=True, children=[c, a]),
+        ),
+        (
+            "Fallback",
+            "c:F a:RS",
+            lambda c, a: composites.Selector("f", memory=True, children=[c, a]),
+        ),
+        (
+            "ReactiveFallback",
+            "c:FS a:R",
+            lambda c, a: composites.Selector("f", memory=False, children=[c, a]),
+        ),
         ("KeepRunningUntilFailure", "a:SF", lambda a: decorators.SuccessIsRunning("k", a)),
         ("ForceSuccess", "a:RF", lambda a: decorators.FailureIsSuccess("f", a)),
         ("Inverter", "a:RF", lambda a: decorators.Inverter("i", a)),
@@ -388,9 +487,15 @@ def test_namesake_in_py_trees_differs_where_the_page_says_so(tag, leaves, namesa
     tree = load_xml(wrapped(f"<{tag}>{content}</{tag.split()[0]}>"), registry_of(scripts, said))
     ours = trace(tree.tick_once, tree, said, 6)
     kinds = {"A": Action, "C": Condition}
-    made = {name: kinds[kind](name, cycle(script), said) for name, (kind, script) in scripts.items()}
+    made = {
+        name: kinds[kind](name, cycle(script), said) for name, (kind, script) in scripts.items()
+    }
     theirs = namesake(*made.values())
-    row = next(line for line in PAGE.read_text().splitlines() if re.match(rf"\| `.*\b{tag.split()[0]}\b.*` \|", line))
+    row = next(
+        line
+        for line in PAGE.read_text().splitlines()
+        if re.match(rf"\| `.*\b{tag.split()[0]}\b.*` \|", line)
+    )
     says_same = row.split("|")[-2].strip().startswith("the same")
     assert (trace(theirs.tick_once, theirs, said, 6) == ours) == says_same
 
@@ -404,7 +509,9 @@ def test_child_that_ran_and_is_then_skipped_counts_as_skipped(tag):
     tree.blackboard["n"] = 1
     tree.children[0].tick_once()
     assert said[-1] == "a:halt"
-    (inner,) = (one for one in tree.iterate() if type(one).__name__ == tag and one.children[0].name == "a")
+    (inner,) = (
+        one for one in tree.iterate() if type(one).__name__ == tag and one.children[0].name == "a"
+    )
     assert inner.status is Status.INVALID
 
 
@@ -475,7 +582,10 @@ def test_behaviortree_cpp_was_seen_to_do(case):
         ('<Repeat num_cycles="{gone}"><a/></Repeat>', {}),
         ('<SetBlackboard value="{x}" output_key="y"/>', {"x": True, "y": 0.5}),
         ('<SetBlackboard value="{x}" output_key="y"/>', {"x": "word", "y": 3}),
-        ('<Fallback><WasEntryUpdated entry="{y}"/><SetBlackboard value="7" output_key="y"/></Fallback>', {}),
+        (
+            '<Fallback><WasEntryUpdated entry="{y}"/><SetBlackboard value="7" output_key="y"/></Fallback>',
+            {},
+        ),
     ],
 )
 def test_behaviortree_cpp_was_seen_to_raise_in_the_first_tick(text, told):

@@ -74,7 +74,10 @@ def hear(content, **trees):
 
 def test_literals_keys_and_defaults_reach_the_leaf_as_the_types_that_it_declares():
     heard = []
-    tree = load('<Sequence><Add one="2" total="{sum}"/><Say what="{sum}" times="3" loud="true"/></Sequence>', heard)
+    tree = load(
+        '<Sequence><Add one="2" total="{sum}"/><Say what="{sum}" times="3" loud="true"/></Sequence>',
+        heard,
+    )
     tree.tick_once()
     assert heard == [(12.0, 3, True)]
     assert dict(tree.blackboard) == {"sum": 12.0}
@@ -102,15 +105,27 @@ SCOPES = {
     '<SubTree ID="Sub" y="text"/>': ('<Say what="{y}"/>', ["text"]),
     '<SubTree ID="Sub" _autoremap="true"/>': ('<Say what="{x}"/>', [1]),
     '<SubTree ID="Sub" x="7" _autoremap="true"/>': ('<Say what="{x}"/>', [7]),
-    '<SubTree ID="Sub"/>': ('<Sequence><Say what="{@x}"/><Script code="x := 5"/><Say what="{x}"/></Sequence>', [1, 5]),
-    '<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>': ('<Script code="out := 3"/>', [3]),
+    '<SubTree ID="Sub"/>': (
+        '<Sequence><Say what="{@x}"/><Script code="x := 5"/><Say what="{x}"/></Sequence>',
+        [1, 5],
+    ),
+    '<Sequence><SubTree ID="Sub" out="{z}"/><Say what="{z}"/></Sequence>': (
+        '<Script code="out := 3"/>',
+        [3],
+    ),
     '<Sequence><SubTree ID="Sub"/><Say what="{x}"/></Sequence>': ('<Script code="x := 5"/>', [1]),
     '<Sequence><SubTree ID="Sub" _autoremap="1"/><Say what="{x}"/></Sequence>': (
         '<Script code="x := 5; _x := 6"/>',
         [5],
     ),
-    '<Sequence><SubTree ID="Sub" x="7"/><Say what="{x}"/></Sequence>': ('<Script code="x := 5"/>', [1]),
-    '<Sequence><SubTree ID="Sub" y="{@x}"/><Say what="{x}"/></Sequence>': ('<Script code="@x := 5; y := 6"/>', [6]),
+    '<Sequence><SubTree ID="Sub" x="7"/><Say what="{x}"/></Sequence>': (
+        '<Script code="x := 5"/>',
+        [1],
+    ),
+    '<Sequence><SubTree ID="Sub" y="{@x}"/><Say what="{x}"/></Sequence>': (
+        '<Script code="@x := 5; y := 6"/>',
+        [6],
+    ),
 }
 
 
@@ -146,7 +161,9 @@ def test_two_subtrees_of_one_tree_and_two_loaded_trees_share_nothing():
 def test_model_of_a_tree_gives_defaults_and_says_what_is_needed():
     editor = '<MetadataFields><Metadata author="nobody"/></MetadataFields>'
     model = f'<SubTree ID="Sub"><input_port name="v" default="4"/><input_port name="w"/>{editor}</SubTree>'
-    text = wrapped('<SubTree ID="Sub" {0}/>', Sub='<Sequence><Say what="{v}"/><Say what="{w}"/></Sequence>')
+    text = wrapped(
+        '<SubTree ID="Sub" {0}/>', Sub='<Sequence><Say what="{v}"/><Say what="{w}"/></Sequence>'
+    )
     text = text.replace("</root>", f"<TreeNodesModel>{model}</TreeNodesModel></root>")
     heard = []
     registry = BehaviourRegistry(heard=heard)
@@ -191,7 +208,9 @@ def test_functions_make_leaves_too_and_take_what_they_declare_and_the_blackboard
         blackboard["count"] = start + by
         return Finished(name, [])
 
-    tree = load_xml(wrapped('<SubTree ID="Sub" count="{total}"/>', Sub='<count start="4"/>'), registry)
+    tree = load_xml(
+        wrapped('<SubTree ID="Sub" count="{total}"/>', Sub='<count start="4"/>'), registry
+    )
     assert dict(tree.blackboard) == {"total": 5}
 
 
@@ -217,7 +236,9 @@ def test_functions_and_partial_ones_get_the_name_and_the_types_of_what_they_call
     registry.register("short", lambda name: Finished(name, heard))
     registry.register("half", partial(Say, heard=heard, loud=True))
     registry.register("sum", partial(Add))
-    text = '<Sequence><Add one="1" total="{t}"/><half what="{t}" times="2"/></Sequence>'.replace("Add", "sum")
+    text = '<Sequence><Add one="1" total="{t}"/><half what="{t}" times="2"/></Sequence>'.replace(
+        "Add", "sum"
+    )
     tree = load_xml(wrapped(text), registry)
     tree.tick_once()
     assert heard == [(11.0, 2, True)]
@@ -245,9 +266,12 @@ def test_decorators_of_the_user_decorate_what_is_in_them():
 
     said = []
     registry = registry_of({"a": ("A", "RRS"), "c": ("C", "SSSF")}, said)
-    registry.register("EveryOther", EveryOther)  # as any other name that BehaviorTree.CPP itself does not have
+    registry.register(
+        "EveryOther", EveryOther
+    )  # as any other name that BehaviorTree.CPP itself does not have
     tree = load_xml(
-        wrapped('<ReactiveSequence><c/><EveryOther first="0"><a/></EveryOther></ReactiveSequence>'), registry
+        wrapped('<ReactiveSequence><c/><EveryOther first="0"><a/></EveryOther></ReactiveSequence>'),
+        registry,
     )
     assert trace(tree.tick_once, tree, said, 4) == [
         "0| c:c:S a:s:R => RUNNING",
@@ -289,7 +313,9 @@ class Prepared(Finished):
         (Finished, None, "<leaf/>", '<Action ID="leaf"><input_port name="x"/></Action>', False),
     ],
 )
-def test_only_conditions_are_asked_again_before_they_are_reset(factory, kind, element, model, is_condition):
+def test_only_conditions_are_asked_again_before_they_are_reset(
+    factory, kind, element, model, is_condition
+):
     asked = []
     registry = registry_of({"b": ("A", "R")}, [])
     registry.register("leaf", lambda name: factory(name, asked), kind=kind)
@@ -347,7 +373,9 @@ def rover():
     return kb, registry
 
 
-PATTERN = '<ReactiveSequence><IsActionFeasible action="{a}"/><scan action="{a}"/></ReactiveSequence>'
+PATTERN = (
+    '<ReactiveSequence><IsActionFeasible action="{a}"/><scan action="{a}"/></ReactiveSequence>'
+)
 
 
 def test_our_leaves_ask_and_tell_the_knowledge_base_that_the_registry_is_bound_to():
@@ -367,7 +395,8 @@ def test_our_leaves_ask_and_tell_the_knowledge_base_that_the_registry_is_bound_t
 def test_action_that_the_model_does_not_have_is_found_when_the_tree_is_made():
     _, registry = rover()
     with pytest.raises(
-        XmlError, match=r"<text>:1: <scan> cannot be made: .*unknown action 'scann'; did you mean 'scan'"
+        XmlError,
+        match=r"<text>:1: <scan> cannot be made: .*unknown action 'scann'; did you mean 'scan'",
     ):
         load_xml(wrapped('<scan action="scann"/>'), registry)
 
@@ -392,7 +421,10 @@ def test_all_leaves_of_ours_can_be_written():
         '<IsActionFeasible action="scan"/><HasStatus element="scan" status="feasible"/>'
         '<Measurement attribute="light" operator=">=" value="0.6"/>'
     )
-    tree = load_xml(wrapped(f'<Sequence>{leaves}<scan action="scan" wait="true" timeout="5"/></Sequence>'), registry)
+    tree = load_xml(
+        wrapped(f'<Sequence>{leaves}<scan action="scan" wait="true" timeout="5"/></Sequence>'),
+        registry,
+    )
     tree.tick_once()
     assert tree.status is Status.RUNNING
     assert [one.action for one in kb.required_actions] == ["scan"]
@@ -417,7 +449,9 @@ def test_literal_goes_to_the_constructor_that_asks_for_it():
     _, registry = rover()
     registry.register("water", Water)
     (leaf,) = (
-        one for one in load_xml(wrapped('<water action="scan" plants="4"/>'), registry).iterate() if not one.children
+        one
+        for one in load_xml(wrapped('<water action="scan" plants="4"/>'), registry).iterate()
+        if not one.children
     )
     assert (leaf.action, leaf.plants) == ("scan", 4)
 
@@ -442,7 +476,10 @@ def test_literal_wins_over_the_default_of_the_constructor():
         ('<water plants="4"/>', "'action' is missing; write action=..."),
         ('<water action="{a}"/>', "'action' is needed when the tree is made"),
         ('<water action="scann"/>', "did you mean 'scan'"),
-        ('<water action="scan" plant="4"/>', "no port 'plant'; did you mean 'plants'? ports: action, plants"),
+        (
+            '<water action="scan" plant="4"/>',
+            "no port 'plant'; did you mean 'plants'? ports: action, plants",
+        ),
         ("<scan/>", "'action' is missing; write action=..."),
         ("<IsActionFeasible/>", "'action' is missing; write action=..."),
         ('<HasStatus element="scann" status="solved"/>', "did you mean 'scan'"),
@@ -451,9 +488,15 @@ def test_literal_wins_over_the_default_of_the_constructor():
         ('<Measurement attribute="lihgt" operator=">=" value="1"/>', "did you mean 'light'"),
         ('<Measurement attribute="light" operator="=>" value="1"/>', "'=>' is not an operator"),
         ('<Measurement attribute="light" value="1"/>', "'operator' is missing; write operator=..."),
-        ('<fixed action="{a}"/>', "says already that 'action' is 'scan', so '{a}' would never be read"),
+        (
+            '<fixed action="{a}"/>',
+            "says already that 'action' is 'scan', so '{a}' would never be read",
+        ),
         ('<fixed action="drive"/>', "leave action=... out"),
-        ('<Measurement attribute="{a}" operator=">" value="1"/>', "'attribute' is needed when the tree is made"),
+        (
+            '<Measurement attribute="{a}" operator=">" value="1"/>',
+            "'attribute' is needed when the tree is made",
+        ),
     ],
 )
 def test_what_our_leaves_cannot_mean_is_found_when_the_tree_is_made(element, message):
@@ -507,7 +550,13 @@ NAVIGATION = """
 
 def test_tree_in_the_style_of_nav2_plans_follows_and_recovers():
     said, now = [], 0.0
-    scripts = {"ComputePath": "SSFFS", "ClearMap": "S", "FollowPath": "RRFR", "Spin": "S", "GoalUpdated": "F"}
+    scripts = {
+        "ComputePath": "SSFFS",
+        "ClearMap": "S",
+        "FollowPath": "RRFR",
+        "Spin": "S",
+        "GoalUpdated": "F",
+    }
     leaves = {
         tag: partial(Condition if tag == "GoalUpdated" else Action, script=cycle(script), said=said)
         for tag, script in scripts.items()
@@ -536,9 +585,15 @@ class Colour(StrEnum):
 
 @pytest.mark.parametrize(
     ("held", "code", "expected"),
-    [(Metres(1.5), "x := 2.5", 2.5), (Metres(1.5), "x += 1", 2.5), (Colour.RED, "x := 'blue'", "blue")],
+    [
+        (Metres(1.5), "x := 2.5", 2.5),
+        (Metres(1.5), "x += 1", 2.5),
+        (Colour.RED, "x := 'blue'", "blue"),
+    ],
 )
-def test_script_writes_over_a_value_whose_class_is_derived_from_a_number_or_a_text(held, code, expected):
+def test_script_writes_over_a_value_whose_class_is_derived_from_a_number_or_a_text(
+    held, code, expected
+):
     tree = load(f'<Script code="{code}"/>')
     tree.blackboard["x"] = held
     tree.tick_once()

@@ -120,13 +120,19 @@ def test_bytes_that_are_no_text_are_refused(tmp_path):
 
 
 def test_trees_that_multiply_are_refused_before_they_fill_the_memory():
-    trees = {f"T{n}": f'<Sequence><SubTree ID="T{n + 1}"/><SubTree ID="T{n + 1}"/></Sequence>' for n in range(30)}
+    trees = {
+        f"T{n}": f'<Sequence><SubTree ID="T{n + 1}"/><SubTree ID="T{n + 1}"/></Sequence>'
+        for n in range(30)
+    }
     with pytest.raises(XmlError, match=f"more than {MAX_NODES} nodes"):
         load(wrapped('<SubTree ID="T0"/>', **trees, T30="<ok/>"))
 
 
 def test_trees_that_are_too_deep_together_are_refused():
-    trees = {f"T{n}": "<Inverter>" * 20 + f'<SubTree ID="T{n + 1}"/>' + "</Inverter>" * 20 for n in range(9)}
+    trees = {
+        f"T{n}": "<Inverter>" * 20 + f'<SubTree ID="T{n + 1}"/>' + "</Inverter>" * 20
+        for n in range(9)
+    }
     with pytest.raises(XmlError, match=f"more than {MAX_DEPTH} levels deep"):
         load(wrapped('<SubTree ID="T0"/>', **trees, T9="<ok/>"))
 
@@ -156,7 +162,10 @@ def test_tree_is_chosen_by_name_by_the_file_or_because_it_is_the_only_one(tmp_pa
 
 def test_text_may_begin_with_a_mark_a_declaration_and_comments():
     begin = '\ufeff<?xml version="1.0" encoding="UTF-8"?>\n<!-- a tree -->'
-    assert load(begin + "<root><BehaviorTree>text<!-- --><a/></BehaviorTree></root>").child.node.name == "a"
+    assert (
+        load(begin + "<root><BehaviorTree>text<!-- --><a/></BehaviorTree></root>").child.node.name
+        == "a"
+    )
 
 
 def test_explicit_and_compact_elements_mean_the_same():
@@ -169,9 +178,13 @@ def test_explicit_and_compact_elements_mean_the_same():
     assert trees[0].child.node.name == trees[1].child.node.name == "s"
 
 
-@pytest.mark.parametrize("code", ["flag", "!flag", "flag || true", "2", "true || unknown", "1 == 'x'"])
+@pytest.mark.parametrize(
+    "code", ["flag", "!flag", "flag || true", "2", "true || unknown", "1 == 'x'"]
+)
 def test_what_is_no_truth_value_is_an_error_of_the_tick(code):
-    tree = load(wrapped('<SubTree ID="Other" flag="true"/>', Other=f'<ScriptCondition code="{code}"/>'))
+    tree = load(
+        wrapped('<SubTree ID="Other" flag="true"/>', Other=f'<ScriptCondition code="{code}"/>')
+    )
     with pytest.raises(ScriptError):
         tree.tick_once()
 
@@ -183,7 +196,9 @@ def test_names_that_the_library_refuses_are_refused_with_what_to_write(name):
 
 
 def test_raw_ampersands_and_brackets_in_attributes_are_read_with_a_note(caplog):
-    tree = load('<root><BehaviorTree ID="T">\n<ok _skipIf="1 < 2 && 3 > 2 &amp;&amp; 1"/></BehaviorTree></root>')
+    tree = load(
+        '<root><BehaviorTree ID="T">\n<ok _skipIf="1 < 2 && 3 > 2 &amp;&amp; 1"/></BehaviorTree></root>'
+    )
     tree.tick_once()
     assert tree.status is Status.INVALID
     assert "read as it stands, though it is no XML: & and < in attributes" in caplog.text
@@ -202,7 +217,9 @@ def test_file_that_says_another_version_is_read_as_of_version_4_with_a_note(capl
     assert "<text>:1: read as of version 4" in caplog.text
 
 
-def test_dashes_in_comments_and_blanks_before_the_declaration_are_read_with_a_note(tmp_path, caplog):
+def test_dashes_in_comments_and_blanks_before_the_declaration_are_read_with_a_note(
+    tmp_path, caplog
+):
     path = tmp_path / "tree.xml"
     path.write_text(
         '\n<?xml version="1.0"?>\n<!-- ---- what follows ---- -->\n<root><BehaviorTree><okk/></BehaviorTree></root>'
@@ -231,7 +248,9 @@ def test_files_of_ros_packages_are_found_where_ros_has_them(tmp_path, monkeypatc
     share = tmp_path / "install" / "share" / "nav"
     (share / "trees").mkdir(parents=True)
     (share / "trees" / "x.xml").write_text('<root><BehaviorTree ID="X"><ok/></BehaviorTree></root>')
-    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(tmp_path), str(tmp_path / "install")]))
+    monkeypatch.setenv(
+        "AMENT_PREFIX_PATH", os.pathsep.join([str(tmp_path), str(tmp_path / "install")])
+    )
     text = '<root><include ros_pkg="nav" path="trees/x.xml"/></root>'
     assert [one.name for one in load(text).iterate()] == ["ok", "X"]
 
@@ -244,13 +263,16 @@ def test_includes_are_relative_to_the_file_and_read_once(tmp_path):
     )
     one = '<root main_tree_to_execute="One"><include path="two.xml"/><BehaviorTree ID="One"><a/></BehaviorTree></root>'
     (tmp_path / "parts" / "one.xml").write_text(one)
-    (tmp_path / "parts" / "two.xml").write_text('<root><BehaviorTree ID="Two"><ok/></BehaviorTree></root>')
+    (tmp_path / "parts" / "two.xml").write_text(
+        '<root><BehaviorTree ID="Two"><ok/></BehaviorTree></root>'
+    )
     tree = load(tmp_path / "main.xml")
     tree.tick_once()
     assert [one.name for one in tree.iterate()] == ["a", "One", "ok", "Two", "Sequence", "Main"]
     (tmp_path / "parts" / "two.xml").write_text('<root>\n<include path="../main.xml"/></root>')
     with pytest.raises(
-        XmlError, match=r"two\.xml:2: files include each other: main\.xml -> one\.xml -> two\.xml -> main"
+        XmlError,
+        match=r"two\.xml:2: files include each other: main\.xml -> one\.xml -> two\.xml -> main",
     ):
         load(tmp_path / "main.xml")
 
@@ -258,15 +280,21 @@ def test_includes_are_relative_to_the_file_and_read_once(tmp_path):
 def test_what_is_linked_includes_what_is_beside_the_link(tmp_path):
     (tmp_path / "source").mkdir()
     (tmp_path / "share").mkdir()
-    (tmp_path / "source" / "main.xml").write_text('<root main_tree_to_execute="X"><include path="x.xml"/></root>')
+    (tmp_path / "source" / "main.xml").write_text(
+        '<root main_tree_to_execute="X"><include path="x.xml"/></root>'
+    )
     (tmp_path / "share" / "main.xml").symlink_to(tmp_path / "source" / "main.xml")
-    (tmp_path / "share" / "x.xml").write_text('<root><BehaviorTree ID="X"><ok/></BehaviorTree></root>')
+    (tmp_path / "share" / "x.xml").write_text(
+        '<root><BehaviorTree ID="X"><ok/></BehaviorTree></root>'
+    )
     text = f'<root main_tree_to_execute="X"><include path="{tmp_path}/share/main.xml"/></root>'
     assert [one.name for one in load(text).iterate()] == ["ok", "X"]
 
 
 def test_error_in_an_included_file_names_that_file(tmp_path):
-    (tmp_path / "part.xml").write_text('<root>\n<BehaviorTree ID="Part">\n<unknown/></BehaviorTree></root>')
+    (tmp_path / "part.xml").write_text(
+        '<root>\n<BehaviorTree ID="Part">\n<unknown/></BehaviorTree></root>'
+    )
     main = '<root main_tree_to_execute="Part"><include path="part.xml"/></root>'
     (tmp_path / "main.xml").write_text(main)
     with pytest.raises(XmlError, match=r"part\.xml:3: <unknown>"):
@@ -274,7 +302,9 @@ def test_error_in_an_included_file_names_that_file(tmp_path):
 
 
 def test_what_editors_write_beside_is_passed_over():
-    text = wrapped('<Sequence _description="d" _uid="3" _fullPath="x/y" _collapsed="true"><a/></Sequence>')
+    text = wrapped(
+        '<Sequence _description="d" _uid="3" _fullPath="x/y" _collapsed="true"><a/></Sequence>'
+    )
     load(text)
 
 
@@ -298,7 +328,16 @@ def test_script_reads_the_text_that_a_subtree_is_given_as_what_it_says(code, is_
 
 @pytest.mark.parametrize(
     "given",
-    ["no XML at all, but long " * 300, "x\0y", "n\no", "\ud800", "<root/>\0", b"<root/>", 3, Path("x" * 5000)],
+    [
+        "no XML at all, but long " * 300,
+        "x\0y",
+        "n\no",
+        "\ud800",
+        "<root/>\0",
+        b"<root/>",
+        3,
+        Path("x" * 5000),
+    ],
     ids=range(8),
 )
 def test_what_is_neither_xml_nor_a_file_is_refused_in_one_clear_line(given):

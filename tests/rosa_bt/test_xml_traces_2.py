@@ -20,7 +20,9 @@ from rosa_bt.xml.reader import SubTree
 
 CASES = json.loads(Path(__file__).with_name("btcpp_traces_2.json").read_text())["cases"]
 REFUSALS = [pair for case in CASES if case["category"] == "refused" for pair in case["pairs"]]
-TRACES = [case for case in CASES if case["category"] != "refused"] + [pair["mended"] for pair in REFUSALS]
+TRACES = [case for case in CASES if case["category"] != "refused"] + [
+    pair["mended"] for pair in REFUSALS
+]
 TYPES = {
     "int": int,
     "double": float,
@@ -97,9 +99,15 @@ def registry_for(case, said):
         ports = case.get("ports", {}).get(tag, {})
         ins, outs = ports.get("in", {}), ports.get("out", {})
         cls = type(tag, (Action if kind == "A" else Leaf,), {})
-        cls.INPUT_PORTS = {name: PortInformation(TYPES[of], required=False) for name, of in ins.items()}
-        cls.OUTPUT_PORTS = {name: PortInformation(TYPES[of], required=False) for name, (of, _) in outs.items()}
-        cls.written = {name: cycle([held(of, one) for one in values]) for name, (of, values) in outs.items()}
+        cls.INPUT_PORTS = {
+            name: PortInformation(TYPES[of], required=False) for name, of in ins.items()
+        }
+        cls.OUTPUT_PORTS = {
+            name: PortInformation(TYPES[of], required=False) for name, (of, _) in outs.items()
+        }
+        cls.written = {
+            name: cycle([held(of, one) for one in values]) for name, (of, values) in outs.items()
+        }
         cls.tag, cls.script, cls.said = tag, cycle(script), said
         registry.register(tag, cls, kind="action" if kind == "A" else "condition")
     return registry
@@ -133,14 +141,19 @@ def board_differences(recorded, boards):
                 continue
             if key not in present or not is_same(kept, present[key]):
                 yield f"board {tree} {key}: {kept} but {present.get(key, 'nothing')!r}"
-        yield from (f"board {tree} {key}: nothing but {present[key]!r}" for key in present.keys() - wanted.keys())
+        yield from (
+            f"board {tree} {key}: nothing but {present[key]!r}"
+            for key in present.keys() - wanted.keys()
+        )
 
 
 def differences(case):
     """Yield in which a case is not as it was recorded."""
     said, clock = [], Hand()
     try:
-        tree = load_xml(case["xml"], registry_for(case, said), enums=case.get("enums", {}), clock=clock)
+        tree = load_xml(
+            case["xml"], registry_for(case, said), enums=case.get("enums", {}), clock=clock
+        )
     except XmlError as error:
         if not case.get("may_refuse"):
             yield f"refused: {error}"

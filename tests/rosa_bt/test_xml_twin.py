@@ -21,7 +21,14 @@ from rosa_bt.xml.nodes import NodeError
 
 TICKS = 20
 ENUMS = {"RED": 1}
-MANY = ("Sequence", "AsyncSequence", "SequenceWithMemory", "ReactiveSequence", "Fallback", "AsyncFallback")
+MANY = (
+    "Sequence",
+    "AsyncSequence",
+    "SequenceWithMemory",
+    "ReactiveSequence",
+    "Fallback",
+    "AsyncFallback",
+)
 COUNTED = {"Parallel": ("success_count", "failure_count"), "ParallelAll": ("max_failures",)}
 ONE = {
     **dict.fromkeys(("Inverter", "ForceSuccess", "ForceFailure", "KeepRunningUntilFailure"), ("",)),
@@ -30,13 +37,22 @@ ONE = {
     "RetryUntilSuccessful": [f' num_attempts="{number}"' for number in (-1, 0, 1, 2, 3)],
     "Delay": [f' delay_msec="{number}"' for number in (500, 1500, 3000)],
     "Timeout": [f' msec="{number}"' for number in (1000, 2500, 4000)],
-    "LoopInt": [f' queue="1;2" if_empty="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
-    "LoopDouble": [f' queue="1;0.5;2e1" value="{{vd}}" if_empty="{word}"' for word in ("SUCCESS", "FAILURE")],
+    "LoopInt": [
+        f' queue="1;2" if_empty="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")
+    ],
+    "LoopDouble": [
+        f' queue="1;0.5;2e1" value="{{vd}}" if_empty="{word}"' for word in ("SUCCESS", "FAILURE")
+    ],
     "LoopBool": [' queue="true;false" value="{vb}" if_empty="SUCCESS"'],
-    "LoopString": [' queue="a;7" value="{vs}" if_empty="FAILURE"', ' queue="a;b" if_empty="RUNNING"'],
+    "LoopString": [
+        ' queue="a;7" value="{vs}" if_empty="FAILURE"',
+        ' queue="a;b" if_empty="RUNNING"',
+    ],
     "SkipUnlessUpdated": [f' entry="{{{key}}}"' for key in ("n", "d", "c", "vd", "never")],
     "WaitValueUpdate": [f' entry="{key}"' for key in ("n", "t", "c")],
-    "Precondition": [f' if="!x" else="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")],
+    "Precondition": [
+        f' if="!x" else="{word}"' for word in ("SUCCESS", "FAILURE", "RUNNING", "SKIPPED")
+    ],
 }
 ENTRIES = (
     '<WasEntryUpdated entry="{n}"/>',
@@ -49,25 +65,55 @@ ENTRIES = (
     '<Script code="w := 2"/>',
     '<Script code="w := n / 2"/>',
 )
-CONSTANT = ("<AlwaysSuccess/>", "<AlwaysFailure/>", '<ScriptCondition code="x"/>', '<Script code="y := !y"/>')
+CONSTANT = (
+    "<AlwaysSuccess/>",
+    "<AlwaysFailure/>",
+    '<ScriptCondition code="x"/>',
+    '<Script code="y := !y"/>',
+)
 AUTO = '_autoremap="true"'
-REMAPPED = {"n": ("{n}", "{d}", "4"), "d": ("{n}", "0.25"), "t": ("{=}", "b"), "c": ("{c}", "{=}"), "y": ("{x}",)}
+REMAPPED = {
+    "n": ("{n}", "{d}", "4"),
+    "d": ("{n}", "0.25"),
+    "t": ("{=}", "b"),
+    "c": ("{c}", "{=}"),
+    "y": ("{x}",),
+}
 PORTS = (*[""] * 5, ' p="5"', ' p="{g}"', ' p="{never}"', ' o="{o}"', ' p="{o}" o="{o}"')
-RULES = ("_failureIf", "_successIf", "_skipIf", "_while", "_onSuccess", "_onFailure", "_onHalted", "_post")
+RULES = (
+    "_failureIf",
+    "_successIf",
+    "_skipIf",
+    "_while",
+    "_onSuccess",
+    "_onFailure",
+    "_onHalted",
+    "_post",
+)
 
 
 class Grower:
     """Writes a random file, and names its leaves."""
 
     def __init__(self, seed, rules):
-        self.random, self.often, self.leaves, self.trees, self.ports = Random(seed), rules, {}, {}, {}
+        self.random, self.often, self.leaves, self.trees, self.ports = (
+            Random(seed),
+            rules,
+            {},
+            {},
+            {},
+        )
 
     def file(self):
         main = self.node(self.random.randint(1, 4))
         return wrapped(main, **self.trees)
 
     def rules(self):
-        chosen = self.random.sample(RULES, self.random.randint(1, 2)) if self.random.random() < self.often else []
+        chosen = (
+            self.random.sample(RULES, self.random.randint(1, 2))
+            if self.random.random() < self.often
+            else []
+        )
         said = {rule: self.script() if rule in RULES[4:] else self.condition() for rule in chosen}
         return "".join(f" {rule}={quoteattr(code)}" for rule, code in said.items())
 
@@ -79,18 +125,48 @@ class Grower:
         numbers = f"{self.number()} {choose(signs)} {self.number()}"
         texts = f"{self.text()} {choose(signs)} {self.text()}"
         chain = f"{numbers} {choose(signs)} {self.number()}"
-        return choose((numbers, chain, texts, f"{numbers} {choose(('&&', '||'))} !y", f"!({chain}) || x"))
+        return choose(
+            (numbers, chain, texts, f"{numbers} {choose(('&&', '||'))} !y", f"!({chain}) || x")
+        )
 
     def number(self, depth=2):
         choose = self.random.choice
         if depth == 0 or self.random.random() < 0.3:
-            return choose(("0", "1", "2", "3", "0x1F", "1.5", "2e1", "true", "RED", "n", "d", "x", "-d", "~n", "!y"))
+            return choose(
+                (
+                    "0",
+                    "1",
+                    "2",
+                    "3",
+                    "0x1F",
+                    "1.5",
+                    "2e1",
+                    "true",
+                    "RED",
+                    "n",
+                    "d",
+                    "x",
+                    "-d",
+                    "~n",
+                    "!y",
+                )
+            )
         one, other = self.number(depth - 1), self.number(depth - 1)
         plain = f"{one} {choose('+-*/')} {other}"
-        return choose((plain, plain, f"({plain})", f"n {choose('&|^')} {choose('1234')}", f"(x ? {one} : {other})"))
+        return choose(
+            (
+                plain,
+                plain,
+                f"({plain})",
+                f"n {choose('&|^')} {choose('1234')}",
+                f"(x ? {one} : {other})",
+            )
+        )
 
     def text(self):
-        return self.random.choice(("t", "t", "'a'", "'7'", "'b' .. n", "t .. 2", "'c' .. (d + 1)", "t + 'a'"))
+        return self.random.choice(
+            ("t", "t", "'a'", "'7'", "'b' .. n", "t .. 2", "'c' .. (d + 1)", "t + 'a'")
+        )
 
     def script(self):
         one, choose = self.number(), self.random.choice
@@ -105,12 +181,19 @@ class Grower:
             f"d {choose('+-*/')}= {one}",
             "t += 'a'",
         )
-        more = (f"t := {self.text()}", f"y = {self.condition()}", f"n = {one}", f"x ? d := {one} : (n := 2)")
+        more = (
+            f"t := {self.text()}",
+            f"y = {self.condition()}",
+            f"n = {one}",
+            f"x ? d := {one} : (n := 2)",
+        )
         return "; ".join(choose((*known, *known, *more)) for _ in range(self.random.randint(1, 3)))
 
     def leaf(self):
         tag, kind = f"L{len(self.leaves)}", self.random.choice("AAC")
-        script = "".join(self.random.choices("SF" if kind == "C" else "SFR", k=self.random.randint(1, 6)))
+        script = "".join(
+            self.random.choices("SF" if kind == "C" else "SFR", k=self.random.randint(1, 6))
+        )
         self.leaves[tag] = (kind, script)
         ports = self.random.choice(PORTS)
         outs = {"o": ["int", range(1, 1000)]} if " o=" in ports else {}
@@ -123,19 +206,39 @@ class Grower:
     def node(self, depth):
         if depth == 0:
             return self.leaf()
-        grow = (self.leaf, self.constant, self.many, self.many, self.many, self.one, self.one, self.choice, self.tree)
+        grow = (
+            self.leaf,
+            self.constant,
+            self.many,
+            self.many,
+            self.many,
+            self.one,
+            self.one,
+            self.choice,
+            self.tree,
+        )
         chosen = self.random.choice(grow)
         return chosen() if chosen in grow[:2] else chosen(depth - 1)
 
     def constant(self):
         asked, done = quoteattr(self.condition()), quoteattr(self.script())
-        return self.random.choice((*CONSTANT, *ENTRIES, f"<ScriptCondition code={asked}/>", f"<Script code={done}/>"))
+        return self.random.choice(
+            (*CONSTANT, *ENTRIES, f"<ScriptCondition code={asked}/>", f"<Script code={done}/>")
+        )
 
     def many(self, depth):
-        tag, count = self.random.choice((*MANY, "ReactiveFallback", *COUNTED)), self.random.randint(1, 4)
-        ports = [f' {port}="{self.random.randint(-count - 1, count)}"' for port in COUNTED.get(tag, ())]
+        tag, count = (
+            self.random.choice((*MANY, "ReactiveFallback", *COUNTED)),
+            self.random.randint(1, 4),
+        )
+        ports = [
+            f' {port}="{self.random.randint(-count - 1, count)}"' for port in COUNTED.get(tag, ())
+        ]
         children = [self.node(depth) for _ in range(count)]
-        if tag == "ReactiveSequence" and sum(child.startswith("<AsyncSequence") for child in children) > 1:
+        if (
+            tag == "ReactiveSequence"
+            and sum(child.startswith("<AsyncSequence") for child in children) > 1
+        ):
             children = children[:1]  # which takes one asynchronous child only
         return self.around(tag, "".join(ports[: self.random.randint(0, 2)]), children)
 
@@ -144,7 +247,9 @@ class Grower:
         return self.around(tag, self.random.choice(ONE[tag]), [self.node(depth)])
 
     def choice(self, depth):
-        tag = self.random.choice(("IfThenElse", "WhileDoElse", "Switch2", "Switch3", "Switch4", "TryCatch"))
+        tag = self.random.choice(
+            ("IfThenElse", "WhileDoElse", "Switch2", "Switch3", "Switch4", "TryCatch")
+        )
         count = int(tag[6:]) + 1 if tag.startswith("Switch") else self.random.randint(2, 3)
         cases = self.random.sample(("1", "01", "2.0", "RED", "3", "other"), count - 1)
         ports = "".join(f' case_{number}="{case}"' for number, case in enumerate(cases, start=1))
@@ -156,7 +261,11 @@ class Grower:
         name = f"Tree{len(self.trees)}"
         self.trees[name] = ""
         self.trees[name] = self.node(depth)
-        some = {key: self.random.choice(texts) for key, texts in REMAPPED.items() if self.random.random() < 0.3}
+        some = {
+            key: self.random.choice(texts)
+            for key, texts in REMAPPED.items()
+            if self.random.random() < 0.3
+        }
         all_but = {**dict.fromkeys("xyndtw", "{=}"), **some}
         is_auto = self.random.random() < 0.6
         ports = "".join(f' {key}="{text}"' for key, text in (some if is_auto else all_but).items())
@@ -166,7 +275,12 @@ class Grower:
 def ours_and_theirs(text, leaves, told, ports=None):
     """Tick both as often as something is told; return what happened, up to the first exception."""
     said, now, twin = [], 0.0, Twin(text, leaves, ENUMS, ports)
-    tree = load_xml(text, registry_for({"leaves": leaves, "ports": ports or {}}, said), clock=lambda: now, enums=ENUMS)
+    tree = load_xml(
+        text,
+        registry_for({"leaves": leaves, "ports": ports or {}}, said),
+        clock=lambda: now,
+        enums=ENUMS,
+    )
     happened = []
     for values in told:
         said.clear()
@@ -182,7 +296,9 @@ def ours_and_theirs(text, leaves, told, ports=None):
             break
         tree.tick_once()
         outcome = "SKIPPED" if tree.status is Status.INVALID else tree.status.name
-        ours = [entry for one in (tree, *subtrees_of(tree)) for entry in ("|", *entries(one.blackboard))]
+        ours = [
+            entry for one in (tree, *subtrees_of(tree)) for entry in ("|", *entries(one.blackboard))
+        ]
         theirs = [entry for board in twin.world.boards for entry in ("|", *entries(board.data))]
         happened.append(([*said, outcome, *ours], [*expected, *theirs]))
     return happened
@@ -213,7 +329,11 @@ def test_twin_does_what_behaviortree_cpp_recorded_of_random_trees_with_entries(c
 
 def entries(board):
     """Return what a blackboard holds in words, with the kind of each number."""
-    return [f"{key}={type(board[key]).__name__} {board[key]}" for key in sorted(board) if board[key] is not None]
+    return [
+        f"{key}={type(board[key]).__name__} {board[key]}"
+        for key in sorted(board)
+        if board[key] is not None
+    ]
 
 
 def lived(seed, rules, news):
@@ -221,7 +341,13 @@ def lived(seed, rules, news):
     grower, said = Grower(seed, rules), Random(news)
     text = grower.file()
     start = {"x": True, "y": False, "n": 3, "d": 0.5, "t": "a", "g": 0}
-    told = [start, *({"x": said.random() < 0.5} if rules and said.random() < 0.5 else {} for _ in range(TICKS))]
+    told = [
+        start,
+        *(
+            {"x": said.random() < 0.5} if rules and said.random() < 0.5 else {}
+            for _ in range(TICKS)
+        ),
+    ]
     happened = ours_and_theirs(text, grower.leaves, told, grower.ports)
     for ours, theirs in happened:
         assert ours == theirs, text
@@ -238,7 +364,8 @@ def plain_scripts():
     """Return recorded cases that are one script, of what needs no ports, as (code, enums, what is told, boards)."""
     for case in CASES:
         one = re.fullmatch(
-            r".*<Sequence><Script code=(\"[^\"]*\")/></Sequence></BehaviorTree></root>", case.get("xml", "")
+            r".*<Sequence><Script code=(\"[^\"]*\")/></Sequence></BehaviorTree></root>",
+            case.get("xml", ""),
         )
         if case["category"] == "script" and one and "set" not in case and not case["leaves"]:
             yield pytest.param(ElementTree.fromstring(f"<a b={one[1]}/>").get("b"), case, id=one[1])
@@ -266,7 +393,9 @@ def test_random_trees_hold_every_node_that_the_twin_knows():
     assert [tag for tag in (*KINDS, *RULES) if tag not in texts] == []
 
 
-@pytest.mark.parametrize("tag", ['Switch2 variable="{x}" case_1="1" case_2="2"', 'Precondition if="x" else="FAILURE"'])
+@pytest.mark.parametrize(
+    "tag", ['Switch2 variable="{x}" case_1="1" case_2="2"', 'Precondition if="x" else="FAILURE"']
+)
 def test_node_that_only_passes_on_what_was_skipped_is_asked_its_rules_again(tag):
     child = '<a _skipIf="y"/>'
     content = child * 3 if tag.startswith("Switch") else child

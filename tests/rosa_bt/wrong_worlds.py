@@ -34,19 +34,25 @@ def mad(samples, time):
 
 def model_of(chance):
     model = Model("mower")
-    attributes = [model.quality_attribute("charge", low=0.0, high=1.0), model.environmental_attribute("light")]
+    attributes = [
+        model.quality_attribute("charge", low=0.0, high=1.0),
+        model.environmental_attribute("light"),
+    ]
     charge, light = attributes
     blade = model.component("blade", always_improve=True)
     blade.configuration("fast", {"speed": 2.0}, priority=1, constraints=[light >= 0.5])
     blade.configuration("slow", {"speed": 1.0}, priority=2)
-    model.action("mow", requires=[model.function("cut").design("with_blade", [blade], priority=1).function])
+    model.action(
+        "mow", requires=[model.function("cut").design("with_blade", [blade], priority=1).function]
+    )
     model.actions["mow"].constrain(charge >= 0.25)
     model.actions["mow"].constrain(light >= 0.1)
     model.action("dock")
     for one in attributes:
         wrong = chance.choice(("constant", "trend", "periodic", biased, gloomy, mad))
         rates = [
-            Rate(chance.choice((-1.0, -0.03, -0.01, 0.01)), action, chance.random() < 0.5) for action in ("", "mow")
+            Rate(chance.choice((-1.0, -0.03, -0.01, 0.01)), action, chance.random() < 0.5)
+            for action in ("", "mow")
         ]
         if chance.random() < 0.5:
             model.change(one, forecasting=wrong, rates=())
@@ -63,14 +69,28 @@ class Robot:
         self.kb = kb = KnowledgeBase(model_of(chance), clock=lambda: self.now)
         tasks = [Act(kb, "mow"), Act(kb, "dock")]
         rate = {"fast": chance.uniform(0, 2), "slow": chance.uniform(0, 2)}
-        gains = [Gain("mow", rate, chance.random(), chance.choice((-0.1, 0.3, 1.0)), chance.choice((0.0, 3.0)))]
+        gains = [
+            Gain(
+                "mow",
+                rate,
+                chance.random(),
+                chance.choice((-0.1, 0.3, 1.0)),
+                chance.choice((0.0, 3.0)),
+            )
+        ]
         takes, spread = chance.uniform(0, 8), chance.uniform(0, 0.5)
-        dock = Errand("dock", {"charge": 1.0}, lambda away: takes + away, lambda away: takes + away, spread)
+        dock = Errand(
+            "dock", {"charge": 1.0}, lambda away: takes + away, lambda away: takes + away, spread
+        )
         keep = {"charge": 0.1} if chance.random() < 0.3 else {}
         self.lookahead = Lookahead(kb, Worth(chance.uniform(40, 120), gains, [dock], keep))
         planner = WorthPlanner(self.lookahead) if looks_ahead else None
         self.manager = ConfigurationManager(kb, Managed(), planner=planner)
-        tree = WhatNext("what next", self.lookahead, tasks) if looks_ahead else first_feasible("what next", tasks)
+        tree = (
+            WhatNext("what next", self.lookahead, tasks)
+            if looks_ahead
+            else first_feasible("what next", tasks)
+        )
         self.tree = tree
 
     def told(self, now, measured):
@@ -85,15 +105,29 @@ class Robot:
     def violates(self):
         kb = self.kb
         done = [kb.actions[one.action] for one in kb.required_actions]
-        chosen = [one for one in (*kb.configurations.values(), *kb.designs.values()) if one.is_selected]
+        chosen = [
+            one for one in (*kb.configurations.values(), *kb.designs.values()) if one.is_selected
+        ]
         in_use = chosen if done else []
-        return {one.name for one in (*done, *in_use) for each in one.constraints if each.status.value == "violated"}
+        return {
+            one.name
+            for one in (*done, *in_use)
+            for each in one.constraints
+            if each.status.value == "violated"
+        }
 
 
 def wrong_case(case):
     """Go through a case; return what only the one that looks ahead violates, and how often it put off mowing."""
     chance, ahead, reactive = Random(case), Robot(case, True), Robot(case, False)
-    fault, bias, clock, charge, put_off, only = chance.choice(FAULTS), chance.uniform(-0.5, 0.5), 0.0, 1.0, 0, set()
+    fault, bias, clock, charge, put_off, only = (
+        chance.choice(FAULTS),
+        chance.uniform(-0.5, 0.5),
+        0.0,
+        1.0,
+        0,
+        set(),
+    )
     for step in range(20):
         clock += chance.choice((0.1, 1.0, 1.0, 3.0))
         if fault == "clock":

@@ -43,7 +43,9 @@ class Action(Behaviour):
         return STATUS[result]
 
     def terminate(self, new_status):
-        if new_status is Status.INVALID and self.status is Status.RUNNING:  # py_trees stops what has finished, too
+        if (
+            new_status is Status.INVALID and self.status is Status.RUNNING
+        ):  # py_trees stops what has finished, too
             self.said.append(f"{self.name}:halt")
         self.hook = ""
 
@@ -79,6 +81,8 @@ def trace(tick, root, said, ticks):
 
 def wrapped(content, **trees):
     """Return a file with a main tree, and others by ID."""
-    others = "".join(f'<BehaviorTree ID="{name}">{text}</BehaviorTree>' for name, text in trees.items())
+    others = "".join(
+        f'<BehaviorTree ID="{name}">{text}</BehaviorTree>' for name, text in trees.items()
+    )
     main = f'<BehaviorTree ID="Main">{content}</BehaviorTree>'
     return f'<root BTCPP_format="4" main_tree_to_execute="Main">{main}{others}</root>'

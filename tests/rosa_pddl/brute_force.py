@@ -10,7 +10,8 @@ from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
 def ground_steps(domain):
     choices = {
-        name: [domain.objects_of(kind) for _, kind in schema.parameters] for name, schema in domain.schema_of.items()
+        name: [domain.objects_of(kind) for _, kind in schema.parameters]
+        for name, schema in domain.schema_of.items()
     }
     steps = [domain.step(name, words) for name, each in choices.items() for words in product(*each)]
     assert steps
@@ -52,5 +53,12 @@ def least_cost(domain, state, costs=None):
         done.add(state)
         for step, after in following(domain, steps, state):
             pushed += 1
-            heappush(queue, (cost + usage.value(usage.cost_of(step), usage.numbers(costs or {}, state)), pushed, after))
+            heappush(
+                queue,
+                (
+                    cost + usage.value(usage.cost_of(step), usage.numbers(costs or {}, state)),
+                    pushed,
+                    after,
+                ),
+            )
     return None

@@ -39,11 +39,14 @@ class Ground:
         self.places = [f"p{number}" for number in range(6)]
         pairs = [(x, y) for x in self.places for y in self.places if x != y]
         self.moves = {
-            kind: [pairs[number] for number in rng.choice(len(pairs), 9, replace=False)] for kind in ("go", "swim")
+            kind: [pairs[number] for number in rng.choice(len(pairs), 9, replace=False)]
+            for kind in ("go", "swim")
         }
         self.wanted = [str(one) for one in rng.choice(self.places, 2, replace=False)]
         far = {pair: float(rng.integers(1, 20)) for pair in pairs}
-        facts = [f"(path {x} {y})" for x, y in self.moves["go"]] + [f"(river {x} {y})" for x, y in self.moves["swim"]]
+        facts = [f"(path {x} {y})" for x, y in self.moves["go"]] + [
+            f"(river {x} {y})" for x, y in self.moves["swim"]
+        ]
         facts += [f"(= (far {x} {y}) {length})" for (x, y), length in far.items()]
         goal = " ".join(f"(seen {place})" for place in self.wanted)
         problem = f"""(define (problem p) (:domain faulty)
@@ -64,7 +67,9 @@ class Doing(Behaviour):
     def initialise(self):
         self.left = 3
         world, step = self.world, self.step
-        assert step.schema in ("rest", "look") or step.arguments[1] == world.at, f"{step} begun at {world.at}"
+        assert step.schema in ("rest", "look") or step.arguments[1] == world.at, (
+            f"{step} begun at {world.at}"
+        )
         world.begun[step] += 1
 
     def update(self):
@@ -93,7 +98,9 @@ class Faulty:
         future = Future()
         if self.world.rng.random() < self.world.troubles:
             safe = self.world.domain.step("rest", [])
-            future.set_result(PlanningResult(Outcome.ENGINE_CRASHED, engine="faulty", safe_step=safe))
+            future.set_result(
+                PlanningResult(Outcome.ENGINE_CRASHED, engine="faulty", safe_step=safe)
+            )
         else:
             future.set_result(self.planner.plan(problem))
         return future
@@ -103,7 +110,10 @@ def reachable(ground, world):
     """By brute force: whether all that is wanted can be seen, with what is feasible and not broken now."""
 
     def can(kind, *arguments):
-        return kind not in world.kb.unfeasible and world.domain.step(kind, [kind, *arguments]) not in world.broken
+        return (
+            kind not in world.kb.unfeasible
+            and world.domain.step(kind, [kind, *arguments]) not in world.broken
+        )
 
     frontier, known = [world.at], {world.at}
     while frontier:
@@ -147,35 +157,56 @@ def episode(ground, seed):
     world = World(ground.domain, planner, task=Doing, policy=policy)
     planner.world = world
     world.rng, world.at, world.seen, world.begun = rng, "p0", set(), Counter()
-    moves = [world.domain.step(kind, [kind, *pair]) for kind in ("go", "swim") for pair in ground.moves[kind]]
-    world.broken = {moves[number] for number in rng.choice(len(moves), rng.integers(0, 7), replace=False)}
+    moves = [
+        world.domain.step(kind, [kind, *pair])
+        for kind in ("go", "swim")
+        for pair in ground.moves[kind]
+    ]
+    world.broken = {
+        moves[number] for number in rng.choice(len(moves), rng.integers(0, 7), replace=False)
+    }
     world.mishaps, world.troubles, status = 0.3, 0.2, Status.RUNNING
     for _ in range(150):
         if rng.random() < 0.2:
             world.kb.unfeasible = {action for action in ACTIONS if rng.random() < 0.3}
         if rng.random() < 0.3:
             x, y = ground.moves["go"][rng.integers(len(ground.moves["go"]))]
-            world.facts = {**world.facts, f"(far {x} {y})": ground.far[x, y] * float(rng.uniform(0.5, 2.0))}
-        world.facts = {**world.facts, f"(noise p{rng.integers(6)})": bool(rng.integers(2)), "(noise nowhere)": True}
+            world.facts = {
+                **world.facts,
+                f"(far {x} {y})": ground.far[x, y] * float(rng.uniform(0.5, 2.0)),
+            }
+        world.facts = {
+            **world.facts,
+            f"(noise p{rng.integers(6)})": bool(rng.integers(2)),
+            "(noise nowhere)": True,
+        }
         if rng.random() < 0.02:
             world.executor.stop(Status.INVALID)
         status = tick(world)
         forgotten = (
-            dict.fromkeys([f"(seen {place})" for place in world.seen], False) if status is Status.SUCCESS else {}
+            dict.fromkeys([f"(seen {place})" for place in world.seen], False)
+            if status is Status.SUCCESS
+            else {}
         )
         world.seen = set() if forgotten else world.seen
-        world.facts = {text: value for text, value in world.facts.items() if not text.startswith("(seen")} | forgotten
+        world.facts = {
+            text: value for text, value in world.facts.items() if not text.startswith("(seen")
+        } | forgotten
     world.mishaps = world.troubles = 0.0
     world.kb.unfeasible = {action for action in ACTIONS if rng.random() < 0.15}
     could = can = reachable(ground, world)
     ends, before = Counter(), len(world.executor.plans)
     for _ in range(round(QUIET_S * 10)):
         status = tick(world)
-        world.facts = {text: value for text, value in world.facts.items() if not text.startswith("(seen")}
+        world.facts = {
+            text: value for text, value in world.facts.items() if not text.startswith("(seen")
+        }
         ends[status] += 1
         if status is Status.SUCCESS:
             break
-        if ends[Status.FAILURE] % 700 == 1:  # what is broken shows when it is tried, perhaps with no way back
+        if (
+            ends[Status.FAILURE] % 700 == 1
+        ):  # what is broken shows when it is tried, perhaps with no way back
             can = reachable(ground, world)
             if not can and ends[Status.FAILURE] > 700:
                 break
@@ -193,5 +224,7 @@ def tick(world):
     status = world.tick()
     running = {step.action for step in world.executor.current_steps}
     assert not running & world.kb.unfeasible
-    assert status is not Status.SUCCESS or set(map(str, world.executor.goals)) <= {f"(seen {p})" for p in world.seen}
+    assert status is not Status.SUCCESS or set(map(str, world.executor.goals)) <= {
+        f"(seen {p})" for p in world.seen
+    }
     return status

@@ -10,7 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rosa_pddl import Outcome, Planner, PlannerSettingError, Problem, flaw, initial_state, parse_domain
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    PlannerSettingError,
+    Problem,
+    flaw,
+    initial_state,
+    parse_domain,
+)
 from rosa_pddl.engines.processes import ProcessHandle
 from rosa_pddl.search import Condition, Operation, State, Task, TaskGraph
 from rosa_pddl.validate import ended, missing_at_start
@@ -23,7 +31,10 @@ FACTS = st.dictionaries(st.sampled_from(ATOMS), st.booleans(), max_size=2)
 
 
 def condition(facts):
-    needs, denies = (frozenset(atom for atom, truth in facts.items() if truth is wanted) for wanted in (True, False))
+    needs, denies = (
+        frozenset(atom for atom, truth in facts.items() if truth is wanted)
+        for wanted in (True, False)
+    )
     return Condition(needs, denies)
 
 
@@ -72,7 +83,9 @@ def by_exhaustion(task):
         for operation, (costs, *uses) in zip(task.operations, task.amounts, strict=True):
             after = applied(operation, state)
             more = tuple(map(sum, zip(used, uses, strict=True)))
-            if after is None or any(amount > limit for amount, limit in zip(more, task.limits, strict=True)):
+            if after is None or any(
+                amount > limit for amount, limit in zip(more, task.limits, strict=True)
+            ):
                 continue
             if cost[key] + costs < cost.get((after, more), inf):
                 cost[after, more] = cost[key] + costs
@@ -105,7 +118,9 @@ def test_what_is_lacking_at_least_never_falls_by_more_than_a_step_takes(task):
         for move in graph.moves(state):
             after, lacking = graph.least(move.to)
             assert cost <= move.cost + after
-            assert all(one <= two + three for one, two, three in zip(uses, move.uses, lacking, strict=True))
+            assert all(
+                one <= two + three for one, two, three in zip(uses, move.uses, lacking, strict=True)
+            )
 
 
 # ---------------------------------------------------------------- from PDDL to the plan
@@ -145,7 +160,11 @@ def walk(*edits):
 
 def asked(domain, planner=None, **costs):
     planner = planner or Planner("label-setting", warm=False)
-    return planner.plan(Problem(domain, initial_state(domain), costs={f"({name})": is_ for name, is_ in costs.items()}))
+    return planner.plan(
+        Problem(
+            domain, initial_state(domain), costs={f"({name})": is_ for name, is_ in costs.items()}
+        )
+    )
 
 
 def ways(result):
@@ -158,21 +177,38 @@ def test_a_limit_is_kept_to_the_last_decimal():
     # a tenth and two tenths are three tenths, which binary fractions do not give
     assert 0.1 + 0.2 > 0.3
     round_about = asked(walk(), energy_full=0.2999999999)
-    assert (round_about.outcome, round_about.cost, len(round_about.steps)) == (Outcome.SOLVED_OPTIMALLY, 5.0, 3)
+    assert (round_about.outcome, round_about.cost, len(round_about.steps)) == (
+        Outcome.SOLVED_OPTIMALLY,
+        5.0,
+        3,
+    )
     assert asked(walk(("(<= (energy)", "(< (energy)"))).cost == 5.0
-    assert asked(walk(("(<= (energy) (energy_full))", "(>= (- (energy_full) 0.1) (energy))"))).cost == 5.0
+    assert (
+        asked(walk(("(<= (energy) (energy_full))", "(>= (- (energy_full) 0.1) (energy))"))).cost
+        == 5.0
+    )
 
 
 def test_that_no_plan_keeps_all_limits_is_proven():
     no_way = asked(walk(("(leads bc b c) (leads ac a c)", "")))
-    for result in (asked(walk(), energy_full=0.05), asked(walk(), energy_full=0.25, noise=6), no_way):
-        assert (result.outcome, result.message) == (Outcome.UNSOLVABLE_PROVEN, "label-setting: unsolvable proven")
+    for result in (
+        asked(walk(), energy_full=0.05),
+        asked(walk(), energy_full=0.25, noise=6),
+        no_way,
+    ):
+        assert (result.outcome, result.message) == (
+            Outcome.UNSOLVABLE_PROVEN,
+            "label-setting: unsolvable proven",
+        )
 
 
 def test_what_was_used_up_before_counts():
     assert asked(walk(), energy=-0.1, energy_full=0.2).cost == 1.0
     assert asked(walk(), energy=0.1).cost == 5.0
-    assert asked(walk(("(:goal (and (at c)", "(:goal (and (at a)")), energy=0.4).outcome is Outcome.UNSOLVABLE_PROVEN
+    assert (
+        asked(walk(("(:goal (and (at c)", "(:goal (and (at a)")), energy=0.4).outcome
+        is Outcome.UNSOLVABLE_PROVEN
+    )
 
 
 def test_other_states_limits_and_numbers_are_answered_without_a_new_translation():
@@ -198,34 +234,62 @@ def test_planners_that_keep_no_limits_say_so_and_the_next_one_is_tried():
     domain = walk()
     result = asked(domain, Planner(warm=False))
     assert result.outcome is Outcome.UNSUPPORTED
-    assert "Fast Downward keeps no limits (of energy, noise); Planner('label-setting') does" in result.message
+    assert (
+        "Fast Downward keeps no limits (of energy, noise); Planner('label-setting') does"
+        in result.message
+    )
     second = asked(domain, Planner(warm=False, fallback=["label-setting"]))
-    assert (second.outcome, second.engine, second.cost) == (Outcome.SOLVED_OPTIMALLY, "label-setting", 1.0)
+    assert (second.outcome, second.engine, second.cost) == (
+        Outcome.SOLVED_OPTIMALLY,
+        "label-setting",
+        1.0,
+    )
     unlimited = walk((" (<= (energy) (energy_full)) (<= (noise) 9)", ""))
     assert asked(unlimited, Planner(warm=False)).cost == asked(unlimited).cost == 1.0
 
 
 def test_steps_that_overlap_are_not_for_it():
-    for settings_ in ({"engine": "label-setting"}, {"engine": "aries", "fallback": ["label-setting"]}):
-        with pytest.raises(PlannerSettingError, match="label-setting plans one step after the other"):
+    for settings_ in (
+        {"engine": "label-setting"},
+        {"engine": "aries", "fallback": ["label-setting"]},
+    ):
+        with pytest.raises(
+            PlannerSettingError, match="label-setting plans one step after the other"
+        ):
             Planner(overlapping=True, **settings_)
 
 
 def test_numbers_that_make_no_sense_are_told_by_name():
-    assert "(effort ac) comes to -1" in asked(walk(("(+ (effort ?w) 0.1)", "(effort ?w)")), **{"effort ac": -1}).message
-    assert "(energy_full) is nan, expected a finite number" in asked(walk(), energy_full=float("nan")).message
+    assert (
+        "(effort ac) comes to -1"
+        in asked(walk(("(+ (effort ?w) 0.1)", "(effort ?w)")), **{"effort ac": -1}).message
+    )
+    assert (
+        "(energy_full) is nan, expected a finite number"
+        in asked(walk(), energy_full=float("nan")).message
+    )
     missing = asked(walk(("(= (effort bc) 0)", "")))
     assert missing.outcome is Outcome.UNSUPPORTED
-    assert "(effort bc) is needed but has no value; state '(= (effort bc) NUMBER)' in :init" in missing.message
+    assert (
+        "(effort bc) is needed but has no value; state '(= (effort bc) NUMBER)' in :init"
+        in missing.message
+    )
 
 
-def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large_and_has_a_name(monkeypatch):
+def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large_and_has_a_name(
+    monkeypatch,
+):
     asked, ask = [], ProcessHandle.ask
     monkeypatch.setattr(
-        ProcessHandle, "ask", lambda self, command, **given: asked.append(command[-1]) or ask(self, command, **given)
+        ProcessHandle,
+        "ask",
+        lambda self, command, **given: asked.append(command[-1]) or ask(self, command, **given),
     )
     names = [f"s{number}" for number in range(40)]
-    actions = [f"(:action on_{one} :effect (and ({one}) (increase (used) {2**k})))" for k, one in enumerate(names)]
+    actions = [
+        f"(:action on_{one} :effect (and ({one}) (increase (used) {2**k})))"
+        for k, one in enumerate(names)
+    ]
     domain = parse_domain(
         f"""(define (domain lamps) (:predicates {" ".join(f"({name})" for name in names)}) (:functions (used))
         {" ".join(actions)})""",
@@ -234,7 +298,10 @@ def test_a_search_beyond_its_cap_is_a_process_that_is_ended_if_late_or_too_large
     )
     problem = Problem(domain, initial_state(domain))
     beyond = {"moves": 1000, "warm": False}
-    for timeout_s in (0.5, 4.0):  # on a busy machine nothing of a short time may be left for the process
+    for timeout_s in (
+        0.5,
+        4.0,
+    ):  # on a busy machine nothing of a short time may be left for the process
         late = Planner("label-setting", timeout_s=timeout_s, **beyond).plan(problem)
         assert late.outcome is Outcome.OUT_OF_TIME, late
         if asked:
@@ -269,7 +336,9 @@ def domains(draw):
         actions.append(f"""(:action a{number} :parameters (?x ?y - t) :precondition (and {written(needs)} {every})
           :effect (and {written(effects)} {when} {" ".join(amounts)} (increase (total-cost) {cost})))""")
     goal = draw(st.sampled_from(["(s)", "(p o0) (not (q o1))", "(p o1) (s)", "(or (p o0) (q o1))"]))
-    limits = " ".join(f"(<= ({one}) {draw(st.sampled_from(['0', '0.5', '1.2', '3']))})" for one in numbers)
+    limits = " ".join(
+        f"(<= ({one}) {draw(st.sampled_from(['0', '0.5', '1.2', '3']))})" for one in numbers
+    )
     domain = f"""(define (domain d) (:types t) (:predicates (p ?x - t) (q ?x - t) (s))
       (:functions (total-cost) (c ?x - t) (f ?x - t) {" ".join(f"({one})" for one in numbers)}) {" ".join(actions)})"""
     problem = f"""(define (problem p) (:domain d) (:objects o0 o1 - t)
@@ -281,9 +350,14 @@ def domains(draw):
 
 def exhausted(domain):
     """Return the least cost by trying all steps from all states, as the judge of plans understands them."""
-    told = {"c": {"o0": 1, "o1": Fraction(5, 2)}, "f": {"o0": Fraction(3, 10), "o1": Fraction(3, 5)}}
+    told = {
+        "c": {"o0": 1, "o1": Fraction(5, 2)},
+        "f": {"o0": Fraction(3, 10), "o1": Fraction(3, 5)},
+    }
     steps = [
-        domain.step(name, objects) for name in domain.schemas for objects in product(domain.objects_of("t"), repeat=2)
+        domain.step(name, objects)
+        for name in domain.schemas
+        for objects in product(domain.objects_of("t"), repeat=2)
     ]
 
     def amount(expression, step):
@@ -298,7 +372,8 @@ def exhausted(domain):
 
     price = {step: amount(domain.schema_of[step.schema].cost, step) for step in steps}
     uses = {
-        step: [amount(domain.schema_of[step.schema].uses.get(one), step) for one in domain.limited] for step in steps
+        step: [amount(domain.schema_of[step.schema].uses.get(one), step) for one in domain.limited]
+        for step in steps
     }
     limits = [Fraction(one.arg(1).constant_value()) for one in domain.limits]
     start = initial_state(domain), tuple(Fraction(0) for _ in limits)

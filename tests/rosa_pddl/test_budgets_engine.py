@@ -7,7 +7,11 @@ from unified_planning import shortcuts as up
 
 from rosa_pddl import register_engine
 
-ROADS = {("Home", "Hall"): Fraction(1, 3), ("Hall", "Dock"): Fraction(1, 3), ("Home", "Dock"): Fraction(3, 4)}
+ROADS = {
+    ("Home", "Hall"): Fraction(1, 3),
+    ("Hall", "Dock"): Fraction(1, 3),
+    ("Home", "Dock"): Fraction(3, 4),
+}
 
 
 class Trip:
@@ -15,13 +19,23 @@ class Trip:
 
     def __init__(self):
         place = up.UserType("Place")
-        self.at, self.road = up.Fluent("At", up.BoolType(), p=place), up.Fluent("road", up.BoolType(), a=place, b=place)
+        self.at, self.road = (
+            up.Fluent("At", up.BoolType(), p=place),
+            up.Fluent("road", up.BoolType(), a=place, b=place),
+        )
         self.takes = up.Fluent("takes", up.RealType(), a=place, b=place)
         self.used = up.Fluent("energy", up.RealType())
         self.problem = up.Problem("trip")
-        for fluent, value in ((self.at, False), (self.road, False), (self.takes, 0), (self.used, 0)):
+        for fluent, value in (
+            (self.at, False),
+            (self.road, False),
+            (self.takes, 0),
+            (self.used, 0),
+        ):
             self.problem.add_fluent(fluent, default_initial_value=value)
-        self.places = {name: self.problem.add_object(name, place) for name in ("Home", "Hall", "Dock")}
+        self.places = {
+            name: self.problem.add_object(name, place) for name in ("Home", "Hall", "Dock")
+        }
         self.go = up.InstantaneousAction("go", a=place, b=place)
         self.go.add_precondition(up.And(self.at(self.go.a), self.road(self.go.a, self.go.b)))
         self.go.add_effect(self.at(self.go.a), False)
@@ -96,7 +110,10 @@ def test_a_goal_may_ask_for_at_least_so_much(trip, least):
 def test_what_a_step_takes_may_be_changed_by_steps(trip, change):
     getattr(trip.go, change)(trip.takes(trip.go.b, trip.go.a), 1)
     trip.problem.add_goal(up.Equals(trip.takes(trip.places["Hall"], trip.places["Home"]), 1))
-    assert [str(step) for step in trip.solved().plan.actions] == ["go(Home, Hall)", "go(Hall, Dock)"]
+    assert [str(step) for step in trip.solved().plan.actions] == [
+        "go(Home, Hall)",
+        "go(Hall, Dock)",
+    ]
 
 
 def test_what_a_step_costs_may_be_changed_by_steps(trip):
@@ -108,12 +125,18 @@ def test_what_a_step_costs_may_be_changed_by_steps(trip):
     trip.go.add_effect(trip.at(trip.go.b), True)
     trip.go.add_effect(trip.used, trip.takes(trip.go.a, trip.go.b))
     trip.problem.add_goal(up.Equals(trip.used, Fraction(1, 3)))
-    assert [str(step) for step in trip.solved().plan.actions] == ["go(Home, Hall)", "go(Hall, Dock)"]
+    assert [str(step) for step in trip.solved().plan.actions] == [
+        "go(Home, Hall)",
+        "go(Hall, Dock)",
+    ]
 
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("dock", "the object 'Dock', expected a name of letters"), ("my place", "'my place', expected a name")],
+    [
+        ("dock", "the object 'Dock', expected a name of letters"),
+        ("my place", "'my place', expected a name"),
+    ],
 )
 def test_names_that_pddl_cannot_tell_apart_or_does_not_have_are_refused(trip, name, words):
     trip.problem.add_object(name, trip.problem.user_type("Place"))

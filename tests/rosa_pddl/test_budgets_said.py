@@ -23,7 +23,13 @@ GO, GOAL = "(increase (noise) 1)", "(<= (noise) 9)"
 REFUSED = {
     "no number": (GO, "(increase (noise) ?w)", "domain", 10, "found '?w', expected a number"),
     "misspelt": (GOAL, "(<= (nois) 9)", "problem", 6, "unknown predicate 'nois'"),
-    "cost": (GOAL, "(<= (total-cost) 9)", "problem", 6, "compares (total-cost), which is for the metric"),
+    "cost": (
+        GOAL,
+        "(<= (total-cost) 9)",
+        "problem",
+        6,
+        "compares (total-cost), which is for the metric",
+    ),
 }
 
 
@@ -54,7 +60,10 @@ def test_an_action_with_a_duration_may_use_at_its_start_and_at_its_end():
     )
     planner = Planner("label-setting", warm=False)
     assert planner.plan(Problem(domain, frozenset())).outcome is Outcome.SOLVED_OPTIMALLY
-    assert planner.plan(Problem(domain, frozenset(), costs={"(used)": 1})).outcome is Outcome.UNSOLVABLE_PROVEN
+    assert (
+        planner.plan(Problem(domain, frozenset(), costs={"(used)": 1})).outcome
+        is Outcome.UNSOLVABLE_PROVEN
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,13 +114,18 @@ def test_declared_uses_and_limits_are_pddl_that_others_can_load(tmp_path):
     planner = Planner("label-setting", cached=0)
     result = planner.plan(Problem(domain, initial_state(domain)))
     assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, 5.0)
-    assert planner.plan(Problem(domain, initial_state(domain), costs={"(energy_left)": 0.9})).cost == 1.0
+    assert (
+        planner.plan(Problem(domain, initial_state(domain), costs={"(energy_left)": 0.9})).cost
+        == 1.0
+    )
     assert planner.plan(Problem(domain, initial_state(domain), costs={"(risk)": 0.11})).cost is None
 
 
 def test_without_costs_the_fewest_steps_within_limits_are_the_best():
     declared = Declarations(
-        "walk", [replace(CROSS, cost=None)], replace(WALK, numbers=dict(list(WALK.numbers.items())[3:]))
+        "walk",
+        [replace(CROSS, cost=None)],
+        replace(WALK, numbers=dict(list(WALK.numbers.items())[3:])),
     )
     domain = declared.load()
     result = Planner("label-setting", warm=False).plan(Problem(domain, initial_state(domain)))
@@ -120,7 +134,9 @@ def test_without_costs_the_fewest_steps_within_limits_are_the_best():
 
 def test_numbers_are_written_with_all_their_digits():
     told = replace(WALK, numbers={**WALK.numbers, "(energy_left)": 0.30000000000000004})
-    assert "(= (energy_left) 0.30000000000000004)" in Declarations("walk", [CROSS], told).problem_pddl
+    assert (
+        "(= (energy_left) 0.30000000000000004)" in Declarations("walk", [CROSS], told).problem_pddl
+    )
 
 
 @pytest.mark.parametrize(
@@ -131,7 +147,11 @@ def test_numbers_are_written_with_all_their_digits():
             replace(WALK, limits={"energy": 3}),
             "'energy' is limited, but no action uses it up; nearest: energy_used",
         ),
-        (replace(CROSS, uses={"risk": -1}), WALK, "uses['risk'] is -1, expected a number that is not negative"),
+        (
+            replace(CROSS, uses={"risk": -1}),
+            WALK,
+            "uses['risk'] is -1, expected a number that is not negative",
+        ),
         (
             replace(CROSS, uses={**CROSS.uses, "risk": "(takes ?x)"}),
             WALK,

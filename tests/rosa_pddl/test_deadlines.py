@@ -51,7 +51,9 @@ PROBLEM = """(define (problem one) (:domain islands)
 SITES = ("quay", "reef", "bank")
 ISLANDS = parse_domain(DOMAIN, PROBLEM)
 GROUND = [ISLANDS.step("rest", ("rest", "sail"))] + [
-    ISLANDS.step(name, (name, *pair)) for name in ("sail", "walk") for pair in permutations(SITES, 2)
+    ISLANDS.step(name, (name, *pair))
+    for name in ("sail", "walk")
+    for pair in permutations(SITES, 2)
 ]
 SAIL, WALK, REST = map(ISLANDS.feasible_atom, ("sail", "walk", "rest"))
 TENTHS = st.integers(0, 90).map(lambda tenths: tenths / 10)
@@ -59,7 +61,9 @@ EXACT = Planner("label-setting", cached=0)
 
 
 def problem(until, *, costs=None, feasible=(SAIL, WALK, REST), shares=None):
-    return Problem(ISLANDS, initial_state(ISLANDS).union(feasible), None, costs or {}, {}, until, shares or {})
+    return Problem(
+        ISLANDS, initial_state(ISLANDS).union(feasible), None, costs or {}, {}, until, shares or {}
+    )
 
 
 @st.composite
@@ -67,8 +71,14 @@ def problems(draw):
     feasible = [atom for atom in (SAIL, WALK, REST) if draw(st.integers(0, 4))]
     until = {atom: draw(TENTHS) for atom in feasible if draw(st.booleans())}
     pairs = list(permutations(SITES, 2))
-    costs = {f"({name} {one} {two})": draw(TENTHS) for name in ("toll", "minutes") for one, two in pairs}
-    shares = {draw(st.sampled_from(GROUND)): draw(st.sampled_from([0.0, 0.25, 0.5]))} if draw(st.booleans()) else {}
+    costs = {
+        f"({name} {one} {two})": draw(TENTHS) for name in ("toll", "minutes") for one, two in pairs
+    }
+    shares = (
+        {draw(st.sampled_from(GROUND)): draw(st.sampled_from([0.0, 0.25, 0.5]))}
+        if draw(st.booleans())
+        else {}
+    )
     return problem(until, costs=costs, feasible=feasible, shares=shares)
 
 
@@ -76,7 +86,11 @@ def by_exhaustion(asked):
     """Return the least cost of a plan that keeps all times, in tenths, from all that can be done; None if none does."""
 
     def tenths(name, step, else_):
-        return round(10 * asked.costs[f"({name} {' '.join(step.arguments[1:])})"]) if step.schema == "sail" else else_
+        return (
+            round(10 * asked.costs[f"({name} {' '.join(step.arguments[1:])})"])
+            if step.schema == "sail"
+            else else_
+        )
 
     order = count()
     waiting, seen = [(0, next(order), asked.state, 0, frozenset())], set()
@@ -105,7 +119,9 @@ def by_exhaustion(asked):
 @given(problems())
 def test_plans_cost_as_little_as_what_trying_everything_finds_in_time(asked):
     expected, found = by_exhaustion(asked), EXACT.plan(asked)
-    assert found.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
+    assert found.outcome is (
+        Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY
+    )
     assert found.cost == (None if expected is None else pytest.approx(expected))
 
 
@@ -127,7 +143,10 @@ def test_what_would_end_too_late_is_done_otherwise_or_after_it_was_made_feasible
     assert (steps(result), result.cost) == (["sail", "rest", "sail"], 3.0)
     assert result.steps[0].arguments[2] == "quay"  # only there a rest helps
     assert planner.plan(problem({SAIL: 1.9, REST: 2.9})).cost == 5.0
-    assert planner.plan(problem({SAIL: 1.9, REST: 0.0, WALK: 2.0})).outcome is Outcome.UNSOLVABLE_PROVEN
+    assert (
+        planner.plan(problem({SAIL: 1.9, REST: 0.0, WALK: 2.0})).outcome
+        is Outcome.UNSOLVABLE_PROVEN
+    )
     # what is not feasible does not become so by a forecast
     assert planner.plan(problem({SAIL: 99.0}, feasible=(WALK,))).cost == 8.0
 
@@ -147,7 +166,10 @@ def test_the_judge_says_which_step_is_too_late():
     state = initial_state(ISLANDS) | {WALK}
     assert flaw(ISLANDS, walk, state) is None
     assert flaw(ISLANDS, walk, state, until={WALK: 6.0}) is None
-    assert flaw(ISLANDS, walk, state, until={WALK: 5.0}) == "walk(walk, quay, reef) would end in 6 s, too late by 1 s"
+    assert (
+        flaw(ISLANDS, walk, state, until={WALK: 5.0})
+        == "walk(walk, quay, reef) would end in 6 s, too late by 1 s"
+    )
     timed = [TimedStep(step, 3.5 * number, 3.0) for number, step in enumerate(walk)]
     assert schedule_flaw(ISLANDS, timed, state, until={WALK: 6.5}) is None
     assert "would end in 6.5 s" in schedule_flaw(ISLANDS, timed, state, until={WALK: 6.0})
@@ -198,9 +220,13 @@ def test_what_is_needed_of_several_actions_is_judged_by_what_is_feasible_in_the_
 def test_how_long_steps_take_is_not_guessed_where_it_is_computed_or_changes():
     domain, state, found = crew({"(action_feasible fix)": 10.0}, takes="(pace)")
     assert not found.outcome.is_solved
-    assert "how long steps take changes, which is not planned with what is forecast" in found.message
+    assert (
+        "how long steps take changes, which is not planned with what is forecast" in found.message
+    )
     go = [domain.step("fix", ("fix",)), domain.step("go", ("go",))]
-    assert flaw(domain, go[1:], state | {"(fixed)"}, until={"(action_feasible fix)": 9.0}) is not None
+    assert (
+        flaw(domain, go[1:], state | {"(fixed)"}, until={"(action_feasible fix)": 9.0}) is not None
+    )
     assert flaw(domain, go, state, until={"(action_feasible fix)": 9.0}) is None
 
 
@@ -212,7 +238,9 @@ def test_a_time_of_what_is_no_feasibility_is_refused():
 
 @pytest.mark.parametrize("left_s", [float("nan"), float("inf"), "soon", None])
 def test_a_time_that_is_no_number_is_refused(left_s):
-    with pytest.raises(SensingError, match=r"\(action_feasible sail\) is forecast to hold for .* a finite number"):
+    with pytest.raises(
+        SensingError, match=r"\(action_feasible sail\) is forecast to hold for .* a finite number"
+    ):
         problem({SAIL: left_s})
 
 
@@ -237,7 +265,14 @@ def test_a_temporal_engine_is_told_of_the_times():
     rig = parse_domain(RIG, f"{goal} {init}")
     lift, push = map(rig.feasible_atom, ("lift", "push"))
     planner = Planner("aries", 300.0, overlapping=True)
-    either = {push: 19.987}, ["lift", "swing"]  # it counts in tenths of a second, and begins a tenth after an end
-    for until, expected in (either, ({lift: 12.1, push: 0.05}, ["lift", "swing"]), ({lift: 11.51}, ["push"])):
+    either = (
+        {push: 19.987},
+        ["lift", "swing"],
+    )  # it counts in tenths of a second, and begins a tenth after an end
+    for until, expected in (
+        either,
+        ({lift: 12.1, push: 0.05}, ["lift", "swing"]),
+        ({lift: 11.51}, ["push"]),
+    ):
         result = planner.plan(Problem(rig, initial_state(rig) | {lift, push}, until=until))
         assert steps(result) == expected

@@ -65,7 +65,11 @@ class Car(World):
 
     def known(self, _):
         model = Model("car")
-        fog, tyre, roll = model.environmental_attribute("fog"), model.component("tyre"), model.function("roll")
+        fog, tyre, roll = (
+            model.environmental_attribute("fog"),
+            model.component("tyre"),
+            model.function("roll"),
+        )
         roll.design("by_tyre", [tyre])
         model.action("drive", requires=[roll], constraints=[fog <= 0.5])
         model.action("walk")
@@ -103,9 +107,13 @@ def happen(car, event, value):
         car.kb.component_failed("tyre")
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(events=EVENTS, does_mend=st.booleans(), tools=st.sampled_from(["jack", "glue jack"]))
-def test_whatever_happens_nothing_is_tried_twice_while_the_same_is_in_the_way(roads, events, does_mend, tools):
+def test_whatever_happens_nothing_is_tried_twice_while_the_same_is_in_the_way(
+    roads, events, does_mend, tools
+):
     car = Car(roads[tools, ""])
     car.does_mend = does_mend
     happen(car, "fog", 0.9)
@@ -118,7 +126,9 @@ def test_whatever_happens_nothing_is_tried_twice_while_the_same_is_in_the_way(ro
     assert car.begun().count("mend") <= (cleared + 1) * len(tools.split())
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(events=EVENTS)
 def test_whatever_happened_the_goal_is_reached_once_mending_is_all_it_takes(roads, events):
     car = Car(roads["jack", ""])
@@ -171,7 +181,10 @@ def test_without_another_plan_it_fails_and_says_what_did_not_help_until_that_has
     assert car.run() is Status.FAILURE
     said = car.executor.feedback_message
     assert "unsolvable proven" in said
-    assert "mend(mend, drive, jack) did not make drive feasible: drive is unfeasible because fog 0.9" in said
+    assert (
+        "mend(mend, drive, jack) did not make drive feasible: drive is unfeasible because fog 0.9"
+        in said
+    )
     happen(car, "tyre", 0)  # mended in fog, it is flat again; that is no reason to mend in fog
     happen(car, "fog", 0.8)
     assert [car.tick() for _ in range(9)] == [Status.FAILURE] * 9
@@ -232,7 +245,9 @@ def test_nothing_but_the_step_that_did_not_help_is_not_relied_upon(roads):
         assert flaw(effects.domain, result.steps, state) is None
         (unmet,) = effects.ended(domain.step("mend", ("mend", "drive", tool)), state)
         assert (unmet.action, effects.domain) == ("drive", effects.domain)
-        assert tool not in [step.arguments[-1] for step in planner.plan(Problem(effects.domain, state)).steps]
+        assert tool not in [
+            step.arguments[-1] for step in planner.plan(Problem(effects.domain, state)).steps
+        ]
     assert planner.plan(Problem(effects.domain, state)).outcome is Outcome.UNSOLVABLE_PROVEN
     assert planner.plan(Problem(domain, state)).outcome is Outcome.SOLVED_OPTIMALLY
     kb.unfeasible = set()
@@ -248,7 +263,11 @@ def test_engines_that_know_no_conditional_effects_get_no_such_effect_at_all(exte
     (unmet,) = effects.ended(step, initial_state(extended))
     assert unmet.action == "inspect_pipeline"
     told, before = (
-        str(Problem(one, frozenset()).build(overlapping=True).action(extended.inside["action", "recharge"]))
+        str(
+            Problem(one, frozenset())
+            .build(overlapping=True)
+            .action(extended.inside["action", "recharge"])
+        )
         for one in (effects.domain, extended)
     )
     assert "action_feasible(a1) := true" in told
@@ -309,16 +328,26 @@ def cheapest(domain, state, doubted):
     return None
 
 
-FACTS = ("(action_feasible drive)", "(action_feasible mend)", "(path home goal)", "(drive_action mend)", "(used jack)")
+FACTS = (
+    "(action_feasible drive)",
+    "(action_feasible mend)",
+    "(path home goal)",
+    "(drive_action mend)",
+    "(used jack)",
+)
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(
     tools=st.sets(st.sampled_from(["glue", "jack"])),
     facts=st.sets(st.sampled_from(FACTS)),
     warm=st.booleans(),
 )
-def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(roads, tools, facts, warm):
+def test_plans_without_what_is_in_doubt_are_the_cheapest_that_do_without_it(
+    roads, tools, facts, warm
+):
     domain = roads["glue jack", ""]
     doubted = [domain.step("mend", ("mend", "drive", tool)) for tool in sorted(tools)]
     state = initial_state(domain) | facts

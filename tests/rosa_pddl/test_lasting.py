@@ -39,7 +39,12 @@ class Diver:
     """A robot whose battery does as its model says; a step ends when its time is over."""
 
     def __init__(self, folder, energy, *, lasting=True, drain=-0.01):
-        self.now, self.log, self.takes, self.drain = 0.0, [], {"inspect": 20.0, "charge": 5.0}, drain
+        self.now, self.log, self.takes, self.drain = (
+            0.0,
+            [],
+            {"inspect": 20.0, "charge": 5.0},
+            drain,
+        )
         model = Model("diver")
         level = model.quality_attribute("energy", low=0.0, high=1.0)
         model.action("inspect", constraints=[level >= 0.25])
@@ -67,7 +72,9 @@ class Diver:
             self.now += 1.0
             doing = [one.action for one in self.kb.required_actions]
             change = self.drain * ("inspect" in doing) + 0.06 * ("charge" in doing)
-            self.kb.measure("energy", min(1.0, max(0.0, self.kb.attributes["energy"].value + change)))
+            self.kb.measure(
+                "energy", min(1.0, max(0.0, self.kb.attributes["energy"].value + change))
+            )
             self.executor.catch_up()
             self.executor.tick_once()
             if self.executor.status is Status.SUCCESS:
@@ -86,7 +93,11 @@ class Doing(Behaviour):
         self.diver.log.append(f"{self.name} begun")
 
     def update(self):
-        return Status.SUCCESS if self.diver.now - self.began >= self.diver.takes[self.name] else Status.RUNNING
+        return (
+            Status.SUCCESS
+            if self.diver.now - self.began >= self.diver.takes[self.name]
+            else Status.RUNNING
+        )
 
     def terminate(self, new_status):
         result = "completed" if new_status is Status.SUCCESS else "abandoned"
@@ -111,7 +122,12 @@ def diver(tmp_path):
 def test_step_that_could_not_be_finished_is_not_begun(diver):
     assert diver(0.4, lasting=False).run(60)[:2] == ["inspect begun", "inspect abandoned"]
     careful = diver(0.4)
-    assert careful.run(60) == ["charge begun", "charge completed", "inspect begun", "inspect completed"]
+    assert careful.run(60) == [
+        "charge begun",
+        "charge completed",
+        "inspect begun",
+        "inspect completed",
+    ]
     assert careful.executor.status is Status.SUCCESS
 
 
@@ -157,7 +173,10 @@ TAKES = {"sail": 30.0, "look": 20.0, "probe": 60.0, "wave": 0.0}
 
 def boat(clock):
     model = Model("boat")
-    light, tide = model.environmental_attribute("light", low=0.0, high=1.0), model.environmental_attribute("tide")
+    light, tide = (
+        model.environmental_attribute("light", low=0.0, high=1.0),
+        model.environmental_attribute("tide"),
+    )
     light.changes(-0.01)
     model.action("sail")
     model.action("look", constraints=[light >= 0.25])
@@ -180,7 +199,9 @@ class Boat:
             "survey",
             kb=self.lasting if lasting else self.kb,
             domain=self.domain,
-            behaviours=dict.fromkeys(TAKES, lambda step: Doing(step.schema, self) if step.action else Success("wave")),
+            behaviours=dict.fromkeys(
+                TAKES, lambda step: Doing(step.schema, self) if step.action else Success("wave")
+            ),
             sense=lambda: dict.fromkeys(sensed, True),
             clock=lambda: self.now,
             planner=self.planner,
@@ -192,7 +213,9 @@ class Boat:
         for second in range(seconds):
             self.now += 1.0
             self.light -= 0.01
-            self.kb.measure("light", max(0.0, self.light + (errors[second % len(errors)] if errors else 0.0)))
+            self.kb.measure(
+                "light", max(0.0, self.light + (errors[second % len(errors)] if errors else 0.0))
+            )
             self.executor.catch_up()
             self.executor.tick_once()
             if self.executor.status is not Status.RUNNING:
@@ -245,7 +268,9 @@ def test_plan_that_cannot_be_kept_any_more_is_replaced_and_the_reason_is_the_for
     assert one.run(200) == ["sail begun", "sail abandoned", *done("probe")]
     start, reason = one.reasons
     assert start == "start"
-    assert reason.startswith("look(look) would end in 41 s, too late by 2 s, as look is unfeasible in 39 s (")
+    assert reason.startswith(
+        "look(look) would end in 41 s, too late by 2 s, as look is unfeasible in 39 s ("
+    )
     assert reason.endswith("): light falls by 0.01/s and reaches 0.25")
 
 
@@ -255,12 +280,17 @@ def test_of_a_running_step_only_what_is_left_of_it_counts(sailing):
     assert one.log[-1] == "look begun"
     one.executor.goals.add("(waved)")
     one.run(2)
-    assert one.reasons == ["start", "the goals changed: the rest of the plan does not reach (waved)"]
+    assert one.reasons == [
+        "start",
+        "the goals changed: the rest of the plan does not reach (waved)",
+    ]
     assert {step.schema for step in one.executor.plans[1].steps} == {"look", "wave"}
     assert one.run(100) == done("sail", "look")
 
 
-def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_once_that_lasts_a_tenth_longer(sailing):
+def test_no_plan_says_that_it_is_for_what_is_forecast_and_is_looked_for_again_once_that_lasts_a_tenth_longer(
+    sailing,
+):
     one = sailing(0.66, tide=0.0)
     one.run(5)
     assert one.executor.status is Status.FAILURE
@@ -280,7 +310,9 @@ def test_certified_plan_for_what_is_forecast_to_become_unfeasible_is_used_at_onc
     inspect, charge = map(domain.feasible_atom, ("inspect", "charge"))
     state = initial_state(domain) | {inspect, charge}
     certified = certificate(
-        domain, lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))), Planner("label-setting")
+        domain,
+        lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))),
+        Planner("label-setting"),
     )
 
     def steps(until):
@@ -311,4 +343,6 @@ def test_same_events_give_the_same_times_to_plan_with(sailing):
             kb.tell(event)
         now, last = then, number
         assert lasting.forecasts() == forecasts
-    assert any(forecast.at is not None for *_, forecasts in known for forecast in forecasts.values())
+    assert any(
+        forecast.at is not None for *_, forecasts in known for forecast in forecasts.values()
+    )

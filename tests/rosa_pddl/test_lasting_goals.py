@@ -45,7 +45,9 @@ def joined(parts):
     )
 
 
-FORMULAS = st.recursive(ATOMS, joined, max_leaves=6).map("(forall (?x - sample) (exists (?y - sample) {}))".format)
+FORMULAS = st.recursive(ATOMS, joined, max_leaves=6).map(
+    "(forall (?x - sample) (exists (?y - sample) {}))".format
+)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,9 @@ def states(atoms):
     return st.sets(st.sampled_from(atoms)).map(frozenset)
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(text=FORMULAS, lasting=states(LASTING), now=states(MOVING))
 def test_plans_cost_the_same_as_those_of_the_cold_way(samples, text, lasting, now):
     goals = tuple(part.expression for part in conditions(samples, text))
@@ -76,7 +80,12 @@ def test_a_goal_about_what_is_wanted_is_planned_for_warm_whatever_is_wanted(samp
         state = initial_state(samples) - set(LASTING[:3]) | {f"(wanted {one})" for one in wanted}
         result = PLANNER.plan(Problem(samples, state))
         told[wanted] = [attempt.way for attempt in result.attempts], result.cost
-    assert told == {"": (["warm"], 0.0), "a": (["warm"], 3.0), "ab": (["warm"], 6.0), "b": (["warm"], 3.0)}
+    assert told == {
+        "": (["warm"], 0.0),
+        "a": (["warm"], 3.0),
+        "ab": (["warm"], 6.0),
+        "b": (["warm"], 3.0),
+    }
 
 
 def test_the_executor_follows_what_is_wanted_while_it_runs(samples):

@@ -29,7 +29,9 @@ from rosa_pddl.validate import flaw
 
 def supposing_of(domain):
     def supposing(unfeasible):
-        feasible = {domain.feasible_atom(one) for one in domain.rosa_actions if one not in set(unfeasible)}
+        feasible = {
+            domain.feasible_atom(one) for one in domain.rosa_actions if one not in set(unfeasible)
+        }
         return Problem(domain, without_feasibility(domain, initial_state(domain)) | feasible)
 
     return supposing
@@ -41,11 +43,15 @@ def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
     supposing, cold = supposing_of(domain), Planner(warm=False, cached=0)
     found = certificate(domain, supposing, Planner())
     actions = domain.rosa_actions
-    assert list(found.entries) == list(chain.from_iterable(combinations(actions, n) for n in range(len(actions) + 1)))
+    assert list(found.entries) == list(
+        chain.from_iterable(combinations(actions, n) for n in range(len(actions) + 1))
+    )
     for out, result in found.entries.items():
         other = cold.plan(supposing(out))
         assert (result.outcome, result.cost) == (other.outcome, other.cost)
-        assert not result.outcome.is_solved or flaw(domain, result.steps, supposing(out).state) is None
+        assert (
+            not result.outcome.is_solved or flaw(domain, result.steps, supposing(out).state) is None
+        )
     ends = [one for one in actions if found.entries[one,].outcome is Outcome.UNSOLVABLE_PROVEN]
     assert found.fatal == (tuple(ends) if found.entries[()].outcome.is_solved else ())
     assert {result.outcome.is_solved for result in found.entries.values()} == {True, False}
@@ -54,7 +60,10 @@ def test_each_entry_is_what_planning_from_there_says_and_its_plan_works(which):
 def agv_and_other_plannings(every):
     """The ground vehicle's certificate with two failures at once, and plannings from the beginning for some of it."""
     question = ask(mission=find_mission("agv"))
-    found, cold = certified(question, 300.0, 2), Planner("label-setting", 300.0, warm=False, cached=0)
+    found, cold = (
+        certified(question, 300.0, 2),
+        Planner("label-setting", 300.0, warm=False, cached=0),
+    )
     return found, {out: cold.plan(question.supposing(out)) for out in list(found.entries)[::every]}
 
 
@@ -62,7 +71,10 @@ def test_entries_of_the_ground_vehicle_are_what_planning_from_there_says():
     found, others = agv_and_other_plannings(every=5)
     assert len(others) > 3
     for out, other in others.items():
-        assert (found.entries[out].outcome, found.entries[out].cost) == (other.outcome, other.cost), out
+        assert (found.entries[out].outcome, found.entries[out].cost) == (
+            other.outcome,
+            other.cost,
+        ), out
 
 
 def test_what_it_takes_is_limited_by_how_much_fails_at_once():
@@ -110,7 +122,10 @@ def written(house, tmp_path):
 
 
 def test_a_certificate_that_was_written_is_read_as_it_was(house, written):
-    read, made = Certificate.load(written, house), certificate(house, supposing_of(house), Planner())
+    read, made = (
+        Certificate.load(written, house),
+        certificate(house, supposing_of(house), Planner()),
+    )
     assert {out: (one.outcome, one.steps, one.cost) for out, one in read.entries.items()} == {
         out: (one.outcome, one.steps, one.cost) for out, one in made.entries.items()
     }
@@ -120,7 +135,9 @@ def test_a_certificate_that_was_written_is_read_as_it_was(house, written):
         Certificate.load(written, other)
 
 
-def test_the_fall_back_is_in_force_in_the_tick_of_the_failure_however_long_a_planner_takes(house, written):
+def test_the_fall_back_is_in_force_in_the_tick_of_the_failure_however_long_a_planner_takes(
+    house, written
+):
     world = World(house, Planner(certificate=Certificate.load(written, house)), delay_s=5.0)
     assert world.tick() is Status.RUNNING
     assert [step.schema for step in world.executor.current_steps] == ["walk"]
@@ -138,13 +155,17 @@ def test_the_fall_back_is_in_force_in_the_tick_of_the_failure_however_long_a_pla
 def test_where_a_robot_has_come_farther_the_end_of_a_certified_plan_will_do(house, written):
     certified = Certificate.load(written, house)
     state = supposing_of(house)(["walk"]).state - {"(at home)"} | {"(at hall)"}
-    assert [str(step) for step in certified.prepared(Problem(house, state)).steps] == ["drive(drive, hall, work)"]
+    assert [str(step) for step in certified.prepared(Problem(house, state)).steps] == [
+        "drive(drive, hall, work)"
+    ]
     step = house.step("drive", ("drive", "hall", "work"))
-    assert certified.prepared(Problem(house, state, weights={step: 0})) is None  # it has failed too often
+    assert (
+        certified.prepared(Problem(house, state, weights={step: 0})) is None
+    )  # it has failed too often
     assert certified.prepared(Problem(house, state - {"(road hall work)"})) is None
-    assert Planner(certificate=certified).plan(Problem(house, state - {"(road hall work)"})).outcome is (
-        Outcome.UNSOLVABLE_PROVEN
-    )
+    assert Planner(certificate=certified).plan(
+        Problem(house, state - {"(road hall work)"})
+    ).outcome is (Outcome.UNSOLVABLE_PROVEN)
 
 
 def test_a_certified_plan_is_replayed_once_for_each_question(house, written):
@@ -168,7 +189,9 @@ TANK = """(define (domain tank) (:predicates (there)) (:functions (used) (left))
 @pytest.mark.parametrize("delay_s", [0.2, None])
 def test_where_a_limit_is_not_known_no_certified_plan_is_taken_and_it_is_told(tmp_path, delay_s):
     goal = "(:goal (and (there) (<= (used) (left))))"
-    tank = load_text(tmp_path, TANK, f"(define (problem p) (:domain tank) (:init (= (used) 0)) {goal})")
+    tank = load_text(
+        tmp_path, TANK, f"(define (problem p) (:domain tank) (:init (= (used) 0)) {goal})"
+    )
     made = Certificate({(): PlanningResult(Outcome.SOLVED, (tank.step("go", ()),))})
     world = World(tank, Planner("label-setting", certificate=made), delay_s=delay_s)
     while world.tick() is Status.RUNNING:

@@ -118,7 +118,9 @@ def naughty(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("CHILD", str(tmp_path / "child"))
     monkeypatch.delitem(sys.modules, "naughty", raising=False)
-    domain = load_domain(MISSIONS / "suave_extended" / "domain.pddl", MISSIONS / "suave_extended" / "problem.pddl")
+    domain = load_domain(
+        MISSIONS / "suave_extended" / "domain.pddl", MISSIONS / "suave_extended" / "problem.pddl"
+    )
     factory = domain.up_problem.environment.factory
     for name in ("Hangs", "Lies", "Boasts", "Raises", "Dies", "Quits", "Swells", "GivesUp"):
         factory.add_engine(name.lower(), "naughty", name)
@@ -146,7 +148,11 @@ def told(result):
 @pytest.mark.parametrize(
     ("engine", "outcome", "words"),
     [
-        ("lies", Outcome.ENGINE_CRASHED, "does not work: the rest of the plan does not reach the goal"),
+        (
+            "lies",
+            Outcome.ENGINE_CRASHED,
+            "does not work: the rest of the plan does not reach the goal",
+        ),
         ("boasts", Outcome.ENGINE_CRASHED, "returned a plan that does not work"),
         ("raises", Outcome.ENGINE_CRASHED, "ZeroDivisionError: oh dear"),
         ("dies", Outcome.ENGINE_CRASHED, "here I am"),
@@ -203,7 +209,9 @@ def test_another_engine_plans_when_fast_downward_fails(extended, broken_search):
 
 
 def test_a_fallback_that_is_not_installed_is_passed_over_and_told(naughty, broken_search):
-    result = Planner(moves=0, fallback=("tamer", "givesup"), timeout_s=300.0).plan(feasible(naughty))
+    result = Planner(moves=0, fallback=("tamer", "givesup"), timeout_s=300.0).plan(
+        feasible(naughty)
+    )
     assert told(result)[2:] == [
         ("tamer", Outcome.ENGINE_MISSING),
         ("givesup", Outcome.UNSOLVABLE_AS_FAR_AS_KNOWN),
@@ -214,7 +222,9 @@ def test_a_fallback_that_is_not_installed_is_passed_over_and_told(naughty, broke
 def test_no_other_engine_is_asked_once_there_is_an_answer(naughty):
     planner = Planner(fallback=("raises",))
     assert told(planner.plan(feasible(naughty))) == [("warm", Outcome.SOLVED_OPTIMALLY)]
-    assert told(planner.plan(Problem(naughty, initial_state(naughty)))) == [("warm", Outcome.UNSOLVABLE_PROVEN)]
+    assert told(planner.plan(Problem(naughty, initial_state(naughty)))) == [
+        ("warm", Outcome.UNSOLVABLE_PROVEN)
+    ]
 
 
 def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_path):
@@ -222,7 +232,9 @@ def test_a_budget_leaves_time_for_what_comes_after(extended, monkeypatch, tmp_pa
     slow.write_text("#!/bin/sh\nexec sleep 1000\n")
     slow.chmod(0o755)
     monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow)
-    planner = Planner(moves=0, timeout_s=300.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3})
+    planner = Planner(
+        moves=0, timeout_s=300.0, fallback=("aries",), budgets_s={"warm": 0.3, "cold": 0.3}
+    )
     result = planner.plan(feasible(extended))
     late = Outcome.OUT_OF_TIME
     assert told(result) == [("warm", late), ("cold", late), ("aries", Outcome.SOLVED)]
@@ -246,7 +258,9 @@ def test_settings_that_make_no_sense_are_refused(settings, words):
 
 
 def test_the_safe_step_is_there_when_a_plan_is_not(extended, broken_search):
-    planner = Planner(moves=0, safe_step="(recharge recharge search_pipeline inspect_pipeline bluerov)")
+    planner = Planner(
+        moves=0, safe_step="(recharge recharge search_pipeline inspect_pipeline bluerov)"
+    )
     result = planner.plan(feasible(extended))
     assert result.outcome is Outcome.ENGINE_CRASHED
     assert result.safe_step.schema == "recharge"
@@ -282,7 +296,10 @@ def test_in_lock_step_a_late_answer_ends_the_run(extended):
 
 def test_in_lock_step_an_answer_that_hangs_on_the_clock_ends_the_run():
     future = Future()
-    attempts = (Attempt("warm", Outcome.OUT_OF_TIME, "no answer after 1 s"), Attempt("cold", Outcome.SOLVED))
+    attempts = (
+        Attempt("warm", Outcome.OUT_OF_TIME, "no answer after 1 s"),
+        Attempt("cold", Outcome.SOLVED),
+    )
     future.set_result(PlanningResult(Outcome.SOLVED, attempts=attempts))
     with pytest.raises(PlanningBudgetError, match=r"warm: out of time .no answer after 1 s"):
         awaited(future, 1.0)
@@ -298,7 +315,9 @@ def test_the_same_question_is_answered_at_once(extended, monkeypatch):
     again = planner.plan(feasible(extended))
     assert told(again) == [("cache", Outcome.SOLVED_OPTIMALLY)]
     assert (again.steps, again.cost) == (first.steps, first.cost)
-    assert planner.plan(Problem(extended, initial_state(extended))).outcome is Outcome.ENGINE_MISSING
+    assert (
+        planner.plan(Problem(extended, initial_state(extended))).outcome is Outcome.ENGINE_MISSING
+    )
 
 
 def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
@@ -311,9 +330,12 @@ def test_trouble_is_not_remembered(extended, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("cached", "most_atoms", "held"), [(2, 1_000_000, [1, 2, 1, 2]), (0, 1_000_000, [0] * 4), (9, 15, [1, 2, 1, 2])]
+    ("cached", "most_atoms", "held"),
+    [(2, 1_000_000, [1, 2, 1, 2]), (0, 1_000_000, [0] * 4), (9, 15, [1, 2, 1, 2])],
 )
-def test_the_cache_holds_so_many_answers_and_fewer_of_large_states(extended, monkeypatch, cached, most_atoms, held):
+def test_the_cache_holds_so_many_answers_and_fewer_of_large_states(
+    extended, monkeypatch, cached, most_atoms, held
+):
     monkeypatch.setattr("rosa_pddl.planner._MOST_ATOMS", most_atoms)
     planner, state = Planner(cached=cached), feasible(extended).state  # of 6 facts
     search = extended.step("search_pipeline", ["search_pipeline", "pipeline", "bluerov"])

@@ -8,7 +8,15 @@ from numpy.random import default_rng
 from pddl_world import World
 from py_trees.common import Status
 
-from rosa_pddl import Outcome, Planner, Problem, ReplanningPolicy, UnsupportedPddlError, initial_state, parse_domain
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    Problem,
+    ReplanningPolicy,
+    UnsupportedPddlError,
+    initial_state,
+    parse_domain,
+)
 
 # `calm` is derived from itself and from what is not derived: `reaches` comes before it
 WEB = """(define (domain web) (:types node) (:predicates (link ?a ?b - node) (cable ?a ?b - node) (on ?a - node)
@@ -51,11 +59,17 @@ def test_plans_are_as_short_as_brute_force_finds_here_and_by_fast_downward():
     found = []
     for seed in range(14):
         domain = web(seed)
-        problem, count = Problem(domain, initial_state(domain)), fewest_steps(domain, initial_state(domain))
+        problem, count = (
+            Problem(domain, initial_state(domain)),
+            fewest_steps(domain, initial_state(domain)),
+        )
         found.append(count)
         for planner in (Planner(timeout_s=300.0), Planner(timeout_s=300.0, moves=0)):
             result = planner.plan(problem)
-            assert (result.outcome is Outcome.SOLVED_OPTIMALLY, result.cost) == (count is not None, count), seed
+            assert (result.outcome is Outcome.SOLVED_OPTIMALLY, result.cost) == (
+                count is not None,
+                count,
+            ), seed
     assert len(set(found)) > 3
 
 
@@ -105,4 +119,6 @@ def test_what_is_derived_follows_what_changes_while_a_plan_runs():
 def test_a_predicate_that_is_derived_from_its_own_negation_is_refused(old, new, message):
     assert old in WEB
     with pytest.raises(UnsupportedPddlError, match=rf"domain\.pddl:\d+:\d+: {message}"):
-        parse_domain(WEB.replace(old, new), "(define (problem p) (:domain web) (:init) (:goal (and)))")
+        parse_domain(
+            WEB.replace(old, new), "(define (problem p) (:domain web) (:init) (:goal (and)))"
+        )

@@ -63,7 +63,9 @@ def test_a_goal_that_holds_already_needs_no_planning(world):
 
 
 @pytest.mark.parametrize("during", ["search_pipeline", "inspect_pipeline"])
-def test_what_becomes_unfeasible_stops_in_the_same_tick_and_the_new_plan_starts_after_the_delay(world, during):
+def test_what_becomes_unfeasible_stops_in_the_same_tick_and_the_new_plan_starts_after_the_delay(
+    world, during
+):
     world.run(until=during)
     world.kb.unfeasible = set(BOTH)
     dropped_s = world.now_s
@@ -74,9 +76,10 @@ def test_what_becomes_unfeasible_stops_in_the_same_tick_and_the_new_plan_starts_
     assert world.log[-1] == (pytest.approx(dropped_s + 0.2), "recharge", "begins")
     world.kb.unfeasible = set()
     assert world.run() is Status.SUCCESS
-    rest = {"search_pipeline": ["search_pipeline", "inspect_pipeline"], "inspect_pipeline": ["inspect_pipeline"]}[
-        during
-    ]
+    rest = {
+        "search_pipeline": ["search_pipeline", "inspect_pipeline"],
+        "inspect_pipeline": ["inspect_pipeline"],
+    }[during]
     assert world.plans()[1] == ["recharge", *rest]
     second = world.executor.plans[1]
     assert (second.at_s, second.reason) == (dropped_s, f"{during} became unfeasible")
@@ -97,7 +100,9 @@ def test_an_expected_effect_never_overrides_the_kb(world):
 
 
 @pytest.mark.parametrize(("meanwhile", "last"), [("continue", "begins"), ("hold", "INVALID")])
-def test_a_later_step_that_becomes_unfeasible_leads_to_a_new_plan_at_once(extended, meanwhile, last):
+def test_a_later_step_that_becomes_unfeasible_leads_to_a_new_plan_at_once(
+    extended, meanwhile, last
+):
     world = World(extended, policy=ReplanningPolicy(while_planning=meanwhile))
     world.ticks = {"search_pipeline": 20}
     world.run(until="search_pipeline")
@@ -139,7 +144,9 @@ def test_a_behaviour_that_raises_even_when_stopped_is_not_left_running(world):
             raise RuntimeError("no")
 
     made = []
-    world.executor._factories["search_pipeline"] = lambda step: made.append(Stubborn(step, world)) or made[-1]
+    world.executor._factories["search_pipeline"] = lambda step: (
+        made.append(Stubborn(step, world)) or made[-1]
+    )
     world.run(until="search_pipeline")
     world.kb.unfeasible = set(BOTH)
     assert world.tick() is Status.RUNNING
@@ -155,7 +162,10 @@ def test_an_over_all_condition_on_a_sensed_fact_is_watched(rooms):
     assert happened(world)[-1] == ("scan", "INVALID")
     world.facts = {}
     assert world.run() is Status.SUCCESS
-    assert world.executor.plans[1].reason == "scan(look, robby, hall) needs (lit hall), which does not hold"
+    assert (
+        world.executor.plans[1].reason
+        == "scan(look, robby, hall) needs (lit hall), which does not hold"
+    )
 
 
 def test_effects_at_start_are_taken_back_when_a_step_is_abandoned(rooms):
@@ -180,7 +190,10 @@ def test_a_step_that_ends_although_its_condition_at_the_end_does_not_hold_has_fa
     assert not world.executor.current_steps
     world.facts = {}
     assert world.run() is Status.SUCCESS
-    assert world.executor.plans[1].reason == "scan(look, robby, hall) ended although (not (broken hall)) does not hold"
+    assert (
+        world.executor.plans[1].reason
+        == "scan(look, robby, hall) ended although (not (broken hall)) does not hold"
+    )
     assert world.plans()[1][:2] == ["clean", "scan"]
 
 
@@ -278,7 +291,9 @@ def test_a_tick_never_waits_for_a_late_planner(extended):
 
 def test_in_lock_step_a_planner_later_than_its_own_limit_ends_the_run_by_name(extended):
     world = World(extended, HeldPlanner())
-    with pytest.raises(PlanningBudgetError, match=r"no plan after 0\.01 s of waiting.*allow more time"):
+    with pytest.raises(
+        PlanningBudgetError, match=r"no plan after 0\.01 s of waiting.*allow more time"
+    ):
         world.run()
     assert world.executor._planner.futures[0].cancelled()
 

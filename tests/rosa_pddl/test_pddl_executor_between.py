@@ -73,7 +73,9 @@ def domain(tmp_path):
 
 def known(world):
     model = Model("car")
-    motor, localization = (model.component(name, kind="lifecycle") for name in ("motor", "localization"))
+    motor, localization = (
+        model.component(name, kind="lifecycle") for name in ("motor", "localization")
+    )
     move, locate = model.function("move"), model.function("locate")
     move.design("by_motor", [motor, localization])
     locate.design("by_map", [localization])
@@ -98,7 +100,10 @@ def trip(domain, *, is_located=False, **settings):
             break
         manager.update()
     assert status is Status.SUCCESS
-    assert [record.reason for record in world.executor.plans] == ["start", "drive(drive, home, goal) failed"]
+    assert [record.reason for record in world.executor.plans] == [
+        "start",
+        "drive(drive, home, goal) failed",
+    ]
     return robot.log
 
 
@@ -112,4 +117,9 @@ def test_what_only_a_step_required_stops_when_it_is_given_up(domain):
 
 
 def test_what_an_action_beside_the_executor_requires_goes_on(domain):
-    assert trip(domain, is_located=True) == ["start localization", "start motor", "stop motor", "start motor"]
+    assert trip(domain, is_located=True) == [
+        "start localization",
+        "start motor",
+        "stop motor",
+        "start motor",
+    ]

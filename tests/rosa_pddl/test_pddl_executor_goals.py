@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from pddl_world import World, load_text
 from py_trees.common import Status
 
-from rosa_pddl import GoalError, Goals, PddlError, Planner, Problem, UnknownNameError, UnsupportedPddlError
+from rosa_pddl import (
+    GoalError,
+    Goals,
+    PddlError,
+    Planner,
+    Problem,
+    UnknownNameError,
+    UnsupportedPddlError,
+)
 from rosa_pddl.goals import SoftGoals
 
 SITES = ("north", "south", "east")
@@ -77,7 +85,10 @@ def test_other_goals_in_place_of_all_stop_what_serves_the_old_ones(world):
     world.run(until="visit")
     world.executor.goals.replace("(home)")
     assert world.run() is Status.SUCCESS
-    assert [what for _, name, what in world.log if name == "visit"] in (["begins", "INVALID"], ["begins", "SUCCESS"])
+    assert [what for _, name, what in world.log if name == "visit"] in (
+        ["begins", "INVALID"],
+        ["begins", "SUCCESS"],
+    )
 
 
 def test_a_goal_added_after_success_is_pursued_in_the_next_round(world):
@@ -120,7 +131,11 @@ def test_a_goal_may_be_any_condition(world):
         ("(visited nort)", UnknownNameError, "unknown object 'nort'.*nearest: north"),
         ("(visited ?s)", UnknownNameError, r"\?s"),
         ("(forall (?s - sit) (visited ?s))", UnknownNameError, "unknown type 'sit'.*nearest: site"),
-        ("(forall (?s) (visited ?s))", UnknownNameError, r"are of other types than declared: \(visited \?s - site\)"),
+        (
+            "(forall (?s) (visited ?s))",
+            UnknownNameError,
+            r"are of other types than declared: \(visited \?s - site\)",
+        ),
         ("(not (home) (home))", PddlError, "2 parts .* expected 1"),
         ("visited north", PddlError, "expected"),
         ("(visited north", PddlError, "not closed"),
@@ -130,10 +145,16 @@ def test_a_goal_may_be_any_condition(world):
         (42, GoalError, "42 is no goal, expected a condition as text such as"),
         (None, GoalError, "None is no goal, expected a condition as text such as"),
         (["(home)"], GoalError, "is no goal, expected a condition as text such as"),
-        ("(> (way north) 3)", UnsupportedPddlError, "compares way, which no condition of the files does"),
+        (
+            "(> (way north) 3)",
+            UnsupportedPddlError,
+            "compares way, which no condition of the files does",
+        ),
     ],
 )
-def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(world, text, error, message):
+def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(
+    world, text, error, message
+):
     goals = world.executor.goals
     before, version = list(goals), goals.version
     for change in (goals.add, goals.drop, goals.replace):
@@ -143,7 +164,9 @@ def test_a_goal_that_means_nothing_is_refused_and_the_goals_stay_as_they_were(wo
 
 
 def test_dropping_what_is_no_goal_and_a_worth_of_nothing_are_refused(world):
-    with pytest.raises(GoalError, match=r"\(visited east\) is not among the goals; nearest: \(visited north\)"):
+    with pytest.raises(
+        GoalError, match=r"\(visited east\) is not among the goals; nearest: \(visited north\)"
+    ):
         world.executor.goals.drop("(visited east)")
     for worth in (0.0, -1, float("nan"), "5"):
         with pytest.raises(GoalError, match=f"worth {worth}, expected more than 0"):
@@ -160,7 +183,9 @@ def benefit(worth, chosen):
     return sum(WAY[site] for site in places) + len(chosen) + 2 + forgone
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(st.dictionaries(st.sampled_from(SITES), st.integers(1, 9), min_size=1))
 def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth):
     goals = Goals(survey)
@@ -169,7 +194,9 @@ def test_the_soft_goals_that_are_pursued_have_the_best_net_benefit(survey, worth
     world = World(survey)
     soft, hard = SoftGoals(survey, goals.soft), [goal.expression for goal in goals.hard]
     result = Planner().plan(Problem(soft.domain, world.executor.state, (*hard, soft.goal)))
-    subsets = [chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)]
+    subsets = [
+        chosen for size in range(len(worth) + 1) for chosen in combinations(sorted(worth), size)
+    ]
     assert result.cost == min(benefit(worth, chosen) for chosen in subsets), result.message
     kept, reached = soft.kept(result)
     assert {step.schema for step in kept.steps} <= set(survey.schemas)

@@ -14,14 +14,24 @@ EVENTS = st.one_of(
     st.tuples(st.just("feasible"), st.sets(st.sampled_from(ACTIONS))),
     st.tuples(
         st.just("sense"),
-        st.tuples(st.sampled_from(["(pipeline_found pipeline)", "(recharged bluerov)"]), st.booleans()),
+        st.tuples(
+            st.sampled_from(["(pipeline_found pipeline)", "(recharged bluerov)"]), st.booleans()
+        ),
     ),
     st.tuples(
-        st.just("end"), st.tuples(st.sampled_from(ACTIONS), st.sampled_from([Status.FAILURE, ValueError("odd")]))
+        st.just("end"),
+        st.tuples(st.sampled_from(ACTIONS), st.sampled_from([Status.FAILURE, ValueError("odd")])),
     ),
-    st.tuples(st.just("add"), st.sampled_from(["(recharged bluerov)", "(not (recharged bluerov))"])),
-    st.tuples(st.just("soft"), st.sampled_from(["(recharged bluerov)", "(pipeline_found pipeline)"])),
-    st.tuples(st.just("replace"), st.sampled_from(["(pipeline_found pipeline)", "(pipeline_inspected pipeline)"])),
+    st.tuples(
+        st.just("add"), st.sampled_from(["(recharged bluerov)", "(not (recharged bluerov))"])
+    ),
+    st.tuples(
+        st.just("soft"), st.sampled_from(["(recharged bluerov)", "(pipeline_found pipeline)"])
+    ),
+    st.tuples(
+        st.just("replace"),
+        st.sampled_from(["(pipeline_found pipeline)", "(pipeline_inspected pipeline)"]),
+    ),
     st.tuples(st.just("interrupt"), st.none()),
     st.tuples(st.just("wait"), st.integers(1, 6)),
 )
@@ -56,10 +66,15 @@ def check(world):
     executor = world.executor
     names = [child.name for child in executor.children]
     assert names == [str(step) for step in executor.current_steps]
-    assert all(child.status is Status.RUNNING and child.parent is executor for child in executor.children)
+    assert all(
+        child.status is Status.RUNNING and child.parent is executor for child in executor.children
+    )
     assert not executor.children or executor.status is Status.RUNNING
     asked = [record.at_s for record in executor.plans]
-    assert all(later - before >= executor._policy.at_most_every_s - 1e-9 for before, later in pairwise(asked))
+    assert all(
+        later - before >= executor._policy.at_most_every_s - 1e-9
+        for before, later in pairwise(asked)
+    )
     begun = sum(what == "begins" for _, _, what in world.log)
     assert begun - len(executor.current_steps) == sum(what != "begins" for _, _, what in world.log)
 
@@ -81,13 +96,17 @@ def run(extended, policy, events):
     return world
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(policy=POLICIES, events=st.lists(EVENTS, max_size=12))
 def test_whatever_happens_the_goal_is_reached_once_it_can_be(extended, policy, events):
     run(extended, policy, events)
 
 
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(policy=POLICIES, events=st.lists(EVENTS, max_size=12))
 def test_the_same_events_lead_to_the_same_steps_and_plans(extended, policy, events):
     first, second = run(extended, policy, events), run(extended, policy, events)

@@ -31,7 +31,9 @@ PROBLEM = """(define (problem p) (:domain legs) (:objects a b c d - place)
 @pytest.fixture(scope="module")
 def legs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("legs")
-    return {left: load_text(folder, DOMAIN, PROBLEM.format(left=left)) for left in ("0.2", "0.4", "0.6")}
+    return {
+        left: load_text(folder, DOMAIN, PROBLEM.format(left=left)) for left in ("0.2", "0.4", "0.6")
+    }
 
 
 def world_of(domain, **policy):
@@ -76,7 +78,9 @@ def test_when_less_is_left_than_the_rest_of_the_plan_uses_it_is_planned_anew(leg
     world.run(until="drive")
     world.facts = {"(used)": 0.2, "(left)": 0.5}
     assert world.run() is Status.SUCCESS
-    assert world.executor.plans[1].reason == ("the rest of the plan is too much: it uses 0.4 of used, 0.3 are left")
+    assert world.executor.plans[1].reason == (
+        "the rest of the plan is too much: it uses 0.4 of used, 0.3 are left"
+    )
     assert sorted(begun(world)) == ["creep", "drive", "drive"]
 
 
@@ -96,7 +100,9 @@ def test_there_is_a_plan_again_once_more_is_left(legs):
     assert world.run() is Status.FAILURE
     assert [world.tick() for _ in range(3)] == [Status.FAILURE] * 3
     assert len(world.executor.plans) == 1
-    assert world.executor.feedback_message.endswith("there would be a plan without the limits of used")
+    assert world.executor.feedback_message.endswith(
+        "there would be a plan without the limits of used"
+    )
     for left in (0.15, 0.1, 0.2):  # that there is still less changes nothing
         world.facts = {"(left)": left}
         assert world.tick() is Status.FAILURE
@@ -143,7 +149,10 @@ def test_numbers_that_leave_no_more_break_a_limit_whenever_the_others_did(legs, 
     usage = ResourceUsage(domain)
     if usage.leave_no_more(now, then):
         for steps in product(("drive", "creep"), repeat=2):
-            plan = [domain.step(one, words) for one, words in zip(steps, (("a", "b"), ("b", "c")), strict=True)]
+            plan = [
+                domain.step(one, words)
+                for one, words in zip(steps, (("a", "b"), ("b", "c")), strict=True)
+            ]
             assert usage.overspent(then, plan) is None or usage.overspent(now, plan) is not None
 
 
@@ -166,7 +175,10 @@ def test_what_every_action_denies_may_be_looked_at_by_an_effect():
         "(define (problem p) (:domain d) (:init) (:goal (done)))",
     )
     wet = frozenset({"(wet)"})
-    for state, outcome in ((frozenset(), Outcome.SOLVED_OPTIMALLY), (wet, Outcome.UNSOLVABLE_PROVEN)):
+    for state, outcome in (
+        (frozenset(), Outcome.SOLVED_OPTIMALLY),
+        (wet, Outcome.UNSOLVABLE_PROVEN),
+    ):
         assert Planner("label-setting", cached=0).plan(Problem(domain, state)).outcome is outcome
 
 

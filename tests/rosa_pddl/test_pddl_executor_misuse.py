@@ -19,29 +19,41 @@ def happened(world):
 
 
 def make(domain, kb, behaviours):
-    return PlanExecutor("plan", kb=kb, domain=domain, behaviours=behaviours, sense=dict, clock=lambda: 0.0)
+    return PlanExecutor(
+        "plan", kb=kb, domain=domain, behaviours=behaviours, sense=dict, clock=lambda: 0.0
+    )
 
 
 def test_a_missing_behaviour_is_named_at_construction(extended):
     given = dict.fromkeys(["search_pipeline", "inspect_pipelines", "recharge"], Task)
-    with pytest.raises(MissingBehaviourError, match=r"'inspect_pipeline'.*given: .*nearest: inspect_pipelines"):
+    with pytest.raises(
+        MissingBehaviourError, match=r"'inspect_pipeline'.*given: .*nearest: inspect_pipelines"
+    ):
         make(extended, FakeKb(extended.rosa_actions), given)
 
 
 def test_an_action_that_the_kb_does_not_know_is_named_at_construction(extended):
     with pytest.raises(PddlError, match="does not know the action 'recharge'"):
-        make(extended, FakeKb(["search_pipeline", "inspect_pipeline"]), dict.fromkeys(extended.schemas, Task))
+        make(
+            extended,
+            FakeKb(["search_pipeline", "inspect_pipeline"]),
+            dict.fromkeys(extended.schemas, Task),
+        )
 
 
 def test_a_behaviour_for_an_action_that_the_domain_does_not_have_is_named_at_construction(extended):
     given = dict.fromkeys([*extended.schemas, "recharg"], Task)
-    with pytest.raises(UnknownNameError, match=r"'recharg'.*no such PDDL action; nearest: recharge"):
+    with pytest.raises(
+        UnknownNameError, match=r"'recharg'.*no such PDDL action; nearest: recharge"
+    ):
         make(extended, FakeKb(extended.rosa_actions), given)
 
 
 def test_what_is_no_maker_of_behaviours_is_named_at_construction(extended):
     given = {**dict.fromkeys(extended.schemas, Task), "recharge": Success("always the same")}
-    with pytest.raises(MissingBehaviourError, match=r"'recharge' from .*expected what makes one for each step"):
+    with pytest.raises(
+        MissingBehaviourError, match=r"'recharge' from .*expected what makes one for each step"
+    ):
         make(extended, FakeKb(extended.rosa_actions), given)
 
 
@@ -91,7 +103,10 @@ def test_what_was_set_up_is_shut_down_when_the_setup_of_another_node_raises(worl
         return Sequence("two", memory=True, children=[Even(step, world), Odd(step, world)])
 
     failing(world, both, OSError)
-    assert sorted(let_go) == ["inspect_pipeline", "inspect_pipeline(inspect_pipeline, pipeline, bluerov)"]
+    assert sorted(let_go) == [
+        "inspect_pipeline",
+        "inspect_pipeline(inspect_pipeline, pipeline, bluerov)",
+    ]
 
 
 def test_what_sense_raises_comes_out_as_it_is_and_nothing_runs_on(world):

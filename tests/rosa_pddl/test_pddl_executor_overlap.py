@@ -65,8 +65,12 @@ def times(world, what):
     return {name: at_s for at_s, name, happened in world.log if happened == what}
 
 
-@pytest.mark.parametrize("ticks", [{"light": 20, "mend": 10, "wash": 5}, {"light": 9, "mend": 2, "wash": 30}])
-def test_what_must_overlap_does_and_what_waits_for_others_waits_however_long_they_take(world, ticks):
+@pytest.mark.parametrize(
+    "ticks", [{"light": 20, "mend": 10, "wash": 5}, {"light": 9, "mend": 2, "wash": 30}]
+)
+def test_what_must_overlap_does_and_what_waits_for_others_waits_however_long_they_take(
+    world, ticks
+):
     world.ticks = ticks
     assert world.run() is Status.SUCCESS
     begins, ends = times(world, "begins"), times(world, "SUCCESS")
@@ -79,10 +83,20 @@ def test_what_must_overlap_does_and_what_waits_for_others_waits_however_long_the
 def test_all_running_steps_are_seen_and_stopped_with_the_tree(world):
     world.ticks = {"light": 20, "mend": 10, "wash": 15}
     world.run(until="light")
-    assert [step.schema for step in world.executor.current_steps] == ["light", "mend", "wash", "wash"]
+    assert [step.schema for step in world.executor.current_steps] == [
+        "light",
+        "mend",
+        "wash",
+        "wash",
+    ]
     assert len(world.executor.children) == 4
     world.executor.stop(Status.INVALID)
-    assert sorted(name for _, name, what in world.log if what == "INVALID") == ["light", "mend", "wash", "wash"]
+    assert sorted(name for _, name, what in world.log if what == "INVALID") == [
+        "light",
+        "mend",
+        "wash",
+        "wash",
+    ]
     assert (world.executor.current_steps, world.executor.children) == ((), [])
 
 
@@ -104,8 +118,12 @@ def test_a_light_that_goes_out_too_early_stops_what_needs_it(world):
     world.run(until="light")
     for _ in range(6):
         world.tick()
-    assert times(world, "INVALID") == {"mend": pytest.approx(times(world, "SUCCESS")["light"] + 0.1)}
-    assert world.executor.feedback_message == "planning: mend(mend) needs (lit), which does not hold"
+    assert times(world, "INVALID") == {
+        "mend": pytest.approx(times(world, "SUCCESS")["light"] + 0.1)
+    }
+    assert (
+        world.executor.feedback_message == "planning: mend(mend) needs (lit), which does not hold"
+    )
 
 
 def test_two_runs_with_overlapping_steps_are_the_same(rig, aries):
@@ -153,18 +171,29 @@ SCHEDULE += (("mend", "two blue", 8.1, 5.0),)
 
 
 @pytest.mark.parametrize("order", list(permutations(range(4))))
-def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_is_written(cellar, order):
+def test_a_schedule_that_the_judge_accepts_can_be_executed_in_whatever_order_it_is_written(
+    cellar, order
+):
     listed = [SCHEDULE[number] for number in order]
-    schedule = [TimedStep(cellar.step(name, words.split()), at_s, took_s) for name, words, at_s, took_s in listed]
+    schedule = [
+        TimedStep(cellar.step(name, words.split()), at_s, took_s)
+        for name, words, at_s, took_s in listed
+    ]
     state = initial_state(cellar)
     assert schedule_flaw(cellar, schedule, state) is None
     steps = tuple(timed.step for timed in schedule)
-    plan = PlanExecution.of(cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ())
+    plan = PlanExecution.of(
+        cellar, PlanningResult(Outcome.SOLVED, steps, schedule=tuple(schedule)), ()
+    )
     assert plan.prediction(cellar, state).flaw is None
     number = {str(step): number for number, step in enumerate(plan.steps)}
     second_match, second_fuse = number["light(blue)"], number["mend(two, blue)"]
-    assert StepEvent(second_match, False) in plan.after[second_fuse], "it needs the light from the beginning"
-    assert StepEvent(number["mend(one, red)"], True) in plan.after[second_match], "it would be out too early"
+    assert StepEvent(second_match, False) in plan.after[second_fuse], (
+        "it needs the light from the beginning"
+    )
+    assert StepEvent(number["mend(one, red)"], True) in plan.after[second_match], (
+        "it would be out too early"
+    )
 
 
 SWITCHED = """(define (domain d) (:requirements :durative-actions) (:predicates (lit) (mended))
@@ -176,9 +205,12 @@ SWITCHED = """(define (domain d) (:requirements :durative-actions) (:predicates 
 
 @pytest.mark.parametrize("duration", [5.0, 1e-7])
 @pytest.mark.parametrize("names", [("switch_on", "mend"), ("mend", "switch_on")])
-def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_the_time(duration, names):
+def test_a_step_waits_for_what_is_over_at_once_and_provides_what_it_needs_all_the_time(
+    duration, names
+):
     lamp = parse_domain(
-        SWITCHED.replace("DURATION", f"{duration:.7f}"), "(define (problem p) (:domain d) (:init) (:goal (mended)))"
+        SWITCHED.replace("DURATION", f"{duration:.7f}"),
+        "(define (problem p) (:domain d) (:init) (:goal (mended)))",
     )
     took_s = {"switch_on": 0.0, "mend": duration}
     schedule = tuple(TimedStep(lamp.step(name, ()), 0.0, took_s[name]) for name in names)
@@ -199,7 +231,11 @@ def test_that_there_is_no_plan_without_overlapping_is_no_proof_and_says_what_wou
 
 
 def test_a_plan_that_there_is_not_runs_out_of_time_with_a_word_that_there_may_be_none(rig):
-    world = World(rig, Planner("aries", timeout_s=0.5, overlapping=True))  # some of it is left when it is asked
+    world = World(
+        rig, Planner("aries", timeout_s=0.5, overlapping=True)
+    )  # some of it is left when it is asked
     world.executor.goals.replace("(and (lit) (dark))")
-    with pytest.raises(PlanningBudgetError, match=r"no answer after .* s.*it may be that there is no plan"):
+    with pytest.raises(
+        PlanningBudgetError, match=r"no answer after .* s.*it may be that there is no plan"
+    ):
         world.run()

@@ -12,7 +12,15 @@ from pddl_world import World, load_text
 from py_trees.common import Status
 
 from kb import KnowledgeBase, Model
-from rosa_pddl import Outcome, Planner, PlannerSettingError, PlanningResult, PlanRecord, ReplanningPolicy, SensingError
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    PlannerSettingError,
+    PlanningResult,
+    PlanRecord,
+    ReplanningPolicy,
+    SensingError,
+)
 from rosa_pddl.replanning import MEMORY, decide
 
 WAYS = """(define (domain ways) (:requirements :typing)
@@ -104,7 +112,12 @@ def test_of_many_plannings_the_oldest_are_forgotten_unless_asked_otherwise(ways)
     plans = ()
     for number in range(MEMORY + 50):
         plans = PlanRecord(float(number), "why", Outcome.SOLVED, (), "engine").added_to(plans)
-    assert (len(plans), plans[0].number, plans[0].at_s, plans[-1].number) == (MEMORY, 51, 50.0, MEMORY + 50)
+    assert (len(plans), plans[0].number, plans[0].at_s, plans[-1].number) == (
+        MEMORY,
+        51,
+        50.0,
+        MEMORY + 50,
+    )
     with pytest.raises(PlannerSettingError, match="memory is 0, expected a whole number"):
         World(ways, memory=0)
 
@@ -124,7 +137,12 @@ def test_a_policy_that_holds_stops_it_and_starts_it_again(ways):
     world.run(until="start")
     world.kb.unfeasible = {"left"}
     assert world.run() is Status.SUCCESS
-    assert [what for _, name, what in world.log if name == "start"] == ["begins", "INVALID", "begins", "SUCCESS"]
+    assert [what for _, name, what in world.log if name == "start"] == [
+        "begins",
+        "INVALID",
+        "begins",
+        "SUCCESS",
+    ]
 
 
 def test_a_step_that_ends_while_the_plan_is_made_is_not_done_again(ways):
@@ -214,7 +232,9 @@ def test_a_goal_that_no_situation_allows_is_said_to_be_out_of_reach_whatever_is_
     world.kb.unfeasible = {"left", "right"}
     world.executor.goals.replace("(open)")
     assert world.run() is Status.FAILURE
-    assert world.executor.feedback_message.endswith("there would be no plan even if every action were feasible")
+    assert world.executor.feedback_message.endswith(
+        "there would be no plan even if every action were feasible"
+    )
 
 
 ROADS = """(define (domain roads) (:requirements :action-costs) (:predicates (there) (half) (closed))
@@ -314,7 +334,9 @@ def test_where_it_is_not_known_what_a_step_costs_the_plan_stays(loads):
         (None, r"sense returned None, expected a mapping"),
     ],
 )
-def test_what_is_sensed_and_makes_no_sense_is_an_error_that_says_what_was_expected(roads, sensed, message):
+def test_what_is_sensed_and_makes_no_sense_is_an_error_that_says_what_was_expected(
+    roads, sensed, message
+):
     world = World(roads)
     world.run(until="pay")
     world.facts = sensed
@@ -326,19 +348,26 @@ def test_what_is_sensed_and_makes_no_sense_is_an_error_that_says_what_was_expect
 # ------------------------------------------------------------------ the decision, which is pure
 
 REASONS = st.sampled_from([None, "late", "blocked"])
-POLICIES = st.builds(ReplanningPolicy, st.booleans(), st.floats(0.0, 9.0), st.sampled_from(["hold", "continue"]))
+POLICIES = st.builds(
+    ReplanningPolicy, st.booleans(), st.floats(0.0, 9.0), st.sampled_from(["hold", "continue"])
+)
 
 
 @given(policy=POLICIES, flaw=REASONS, changed=st.booleans(), news=REASONS)
 def test_a_plan_is_given_up_exactly_when_it_has_a_flaw(policy, flaw, changed, news):
     decision = decide(policy, flaw=flaw, goals_changed=changed, news=news)
     assert (decision is not None and decision.is_needed) == (flaw is not None)
-    assert (decision is None) == (flaw is None and not changed and not (policy.eager and news is not None))
+    assert (decision is None) == (
+        flaw is None and not changed and not (policy.eager and news is not None)
+    )
 
 
 @pytest.mark.parametrize(
     ("setting", "message"),
-    [({"at_most_every_s": -1.0}, "at_most_every_s is -1"), ({"while_planning": "wait"}, "'continue' or 'hold'")],
+    [
+        ({"at_most_every_s": -1.0}, "at_most_every_s is -1"),
+        ({"while_planning": "wait"}, "'continue' or 'hold'"),
+    ],
 )
 def test_a_policy_that_makes_no_sense_is_refused(setting, message):
     with pytest.raises(PlannerSettingError, match=message):
@@ -375,13 +404,17 @@ def test_trouble_of_any_kind_fails_by_name_and_ticks_go_on(ways, outcome):
     assert world.executor.feedback_message == f"no plan, {outcome}: it said nothing{tried}"
 
 
-def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed_nor_asked_for_again(ways):
+def test_a_plan_of_a_planner_of_ones_own_that_does_not_work_is_not_executed_nor_asked_for_again(
+    ways,
+):
     nonsense = PlanningResult(Outcome.SOLVED, (ways.step("left", ["left"]),))
     world = World(ways, Answering(nonsense))
     assert [world.tick() for _ in range(6)][-1] is Status.FAILURE
     assert world.log == []
     assert len(world.executor.plans) == 1
-    assert "cannot be done event by event: left(left) needs (half)" in world.executor.feedback_message
+    assert (
+        "cannot be done event by event: left(left) needs (half)" in world.executor.feedback_message
+    )
 
 
 class Raising(Answering):
@@ -405,7 +438,9 @@ def test_in_real_time_a_planner_that_never_answers_is_out_of_time(ways):
     planner = Silent(None)
     world = World(ways, planner, delay_s=None)
     assert world.run() is Status.FAILURE
-    assert world.executor.feedback_message.startswith("no plan, out of time: Silent gave no answer in 3.1 s")
+    assert world.executor.feedback_message.startswith(
+        "no plan, out of time: Silent gave no answer in 3.1 s"
+    )
     assert planner.future.cancelled()
 
 

@@ -30,13 +30,22 @@ LOOK = ActionSchema(
     cost=2,
 )
 CHARGE = ActionSchema(
-    "charge", ("?r - rover",), end_effects=("(full ?r)",), duration_s=5, makes_feasible=("drive", "explore")
+    "charge",
+    ("?r - rover",),
+    end_effects=("(full ?r)",),
+    duration_s=5,
+    makes_feasible=("drive", "explore"),
 )
 PROBLEM = DeclaredProblem(
     goal=("(seen pit)",),
     objects={"r1": "rover", "base": "place", "pit": "crater"},
     facts=("(at r1 base)", "(lit base)"),
-    numbers={"(distance base pit)": 3.5, "(distance pit base)": 4, "(distance base base)": 0, "(distance pit pit)": 0},
+    numbers={
+        "(distance base pit)": 3.5,
+        "(distance pit base)": 4,
+        "(distance base base)": 0,
+        "(distance pit pit)": 0,
+    },
     types={"crater": "place"},
 )
 
@@ -77,7 +86,10 @@ def test_what_is_generated_reads_back_as_it_was_declared():
 def test_plan_has_the_declared_costs_and_an_expected_effect_serves_it():
     domain = declared().load()
     result = planned(domain, "drive", "explore", "charge")
-    assert [str(step) for step in result.steps] == ["drive(drive, r1, base, pit)", "look(explore, r1, pit)"]
+    assert [str(step) for step in result.steps] == [
+        "drive(drive, r1, base, pit)",
+        "look(explore, r1, pit)",
+    ]
     assert result.cost == pytest.approx(5.5)
     expecting = planned(domain, "charge")
     assert [step.schema for step in expecting.steps] == ["charge", "drive", "look"]
@@ -107,9 +119,12 @@ def test_predicate_gets_the_type_of_its_uses_or_any_where_they_differ():
 
 def test_what_only_the_whole_shows_to_be_wrong_is_said_of_the_declarations():
     look = ActionSchema("look", ("?x - crater",), end_effects=("(seen ?x)",))
-    twice = declared(look, problem=DeclaredProblem(("(seen pit)",), {"pit": "crater", "PIT": "crater"}))
+    twice = declared(
+        look, problem=DeclaredProblem(("(seen pit)",), {"pit": "crater", "PIT": "crater"})
+    )
     with pytest.raises(
-        PddlError, match=r"problem.pddl generated from the .* of cave: the object 'PIT' was declared before"
+        PddlError,
+        match=r"problem.pddl generated from the .* of cave: the object 'PIT' was declared before",
     ):
         twice.load()
 
@@ -123,7 +138,9 @@ NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,5}", fullmatch=True)
     chain=st.integers(1, 4),
     lasting=st.lists(st.booleans(), min_size=4, max_size=4),
 )
-def test_any_chain_of_declared_actions_loads_and_its_facts_are_those_declared(names, chain, lasting):
+def test_any_chain_of_declared_actions_loads_and_its_facts_are_those_declared(
+    names, chain, lasting
+):
     schemas = [
         ActionSchema(
             f"do-{number}",
@@ -136,11 +153,15 @@ def test_any_chain_of_declared_actions_loads_and_its_facts_are_those_declared(na
     ]
     objects = {f"x{name}": "thing" for name in names}
     facts = tuple(f"(stage0 {name})" for name in objects)
-    problem = DeclaredProblem(goal=(f"(stage{chain} {next(iter(objects))})",), objects=objects, facts=facts)
+    problem = DeclaredProblem(
+        goal=(f"(stage{chain} {next(iter(objects))})",), objects=objects, facts=facts
+    )
     domain = Declarations("chain", schemas, problem).load()
     own = {f"({schema.name}_action {schema.name})" for schema in schemas}
     assert initial_state(domain) == own | set(facts)
-    assert [str(one) for text in domain.goals for one in conditions(domain, text)] == list(problem.goal)
+    assert [str(one) for text in domain.goals for one in conditions(domain, text)] == list(
+        problem.goal
+    )
 
 
 def bad(**changes):
@@ -162,8 +183,14 @@ def problem(**changes):
         (bad(action="2nd look"), "'2nd look_action', expected a name: a letter"),
         (bad(parameters=("x - crater",)), "found 'x', expected a variable such as"),
         (bad(parameters="?x - crater"), "parameters is one text, expected several; write"),
-        (bad(parameters=("?x - crater", "?a - robot")), "in look: found the parameter '\\?a' again"),
-        (bad(end_effects=("seen ?x",)), "found 'seen \\?x', expected a formula such as '\\(seen \\?x\\)'"),
+        (
+            bad(parameters=("?x - crater", "?a - robot")),
+            "in look: found the parameter '\\?a' again",
+        ),
+        (
+            bad(end_effects=("seen ?x",)),
+            "found 'seen \\?x', expected a formula such as '\\(seen \\?x\\)'",
+        ),
         (
             bad(end_effects=("(seen ?y)",)),
             "in look: found the variable '\\?y', expected a parameter",
@@ -174,23 +201,38 @@ def problem(**changes):
         ),
         (bad(end_effects=("(seen ?x",)), "unbalanced"),
         (bad(end_effects=("(at end (seen ?x))",)), "in look: found the unknown object 'end'"),
-        (bad(end_effects=("(increase (total-cost) 1)",)), "in look: found the unknown predicate 'total-cost'"),
-        (problem(objects={"pit": "crater", "look": "crater"}), "the object 'look' was declared before"),
+        (
+            bad(end_effects=("(increase (total-cost) 1)",)),
+            "in look: found the unknown predicate 'total-cost'",
+        ),
+        (
+            problem(objects={"pit": "crater", "look": "crater"}),
+            "the object 'look' was declared before",
+        ),
         (bad(end_effects=("(seen ?x)", "(seen ?x ?x)")), "found 2 arguments of 'seen', expected 1"),
         (bad(over_all=("(seen ?x)",)), "state duration_s"),
         (bad(duration_s=-1), "duration_s is -1, expected a number that is not negative"),
         (bad(cost=float("nan")), "cost is nan"),
         (problem(goal=()), "there is no goal"),
-        (problem(goal="(seen pit)"), r"goal is one text, expected several; write \('\(seen pit\)',\)"),
+        (
+            problem(goal="(seen pit)"),
+            r"goal is one text, expected several; write \('\(seen pit\)',\)",
+        ),
         (problem(facts="(seen pit)"), "facts is one text"),
         (bad(parameters=("?x -",)), "found '-' at the end, expected a type"),
-        (problem(goal=("(sene pit)",)), "unknown predicate 'sene', expected a declared one; nearest: seen"),
+        (
+            problem(goal=("(sene pit)",)),
+            "unknown predicate 'sene', expected a declared one; nearest: seen",
+        ),
         (problem(facts=("(deep pit)",)), "unknown predicate 'deep'"),
         (
             problem(objects={"pit": "rover"}),
             "the arguments of 'seen' are of other types than declared: \\(seen \\?x1 - crater\\)",
         ),
-        (problem(objects={"pit": "crater", "big pit": "crater"}), "the object 'big pit', expected a name"),
+        (
+            problem(objects={"pit": "crater", "big pit": "crater"}),
+            "the object 'big pit', expected a name",
+        ),
         (problem(numbers={"(depth pit)": 3}), "unknown predicate 'depth'"),
         (lambda: Declarations("cave", [], PROBLEM), "declarations of cave: no action is declared"),
         (lambda: declared(LOOK, LOOK), "the action 'look' was declared before"),
@@ -207,7 +249,9 @@ def test_domain_is_readable_whatever_the_mission_is_called():
     assert read.name == made.load().name == "my_cave_2_"
 
 
-@pytest.mark.filterwarnings("ignore")  # unified-planning calls what is deprecated, and warns of equal names
+@pytest.mark.filterwarnings(
+    "ignore"
+)  # unified-planning calls what is deprecated, and warns of equal names
 def test_what_is_written_is_read_by_unified_planning_and_by_this_package(tmp_path, monkeypatch):
     (tmp_path / "domain.pddl").write_text(declared().domain_pddl)
     (tmp_path / "problem.pddl").write_text(declared().problem_pddl)
@@ -216,5 +260,8 @@ def test_what_is_written_is_read_by_unified_planning_and_by_this_package(tmp_pat
     read = PDDLReader().parse_problem(str(tmp_path / "domain.pddl"), str(tmp_path / "problem.pddl"))
     domain = load_domain(tmp_path / "domain.pddl", tmp_path / "problem.pddl")
     assert len(read.actions) == len(domain.schemas) == 3
-    assert (domain.rosa_actions, domain.goals) == (declared().load().rosa_actions, declared().load().goals)
+    assert (domain.rosa_actions, domain.goals) == (
+        declared().load().rosa_actions,
+        declared().load().goals,
+    )
     assert initial_state(domain) == initial_state(declared().load())

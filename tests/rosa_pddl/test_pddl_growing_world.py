@@ -44,7 +44,9 @@ def test_a_sample_that_appears_while_the_plan_runs_is_analysed_too(rocks):
     assert begun(world) == ["analyse", "drive", "analyse"]
     assert world.executor.holds("(forall (?s - sample) (analysed ?s))")
     assert "(analysed sample_9)" in world.executor.state
-    assert rocks.objects_of("sample") == ("sample_1",)  # what was loaded is shared, and stays as it is
+    assert rocks.objects_of("sample") == (
+        "sample_1",
+    )  # what was loaded is shared, and stays as it is
 
 
 def test_objects_are_sensed_to_appear_and_to_vanish(rocks):
@@ -95,7 +97,10 @@ def test_with_an_object_goes_what_is_believed_of_it_and_of_no_predicate_of_its_n
 
 def test_what_a_running_step_takes_back_is_of_no_object_that_has_gone():
     effect = "(and (at start (forall (?o - sample) (not (lies ?o ?p)))) (at end (analysed ?s)))"
-    files = DOMAIN.replace("(at end (analysed ?s))", effect), PROBLEM.replace("sample_1 -", "sample_1 sample_2 -")
+    files = (
+        DOMAIN.replace("(at end (analysed ?s))", effect),
+        PROBLEM.replace("sample_1 -", "sample_1 sample_2 -"),
+    )
     world = World(parse_domain(*files))
     world.facts = {"(lies sample_2 base)": True, "(lies sample_1 base)": True}
     world.executor.goals.replace("(analysed sample_1)")
@@ -127,7 +132,9 @@ def test_what_cannot_come_or_go_is_refused_by_name_and_nothing_changes(rocks):
 
 def test_engines_of_unified_planning_get_what_is_there_and_numbers_as_they_are_sensed():
     domain = with_object(without_object(parse_domain(*TANKS), "b"), "c", "tank")
-    problem = Problem(domain, frozenset({"(ready a)", "(ready c)"}), costs={"(level a)": 2.5, "(level c)": 1.0})
+    problem = Problem(
+        domain, frozenset({"(ready a)", "(ready c)"}), costs={"(level a)": 2.5, "(level c)": 1.0}
+    )
     made = problem.build(overlapping=True)
     assert sorted(one.name for one in made.all_objects) == ["a", "c"]
     values = {str(one): str(value) for one, value in made.explicit_initial_values.items()}
@@ -166,7 +173,10 @@ def test_worlds_of_objects_that_were_there_before_are_forgotten(rocks):
         grown = with_object(rocks, f"sample_{number + 10}", "sample")
         made.append(weakref.ref(grown))
         assert (
-            planner.plan(Problem(grown, initial_state(grown) | {"(action_feasible drive)"})).attempts[0].way == "warm"
+            planner.plan(Problem(grown, initial_state(grown) | {"(action_feasible drive)"}))
+            .attempts[0]
+            .way
+            == "warm"
         )
     gc.collect()
     assert sum(one() is not None for one in made) < 20

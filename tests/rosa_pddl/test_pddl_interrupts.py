@@ -15,8 +15,12 @@ def make(extended):
     return lambda: world_of(extended, PLANNER)
 
 
-@pytest.mark.parametrize(("act", "ticks"), [*((tick, number) for number in (0, 2, 3, 4, 8)), (stop, 2), (stop, 4)])
-def test_an_interrupt_at_any_instruction_leaves_nothing_owned_and_the_goal_is_reached(make, act, ticks):
+@pytest.mark.parametrize(
+    ("act", "ticks"), [*((tick, number) for number in (0, 2, 3, 4, 8)), (stop, 2), (stop, 4)]
+)
+def test_an_interrupt_at_any_instruction_leaves_nothing_owned_and_the_goal_is_reached(
+    make, act, ticks
+):
     there_are = instructions(make, ticks, act)
     assert there_are > 50
     for instruction in default_rng(ticks).choice(there_are, 40, replace=False) + 1:

@@ -15,7 +15,9 @@ from rosa_pddl import Outcome, Planner, Problem, flaw, initial_state, parse_doma
 from rosa_pddl.validate import ended
 
 PLACES = ("dock", "w1", "w2", "w3", "w4")
-FAR = {(a, b): 5 + 3 * abs(i - j) for i, a in enumerate(PLACES) for j, b in enumerate(PLACES) if a != b}
+FAR = {
+    (a, b): 5 + 3 * abs(i - j) for i, a in enumerate(PLACES) for j, b in enumerate(PLACES) if a != b
+}
 CHARGING = """(define (domain charging) (:requirements :typing :fluents :durative-actions)
   (:types robot waypoint)
   (:predicates (robot_at ?r - robot ?w - waypoint) (charger_at ?w - waypoint) (connected ?a ?b - waypoint)
@@ -45,14 +47,22 @@ def charging():
 
 
 def test_a_battery_that_is_used_and_charged_is_planned_with_exactly(charging):
-    assert charging.computed == {"level", "distance"}  # how far it has travelled is asked for nowhere
+    assert charging.computed == {
+        "level",
+        "distance",
+    }  # how far it has travelled is asked for nowhere
     state = initial_state(charging)
     assert "(= (level leia) 60)" in state
     result = Planner().plan(Problem(charging, state))
-    assert (result.outcome, [one.way for one in result.attempts]) == (Outcome.SOLVED_OPTIMALLY, ["warm"])
+    assert (result.outcome, [one.way for one in result.attempts]) == (
+        Outcome.SOLVED_OPTIMALLY,
+        ["warm"],
+    )
     assert [step.schema for step in result.steps].count("charge") == 2
     assert flaw(charging, result.steps, state) is None
-    assert "level leia" in flaw(charging, [step for step in result.steps if step.schema != "charge"], state)
+    assert "level leia" in flaw(
+        charging, [step for step in result.steps if step.schema != "charge"], state
+    )
 
 
 def test_the_plan_runs_and_numbers_that_are_sensed_count(charging):
@@ -101,11 +111,18 @@ METRIC = """(define (domain m) (:predicates (a) (b)) (:functions (fuel) (noise) 
 
 @pytest.mark.parametrize(
     ("metric", "far", "step"),
-    [("(fuel)", 2, "one"), ("(fuel)", 4, "two"), ("(+ (fuel) (* 2 (noise)))", 4, "one"), ("(noise)", 9, "one")],
+    [
+        ("(fuel)", 2, "one"),
+        ("(fuel)", 4, "two"),
+        ("(+ (fuel) (* 2 (noise)))", 4, "one"),
+        ("(noise)", 9, "one"),
+    ],
 )
 def test_numbers_that_only_rise_may_be_minimized(metric, far, step):
     init = f"(:init (= (fuel) 0) (= (noise) 0) (= (far) {far}))"
-    domain = parse_domain(METRIC, f"(define (problem p) (:domain m) {init} (:goal (a)) (:metric minimize {metric}))")
+    domain = parse_domain(
+        METRIC, f"(define (problem p) (:domain m) {init} (:goal (a)) (:metric minimize {metric}))"
+    )
     result = Planner().plan(Problem(domain, initial_state(domain)))
     assert [one.schema for one in result.steps] == [step]
 
@@ -124,15 +141,27 @@ def numeric_worlds(draw):
         one, other, by = draw(number), draw(number), draw(st.sampled_from(["1", "2", "0.5", "(y)"]))
         test = f"({draw(st.sampled_from(COMPARE))} {draw(number)} {draw(st.sampled_from(['1', '2', '(x)', '1.5']))})"
         needs = draw(
-            st.sampled_from([test, f"(not {test})", f"(or {test} (p))", "(p)", "(not (q))", f"(and (q) {test})"])
+            st.sampled_from(
+                [test, f"(not {test})", f"(or {test} (p))", "(p)", "(not (q))", f"(and (q) {test})"]
+            )
         )
         kind = draw(st.sampled_from(["increase", "decrease", "assign"]))
-        fact = draw(st.sampled_from(["(p)", "(q)", "(not (p))", "(not (q))", "(and)", f"(when {test} (q))"]))
+        fact = draw(
+            st.sampled_from(["(p)", "(q)", "(not (p))", "(not (q))", "(and)", f"(when {test} (q))"])
+        )
         keep = "(<= (x) 4) (>= (x) -3) (<= (y) 4) (>= (y) -3)"
-        change = f"({kind} {one} {by if by != '(y)' or kind == 'assign' or other == '(y)' else '1'})"
-        actions.append(f"(:action a{name} :precondition (and {needs} {keep}) :effect (and {fact} {change}))")
+        change = (
+            f"({kind} {one} {by if by != '(y)' or kind == 'assign' or other == '(y)' else '1'})"
+        )
+        actions.append(
+            f"(:action a{name} :precondition (and {needs} {keep}) :effect (and {fact} {change}))"
+        )
     domain = f"(define (domain d) (:predicates (p) (q)) (:functions (x) (y)) {' '.join(actions)})"
-    goal = draw(st.sampled_from(["(q)", "(>= (x) 3)", "(and (p) (= (y) 2))", "(or (q) (< (x) -1))", "(= (x) 1.5)"]))
+    goal = draw(
+        st.sampled_from(
+            ["(q)", "(>= (x) 3)", "(and (p) (= (y) 2))", "(or (q) (< (x) -1))", "(= (x) 1.5)"]
+        )
+    )
     values = f"(= (x) {draw(st.integers(0, 2))}) (= (y) {draw(st.integers(-1, 2))})"
     return domain, f"(define (problem p) (:domain d) (:init {values}) (:goal {goal}))"
 
@@ -146,7 +175,9 @@ def test_what_is_planned_in_random_worlds_is_what_brute_force_finds(texts):
     result = Planner(cached=0, timeout_s=300.0).plan(Problem(domain, state))
     if fewest == -1:
         return
-    assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if fewest is None else Outcome.SOLVED_OPTIMALLY), result
+    assert result.outcome is (
+        Outcome.UNSOLVABLE_PROVEN if fewest is None else Outcome.SOLVED_OPTIMALLY
+    ), result
     assert result.cost == fewest
     assert fewest is None or flaw(domain, result.steps, state) is None
 
@@ -177,7 +208,9 @@ CARRIER = """(define (domain carrier) (:types place) (:predicates (at ?p - place
 @pytest.mark.parametrize("seed", range(8))
 def test_plans_cost_least_where_what_a_step_costs_depends_on_numbers_that_change(seed):
     rng, places = default_rng(seed), ("a", "b", "c")
-    far = " ".join(f"(= (far {one} {two}) {rng.integers(0, 5)})" for one in places for two in places)
+    far = " ".join(
+        f"(= (far {one} {two}) {rng.integers(0, 5)})" for one in places for two in places
+    )
     domain = parse_domain(
         CARRIER,
         f"""(define (problem p) (:domain carrier) (:objects a b c - place) (:init (at a) (= (load) {rng.integers(0, 4)})
@@ -186,7 +219,10 @@ def test_plans_cost_least_where_what_a_step_costs_depends_on_numbers_that_change
     )
     start = Problem(domain, initial_state(domain))
     result = Planner().plan(start)
-    assert (result.outcome, result.cost) == (Outcome.SOLVED_OPTIMALLY, least_cost(domain, start.state))
+    assert (result.outcome, result.cost) == (
+        Outcome.SOLVED_OPTIMALLY,
+        least_cost(domain, start.state),
+    )
 
 
 @pytest.mark.usefixtures("without_java")

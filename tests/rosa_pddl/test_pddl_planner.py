@@ -48,7 +48,9 @@ BOTH = ("search_pipeline", "inspect_pipeline")
         (("recharge",), (), ["search_pipeline", "inspect_pipeline"]),
     ],
 )
-def test_the_plan_of_the_extended_mission_follows_feasibility_and_facts(extended, unfeasible, facts, expected):
+def test_the_plan_of_the_extended_mission_follows_feasibility_and_facts(
+    extended, unfeasible, facts, expected
+):
     result = Planner().plan(problem_of(extended, unfeasible, facts))
     assert (result.outcome, names(result)) == (Outcome.SOLVED_OPTIMALLY, expected)
     assert [step.action for step in result.steps] == expected
@@ -69,7 +71,10 @@ def test_the_base_mission_cannot_recharge():
 
 def test_the_satisficing_engine_says_solved_only(extended):
     result = Planner("fast-downward").plan(problem_of(extended))
-    assert (result.outcome, names(result)) == (Outcome.SOLVED, ["search_pipeline", "inspect_pipeline"])
+    assert (result.outcome, names(result)) == (
+        Outcome.SOLVED,
+        ["search_pipeline", "inspect_pipeline"],
+    )
 
 
 def test_effects_at_start_and_quantified_conditional_effects_are_planned(rooms):
@@ -107,17 +112,23 @@ def test_costs_are_computed_from_numbers_as_they_are_now(speed, expected):
     found = Planner().plan(Problem(domain, frozenset(), costs={"(speed)": speed}))
     assert (names(found), found.cost) == (expected, 12.0 if speed == 0.1 else 10.0)
     stuck = Planner().plan(Problem(domain, frozenset(), costs={"(speed)": 0}))
-    assert (stuck.outcome, "divided by nothing: (way), (speed)" in stuck.message) == (Outcome.UNSUPPORTED, True)
+    assert (stuck.outcome, "divided by nothing: (way), (speed)" in stuck.message) == (
+        Outcome.UNSUPPORTED,
+        True,
+    )
 
 
 def test_durations_as_metric_come_down_to_the_number_of_steps(tmp_path):
-    domain = load_text(tmp_path, ROOMS_DOMAIN, ROOMS_PROBLEM.rstrip()[:-1] + "(:metric minimize (total-time)))")
+    domain = load_text(
+        tmp_path, ROOMS_DOMAIN, ROOMS_PROBLEM.rstrip()[:-1] + "(:metric minimize (total-time)))"
+    )
     assert names(Planner().plan(problem_of(domain))) == ["scan", "move", "clean", "scan"]
 
 
 def test_a_metric_that_cannot_be_kept_is_refused_at_load(tmp_path):
     with pytest.raises(
-        UnsupportedPddlError, match=r"problem\.pddl:\d+:\d+: .*instead of maximizing, minimize what is lost"
+        UnsupportedPddlError,
+        match=r"problem\.pddl:\d+:\d+: .*instead of maximizing, minimize what is lost",
     ):
         load_text(tmp_path, COSTS, COSTS_PROBLEM % "(:metric maximize (total-cost))")
 
@@ -192,7 +203,9 @@ def test_a_plan_that_does_not_work_is_the_engines_fault(rooms, monkeypatch, tmp_
         ("cat /dev/zero", Outcome.ENGINE_CRASHED, "printed without end"),
     ],
 )
-def test_whatever_the_search_does_has_a_name(extended, monkeypatch, tmp_path, script, outcome, words):
+def test_whatever_the_search_does_has_a_name(
+    extended, monkeypatch, tmp_path, script, outcome, words
+):
     search = program(tmp_path, script)
     monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: search)
     result = Planner(moves=0).plan(problem_of(extended))
@@ -235,7 +248,12 @@ def wait_until_dead(pid):
 
 def test_out_of_time_ends_every_process_of_the_engine(extended, monkeypatch, tmp_path):
     monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow_program(tmp_path))
-    for timeout_s in (0.5, 4.0, 32.0, 256.0):  # on a busy machine the engine may not begin in a short time
+    for timeout_s in (
+        0.5,
+        4.0,
+        32.0,
+        256.0,
+    ):  # on a busy machine the engine may not begin in a short time
         result = Planner(timeout_s=timeout_s, moves=0).plan(problem_of(extended))
         assert result.outcome is Outcome.OUT_OF_TIME
         assert result.hangs_on_the_clock
@@ -249,7 +267,11 @@ def test_cancelling_ends_every_process_of_the_engine(extended, monkeypatch, tmp_
     monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: slow_program(tmp_path))
     before = set(threading.enumerate())
     future = Planner(moves=0, timeout_s=1000.0).start(problem_of(extended))
-    worker = next(thread for thread in set(threading.enumerate()) - before if thread.name.startswith("planner fast"))
+    worker = next(
+        thread
+        for thread in set(threading.enumerate()) - before
+        if thread.name.startswith("planner fast")
+    )
     child = child_of(tmp_path)
     assert future.cancel()
     worker.join(120.0)
@@ -295,7 +317,9 @@ def test_the_plan_does_not_depend_on_the_hash_seed(tmp_path):
     objects = " ".join(f"x{number}" for number in range(6))
     domain = """(define (domain many) (:types thing) (:predicates (used ?x - thing) (done))
       (:action use :parameters (?x - thing) :effect (and (used ?x) (done))))"""
-    problem = f"(define (problem p) (:domain many) (:objects {objects} - thing) (:init ) (:goal (done)))"
+    problem = (
+        f"(define (problem p) (:domain many) (:objects {objects} - thing) (:init ) (:goal (done)))"
+    )
     load_text(tmp_path, domain, problem)
     code = (
         "from rosa_pddl import *; d = load_domain('domain.pddl', 'problem.pddl');"
@@ -303,9 +327,17 @@ def test_the_plan_does_not_depend_on_the_hash_seed(tmp_path):
     )
     outputs = set()
     for seed in ("1", "2"):
-        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path(__file__).parents[2])}
+        environment = {
+            **os.environ,
+            "PYTHONHASHSEED": seed,
+            "PYTHONPATH": str(Path(__file__).parents[2]),
+        }
         run = subprocess.run(
-            [sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
         )
         assert run.stdout.startswith("use(x"), run.stderr
         outputs.add(run.stdout)
@@ -320,7 +352,9 @@ def test_what_is_searched_here_is_loaded_and_planned_without_the_engines_of_unif
         "print([name for name in ('unified_planning.engines', 'scipy.stats') if name in sys.modules])"
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True
+    )
     assert run.stdout.strip() == "[]", run.stdout + run.stderr
 
 
@@ -332,13 +366,18 @@ def test_what_is_searched_here_is_loaded_and_planned_without_the_engines_of_unif
 @pytest.mark.parametrize("which", ["rooms", "extended"])
 def test_plans_are_as_short_as_those_of_the_naive_twin(request, which, data):
     domain = request.getfixturevalue(which)
-    changeable = {"rooms": ["(lit hall)", "(broken hall)", "(scanned hall)"], "extended": ["(pipeline_found pipeline)"]}
+    changeable = {
+        "rooms": ["(lit hall)", "(broken hall)", "(scanned hall)"],
+        "extended": ["(pipeline_found pipeline)"],
+    }
     facts = data.draw(st.sets(st.sampled_from(changeable[which])))
     unfeasible = data.draw(st.sets(st.sampled_from(domain.rosa_actions)))
     problem = problem_of(domain, unfeasible, facts)
     result = Planner().plan(problem)
     expected = fewest_steps(domain, problem.state)
-    assert result.outcome is (Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY)
+    assert result.outcome is (
+        Outcome.UNSOLVABLE_PROVEN if expected is None else Outcome.SOLVED_OPTIMALLY
+    )
     assert len(result.steps) == (expected or 0)
     assert expected is None or flaw(domain, result.steps, problem.state) is None
 

@@ -107,7 +107,10 @@ def test_many_replans_leave_no_process_file_or_thread(monkeypatch, tmp_path):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     extended = load_mission("suave_extended")
     planner = Planner(cached=0)
-    states = [initial_state(extended) | {f"(action_feasible {action})"} for action in extended.rosa_actions]
+    states = [
+        initial_state(extended) | {f"(action_feasible {action})"}
+        for action in extended.rosa_actions
+    ]
     for state in states:
         planner.plan(Problem(extended, state))
     before, threads = files(), threading.active_count()
@@ -136,7 +139,9 @@ TROUBLES = {
 
 
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(monkeypatch, tmp_path, trouble):
+def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(
+    monkeypatch, tmp_path, trouble
+):
     count, search = tmp_path / "count", tmp_path / "downward"
     search.write_text(
         f"#!/bin/sh\necho x >> {count}\n"
@@ -144,7 +149,9 @@ def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(m
     )
     search.chmod(0o755)
     extended = load_mission("suave_extended")
-    planner = Planner(cached=0, moves=0, timeout_s=30.0, budgets_s={"warm": 1.0, "cold": 29.0}, memory_mb=512)
+    planner = Planner(
+        cached=0, moves=0, timeout_s=30.0, budgets_s={"warm": 1.0, "cold": 29.0}, memory_mb=512
+    )
     planner.plan(Problem(extended, initial_state(extended)))
     before, threads = files(), threading.active_count()
     monkeypatch.setattr("rosa_pddl.engines.fast_downward_program", lambda: search)
@@ -162,4 +169,6 @@ def test_a_search_that_misbehaves_twice_leaves_nothing_and_the_mission_goes_on(m
     while threading.active_count() > threads:
         threading.Event().wait(0.01)
     assert not opened_since(before)
-    assert [program for program in programs_running() if "sleep" in program or "downward" in program] == []
+    assert [
+        program for program in programs_running() if "sleep" in program or "downward" in program
+    ] == []

@@ -55,7 +55,9 @@ def action(rng, number, heads):
         times, depth, sure = rng.sample(times, k=1), 2, ["at start", "at start"]
     needs = " ".join(f"({time} {formula(rng, variables, depth, heads)})" for time in times)
     times = sure + rng.choices(["at start", "at end"], k=rng.randint(1, 4))
-    effects = " ".join(effect(rng, variables, lambda part, time=time: f"({time} {part})", heads) for time in times)
+    effects = " ".join(
+        effect(rng, variables, lambda part, time=time: f"({time} {part})", heads) for time in times
+    )
     return f"(:durative-action {head} :duration (= ?duration 2) :condition (and {needs}) :effect (and {effects}))"
 
 
@@ -163,7 +165,11 @@ def test_what_is_derived_after_the_start_of_a_step_is_derived_from_what_the_star
         ("(at start (q a)) (over all (q ?x))", "(at start (not (q a))) (at end (s))", None),
         ("", "(at start (p ?x)) (at end (not (p ?y))) (when (at end (p a)) (at end (s)))", 1.0),
         ("(at end (>= (f ?y) 2))", "(at start (increase (f ?x) 2)) (at end (s))", 1.0),
-        ("(over all (< (f a) 1))", "(when (at start (q a)) (at start (assign (f ?x) 2))) (at end (s))", None),
+        (
+            "(over all (< (f a) 1))",
+            "(when (at start (q a)) (at start (assign (f ?x) 2))) (at end (s))",
+            None,
+        ),
     ],
 )
 def test_conditions_of_a_step_are_those_after_its_start(conditions, effects, cost):
@@ -178,7 +184,9 @@ def test_conditions_of_a_step_are_those_after_its_start(conditions, effects, cos
     assert (result.cost, result.outcome.is_trouble) == (cost, False)
 
 
-@pytest.mark.parametrize(("start_effect", "step"), [("(p ?x)", "one(a)"), ("(not (p ?x))", "one(b)")])
+@pytest.mark.parametrize(
+    ("start_effect", "step"), [("(p ?x)", "one(a)"), ("(not (p ?x))", "one(b)")]
+)
 def test_variable_with_the_name_of_a_parameter_is_another_thing(start_effect, step):
     domain = parse_domain(
         f"""(define (domain d) (:types t) (:predicates (p ?x - t) (q ?x - t))

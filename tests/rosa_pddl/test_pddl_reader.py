@@ -42,7 +42,9 @@ def test_the_spelling_of_the_files_is_kept_although_pddl_ignores_case(tmp_path):
         "(lit ?x - room)", "(Lit ?x - ROOM)"
     )
     loaded = load_text(
-        tmp_path, domain, ROOMS_PROBLEM.replace("kitchen hall", "Kitchen hall").replace("look ", "Look ")
+        tmp_path,
+        domain,
+        ROOMS_PROBLEM.replace("kitchen hall", "Kitchen hall").replace("look ", "Look "),
     )
     assert "Scan" in loaded.schemas
     assert loaded.rosa_actions == ("go", "Look")
@@ -55,7 +57,9 @@ def test_what_the_reader_of_unified_planning_stumbles_over_is_tolerated(tmp_path
       (:predicates (done)) (:functions )
       (:action instant :precondition () :effect (done))
       (:durative-action lasting :parameters () :duration (= ?duration 1) :condition () :effect ()))"""
-    loaded = load_text(tmp_path, domain, "(define (problem p) (:domain odd) (:objects ) (:init ) (:goal (done)))")
+    loaded = load_text(
+        tmp_path, domain, "(define (problem p) (:domain odd) (:objects ) (:init ) (:goal (done)))"
+    )
     assert loaded.schemas == ("instant", "lasting")
     assert loaded.rosa_actions == ()
 
@@ -76,7 +80,11 @@ MALFORMED = {
         "domain.pddl:6:3",
         "before (:durative-action on line 12",
     ),
-    "unclosed to the end": (in_rooms("(scanned ?x))))", "(scanned ?x)"), "problem.pddl:4", "the end of the file"),
+    "unclosed to the end": (
+        in_rooms("(scanned ?x))))", "(scanned ?x)"),
+        "problem.pddl:4",
+        "the end of the file",
+    ),
     "one parenthesis too many": (
         in_rooms("(not (lit ?x)))))", "(not (lit ?x))))))"),
         "domain.pddl:18:3",
@@ -107,7 +115,11 @@ MALFORMED = {
         "domain.pddl@wen",
         "'wen'|when",
     ),
-    "unknown variable": (in_rooms("(at end (scanned ?x))", "(at end (scanned ?y))"), "domain.pddl@?y", "'?y'"),
+    "unknown variable": (
+        in_rooms("(at end (scanned ?x))", "(at end (scanned ?y))"),
+        "domain.pddl@?y",
+        "'?y'",
+    ),
     "wrong number of arguments": (
         in_rooms("(over all (lit ?x))", "(over all (lit ?x ?r))"),
         "domain.pddl@lit ?x ?r",
@@ -138,10 +150,16 @@ MALFORMED = {
         "problem.pddl@kitchen - room",
         "declared before, in line 2",
     ),
-    "no goal": (in_rooms("(:goal (forall (?x - room) (scanned ?x)))", ""), "problem.pddl:1:1", ":goal"),
+    "no goal": (
+        in_rooms("(:goal (forall (?x - room) (scanned ?x)))", ""),
+        "problem.pddl:1:1",
+        ":goal",
+    ),
     "no duration": (in_rooms(":duration (= ?duration 5)", ""), "domain.pddl:6:3", ":duration"),
     "part of an action twice": (
-        in_rooms(":duration (= ?duration 5)", ":duration (= ?duration 5) :duration (= ?duration 6)"),
+        in_rooms(
+            ":duration (= ?duration 5)", ":duration (= ?duration 5) :duration (= ?duration 6)"
+        ),
         "domain.pddl@:duration (= ?duration 6)",
         ":duration|again in :durative-action",
     ),
@@ -155,8 +173,16 @@ MALFORMED = {
         "domain.pddl@1e999999999",
         "expected a number of at most 1e308",
     ),
-    "number of Python": (in_rooms("(= ?duration 5)", "(= ?duration 1_0)"), "domain.pddl@1_0", "expected a number"),
-    "type left out": (in_rooms("robby - robot", "robby -"), "problem.pddl@-)", "expected a type after it"),
+    "number of Python": (
+        in_rooms("(= ?duration 5)", "(= ?duration 1_0)"),
+        "domain.pddl@1_0",
+        "expected a number",
+    ),
+    "type left out": (
+        in_rooms("robby - robot", "robby -"),
+        "problem.pddl@-)",
+        "expected a type after it",
+    ),
     "too deep": (
         in_rooms("(broken kitchen)", "(and " * 200 + "(broken kitchen)" + ")" * 200),
         "problem.pddl:3:",
@@ -164,7 +190,11 @@ MALFORMED = {
     ),
     "not PDDL": (("hello", ROOMS_PROBLEM), "domain.pddl:1:1", "(define"),
     "empty": (("; nothing\n", ROOMS_PROBLEM), "domain.pddl", "empty"),
-    "files exchanged": ((ROOMS_PROBLEM, ROOMS_DOMAIN), "domain.pddl:1:9", "is this the domain file"),
+    "files exchanged": (
+        (ROOMS_PROBLEM, ROOMS_DOMAIN),
+        "domain.pddl:1:9",
+        "is this the domain file",
+    ),
 }
 
 
@@ -190,8 +220,16 @@ def test_malformed_pddl_is_refused_with_place_and_expectation(case, tmp_path):
 
 
 UNSUPPORTED = {
-    "timed fact": (in_rooms("(free robby)", "(at 5 (free robby))"), "problem.pddl@(at 5", "become true at a time"),
-    "either": (in_rooms("robby - robot", "robby - (either robot room)"), "problem.pddl@(either", "either"),
+    "timed fact": (
+        in_rooms("(free robby)", "(at 5 (free robby))"),
+        "problem.pddl@(at 5",
+        "become true at a time",
+    ),
+    "either": (
+        in_rooms("robby - robot", "robby - (either robot room)"),
+        "problem.pddl@(either",
+        "either",
+    ),
 }
 
 
@@ -216,7 +254,9 @@ def test_an_unreadable_file_is_named_with_the_reason(make, tmp_path):
 
 
 def test_a_rosa_action_that_the_kb_does_not_know_is_refused_with_place_and_nearest(extended):
-    with pytest.raises(PddlError, match=r"problem\.pddl:6: .*'recharge'.*nearest: recharge_battery"):
+    with pytest.raises(
+        PddlError, match=r"problem\.pddl:6: .*'recharge'.*nearest: recharge_battery"
+    ):
         extended.check(FakeKb(["search_pipeline", "inspect_pipeline", "recharge_battery"]))
     extended.check(FakeKb(extended.rosa_actions))
 
@@ -255,24 +295,31 @@ def test_a_type_without_its_space_is_read_with_a_note_and_a_constant_may_be_name
       (:init (at r1 yard)) (:goal (at r1 dock)))"""
     read = parse_domain(domain, problem)
     assert read.objects_of("place") == ("Dock", "yard")
-    assert [step.arguments for step in Planner().plan(Problem(read, initial_state(read))).steps] == [
-        ("r1", "yard", "Dock")
-    ]
-    assert read.oversights[0] == "domain.pddl:1: '-place' is read as '- place'; write it with the space"
+    assert [
+        step.arguments for step in Planner().plan(Problem(read, initial_state(read))).steps
+    ] == [("r1", "yard", "Dock")]
+    assert (
+        read.oversights[0]
+        == "domain.pddl:1: '-place' is read as '- place'; write it with the space"
+    )
     assert len(read.oversights) == 4
 
 
 def test_a_difference_that_begins_with_a_list_is_not_taken_for_a_type_without_its_space():
     domain = """(define (domain d) (:requirements :typing :fluents) (:functions (full) (used))
       (:predicates (empty)) (:action fill :parameters () :precondition (< (-(full) (used)) 1) :effect (empty)))"""
-    read = parse_domain(domain, "(define (problem p) (:domain d) (:init (= (full) 1) (= (used) 1)) (:goal (empty)))")
+    read = parse_domain(
+        domain, "(define (problem p) (:domain d) (:init (= (full) 1) (= (used) 1)) (:goal (empty)))"
+    )
     assert [note for note in read.oversights if "space" in note] == []
 
 
 def test_a_constant_named_again_with_another_type_is_refused():
     domain = "(define (domain d) (:requirements :typing) (:types a b) (:constants x - a) (:predicates (p ?x - a)))"
     with pytest.raises(PddlError, match=r"declared before, in line 1 of domain\.pddl"):
-        parse_domain(domain, "(define (problem p) (:domain d) (:objects x - b) (:init) (:goal (p x)))")
+        parse_domain(
+            domain, "(define (problem p) (:domain d) (:objects x - b) (:init) (:goal (p x)))"
+        )
 
 
 LAMPS = """(define (domain lamps) (:types room robot)
@@ -309,9 +356,17 @@ def test_derived_predicates_hold_where_what_they_are_derived_from_does():
             ":effect (bright ?y)",
             "(bright ?y)', which is derived: it is neither stated nor",
         ),
-        ("(bright ?y - room) (lamp ?y)", "(bright ?y - robot) (lamp b)", "expected the types of the rule before"),
+        (
+            "(bright ?y - room) (lamp ?y)",
+            "(bright ?y - robot) (lamp b)",
+            "expected the types of the rule before",
+        ),
         ("(bright ?x))", "(bright ?r))", "of other types than declared: (bright ?x - room)"),
-        ("(:derived (bright ?y - room) (lamp ?y))", "(:derived (bright ?y - room))", "expected '(:derived (NAME"),
+        (
+            "(:derived (bright ?y - room) (lamp ?y))",
+            "(:derived (bright ?y - room))",
+            "expected '(:derived (NAME",
+        ),
     ],
 )
 def test_slip_with_a_derived_predicate_is_said_with_its_place(old, new, said):

@@ -44,7 +44,9 @@ def test_a_domain_loads_unmodified_and_is_planned_for(name):
     state = initial_state(domain) | {domain.feasible_atom(action) for action in domain.rosa_actions}
     result = Planner().plan(Problem(domain, state))
     cost, schemas = PLANS[name]
-    assert (result.cost, " ".join(step.schema for step in result.steps)) == (cost, schemas), result.message
+    assert (result.cost, " ".join(step.schema for step in result.steps)) == (cost, schemas), (
+        result.message
+    )
     assert flaw(domain, result.steps, state) is None
 
 
@@ -62,10 +64,16 @@ def test_windows_line_ends_tabs_and_a_byte_order_mark_make_no_difference(tmp_pat
     )
     (tmp_path / "d.pddl").write_bytes(b"\xef\xbb\xbf" + domain.encode())
     (tmp_path / "p.pddl").write_bytes(problem.encode())
-    assert load_domain(tmp_path / "d.pddl", tmp_path / "p.pddl").schemas == ("move", "patrol", "charge")
+    assert load_domain(tmp_path / "d.pddl", tmp_path / "p.pddl").schemas == (
+        "move",
+        "patrol",
+        "charge",
+    )
 
 
-@pytest.mark.parametrize(("types", "of_type"), [("", ""), ("(:types t)", "- t"), ("(:types t s - object)", "- t")])
+@pytest.mark.parametrize(
+    ("types", "of_type"), [("", ""), ("(:types t)", "- t"), ("(:types t s - object)", "- t")]
+)
 def test_quantified_variables_without_a_type_are_of_any(tmp_path, types, of_type):
     domain = f"""(define (domain bare) {types} (:predicates (p ?x))
       (:action a :parameters (?x) :precondition (forall (?y) (p ?y)) :effect (forall (?z) (not (p ?z)))))"""
@@ -85,7 +93,9 @@ def test_a_problem_without_a_goal_is_done_at_once(tmp_path, goal):
 
 @pytest.mark.parametrize(("goal", "count"), [("(:goal)", 0), ("(:goal (done) (ok a))", 2)])
 def test_a_goal_of_none_or_several_conditions_is_refused_with_what_to_write(tmp_path, goal, count):
-    with pytest.raises(PddlError, match=rf"problem\.pddl:2:2: found {count} conditions .*join them with \(and"):
+    with pytest.raises(
+        PddlError, match=rf"problem\.pddl:2:2: found {count} conditions .*join them with \(and"
+    ):
         load_text(tmp_path, PLAIN, PROBLEM.replace("(:goal (done))", goal))
 
 
@@ -104,7 +114,12 @@ def test_sections_come_in_pieces_and_what_others_leave_out_may_be_left_out():
 
 def test_the_rosa_action_is_found_by_the_predicate_of_its_kind_by_feasibility_or_as_a_constant():
     found = {name: schema.action for name, schema in load("inspection").schema_of.items()}
-    assert found == {"start_robot": "a", "search_pipeline": "a", "inspect_pipeline": "a", "recharge": "a"}
+    assert found == {
+        "start_robot": "a",
+        "search_pipeline": "a",
+        "inspect_pipeline": "a",
+        "recharge": "a",
+    }
     assert load("inspection").step("recharge", ["x", "y", "z", "r"]).action == "x"
     assert {name: schema.action for name, schema in load("survey").schema_of.items()} == {
         "move": "move",
@@ -129,7 +144,9 @@ def test_a_domain_without_the_conventions_is_told_and_follows_the_knowledge_base
 def test_a_parameter_can_be_told_and_is_then_watched():
     before, told = load("inspection"), load("inspection", actions={"recharge": "?a1"})
     assert told.schema_of["recharge"].action == "a1"
-    assert len(told.schema_of["recharge"].over_all) == len(before.schema_of["recharge"].over_all) + 1
+    assert (
+        len(told.schema_of["recharge"].over_all) == len(before.schema_of["recharge"].over_all) + 1
+    )
 
 
 @pytest.mark.parametrize(
@@ -165,7 +182,11 @@ def test_a_predicate_like_that_of_a_rosa_action_may_have_more_arguments(tmp_path
 
 
 def test_an_object_of_type_action_that_no_pddl_action_does_is_named(tmp_path):
-    problem = (CORPUS / "inspection" / "problem.pddl").read_text().replace("recharge - action", "recharge fly - action")
+    problem = (
+        (CORPUS / "inspection" / "problem.pddl")
+        .read_text()
+        .replace("recharge - action", "recharge fly - action")
+    )
     domain = load_text(tmp_path, (CORPUS / "inspection" / "domain.pddl").read_text(), problem)
     (finding,) = domain.check(FakeKb(domain.rosa_actions))
     assert "no PDDL action" in finding
@@ -177,19 +198,43 @@ def test_an_object_of_type_action_that_no_pddl_action_does_is_named(tmp_path):
 PLAIN = """(define (domain plain) (:types thing) (:predicates (ok ?t - thing) (done))
   (:functions (fuel ?t - thing))
   (:action go :parameters (?t - thing) :precondition (ok ?t) :effect (done)))"""
-PROBLEM = "(define (problem p) (:domain plain) (:objects a - thing) (:init (ok a))\n (:goal (done)))"
+PROBLEM = (
+    "(define (problem p) (:domain plain) (:objects a - thing) (:init (ok a))\n (:goal (done)))"
+)
 REFUSED = {
-    "object fluent": (("(fuel ?t - thing)", "(place ?t - thing) - thing"), "domain.pddl:2:", "up-aries"),
+    "object fluent": (
+        ("(fuel ?t - thing)", "(place ?t - thing) - thing"),
+        "domain.pddl:2:",
+        "up-aries",
+    ),
     "process": (("(:action go", "(:process go"), "domain.pddl:3:", "up-enhsp"),
-    "preference": (("(:goal (done))", "(:goal (preference p1 (done)))"), "problem.pddl:2:", "goals.add"),
-    "utility": (("(:goal (done))", "(:goal (done)) (:utility (= (done) 3))"), "problem.pddl:2:", "goals.add"),
-    "trajectory": (("(:goal (done))", "(:goal (done)) (:constraints (always (ok a)))"), "problem.pddl:2:", "up-symk"),
-    "metric": (("(:goal (done))", "(:goal (done))\n (:metric minimize (fuel a))"), "problem.pddl:3", "total-cost"),
+    "preference": (
+        ("(:goal (done))", "(:goal (preference p1 (done)))"),
+        "problem.pddl:2:",
+        "goals.add",
+    ),
+    "utility": (
+        ("(:goal (done))", "(:goal (done)) (:utility (= (done) 3))"),
+        "problem.pddl:2:",
+        "goals.add",
+    ),
+    "trajectory": (
+        ("(:goal (done))", "(:goal (done)) (:constraints (always (ok a)))"),
+        "problem.pddl:2:",
+        "up-symk",
+    ),
+    "metric": (
+        ("(:goal (done))", "(:goal (done))\n (:metric minimize (fuel a))"),
+        "problem.pddl:3",
+        "total-cost",
+    ),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
-def test_what_no_engine_here_takes_is_refused_at_load_with_its_place_and_what_would_do(case, tmp_path):
+def test_what_no_engine_here_takes_is_refused_at_load_with_its_place_and_what_would_do(
+    case, tmp_path
+):
     (old, new), place, advice = REFUSED[case]
     assert old in PLAIN + PROBLEM
     with pytest.raises(UnsupportedPddlError, match=advice) as caught:
@@ -199,7 +244,9 @@ def test_what_no_engine_here_takes_is_refused_at_load_with_its_place_and_what_wo
 
 def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on_top(tmp_path):
     two = PLAIN.replace("(:types thing)", "(:types thing - part part - thing)")
-    with pytest.raises(PddlError, match=r"domain\.pddl:1:.*the types part, thing are above one another"):
+    with pytest.raises(
+        PddlError, match=r"domain\.pddl:1:.*the types part, thing are above one another"
+    ):
         load_text(tmp_path, two, PROBLEM)
     itself = PLAIN.replace("(:types thing)", "(:types thing part - thing)")
     assert load_text(tmp_path, itself, PROBLEM).schemas == ("go",)
@@ -208,20 +255,29 @@ def test_types_that_are_above_one_another_are_refused_but_one_above_itself_is_on
 # ------------------------------------------------------------------ the same as unified-planning's own reader
 
 
-@pytest.mark.filterwarnings("ignore::DeprecationWarning")  # it calls its parser by names that were since deprecated
+@pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning"
+)  # it calls its parser by names that were since deprecated
 @pytest.mark.parametrize("name", ["rooms", "untyped"])
 def test_the_model_is_that_which_unified_planning_reads_where_it_can(name):
     from unified_planning.io import PDDLReader
 
     folder = CORPUS / name
-    files = (ROOMS_DOMAIN, ROOMS_PROBLEM) if name == "rooms" else [(folder / one).read_text() for one in FILES]
+    files = (
+        (ROOMS_DOMAIN, ROOMS_PROBLEM)
+        if name == "rooms"
+        else [(folder / one).read_text() for one in FILES]
+    )
     domain = parse_domain(*files)
     ours = Problem(domain, initial_state(domain)).build(overlapping=True)
     theirs = PDDLReader().parse_problem_string(*files)
     ours.clear_goals()  # of a goal for temporal engines quantifiers are removed
     for goal in domain.up_problem.goals:
         ours.add_goal(goal)
-    one, other = (str(problem).lower().replace(" - object", "").replace(" and ", "\n") for problem in (ours, theirs))
+    one, other = (
+        str(problem).lower().replace(" - object", "").replace(" and ", "\n")
+        for problem in (ours, theirs)
+    )
     parts, others = ({part.strip(" ()") for part in text.splitlines()} for text in (one, other))
     # here all types are below object, also where nothing needs that
     assert {part for part in parts ^ others if not part.startswith(("types", "object"))} == set()

@@ -56,9 +56,15 @@ def shuffled(text, rng):
 
 
 @settings(max_examples=8)
-@given(name=st.sampled_from(sorted(path.name for path in CORPUS.iterdir())), rng=st.randoms(use_true_random=False))
+@given(
+    name=st.sampled_from(sorted(path.name for path in CORPUS.iterdir())),
+    rng=st.randoms(use_true_random=False),
+)
 def test_the_order_of_sections_makes_no_difference(name, rng):
-    whole, mixed = parse_domain(*texts(name)), parse_domain(*(shuffled(text, rng) for text in texts(name)))
+    whole, mixed = (
+        parse_domain(*texts(name)),
+        parse_domain(*(shuffled(text, rng) for text in texts(name))),
+    )
     assert sorted(mixed.schemas) == sorted(whole.schemas)
     assert {name: schema.action for name, schema in mixed.schema_of.items()} == {
         name: schema.action for name, schema in whole.schema_of.items()
@@ -102,16 +108,36 @@ def test_a_misspelt_requirement_does_no_harm(word):
 
 
 REFUSED = {
-    "name with a digit first": (("(:objects a", "(:objects 1a a"), 3, "the object '1a', expected a name: a letter"),
-    "name with an accent": (("(:objects a", "(:objects é a"), 3, "the object 'é', expected a name: a letter"),
-    "parameter twice": ((":parameters (?t - thing)", ":parameters (?t ?t - thing)"), 6, "the parameter '?t' again"),
+    "name with a digit first": (
+        ("(:objects a", "(:objects 1a a"),
+        3,
+        "the object '1a', expected a name: a letter",
+    ),
+    "name with an accent": (
+        ("(:objects a", "(:objects é a"),
+        3,
+        "the object 'é', expected a name: a letter",
+    ),
+    "parameter twice": (
+        (":parameters (?t - thing)", ":parameters (?t ?t - thing)"),
+        6,
+        "the parameter '?t' again",
+    ),
     "untimed condition": (
         ("(at start (ok ?t))", "(ok ?t)"),
         8,
         "expected '(at start ...)' or '(at end ...)' or '(over",
     ),
-    "untimed effect": (("(at end (done ?t))", "(done ?t)"), 9, "expected '(at start ...)' or '(at end ...)' around it"),
-    "effect over all": (("(at end (done ?t))", "(over all (done ?t))"), 9, "or '(at end ...)' around it"),
+    "untimed effect": (
+        ("(at end (done ?t))", "(done ?t)"),
+        9,
+        "expected '(at start ...)' or '(at end ...)' around it",
+    ),
+    "effect over all": (
+        ("(at end (done ?t))", "(over all (done ?t))"),
+        9,
+        "or '(at end ...)' around it",
+    ),
     "timed in an instant": (
         (":precondition (ok ?t)", ":precondition (at start (ok ?t))"),
         12,
@@ -122,10 +148,26 @@ REFUSED = {
         13,
         "'(far ?t)', which is a number, expected a pr",
     ),
-    "number as a condition": (("(at start (ok ?t))", "(at start (not (far ?t)))"), 8, "compare it, as in (> (x) 0)"),
-    "number as a goal": (("(:goal (done a))", "(:goal (far a))"), 5, "'(far a)', which is a number, expected a pred"),
-    "number as a fact": (("(:init (ok a))", "(:init (far a))"), 4, "'(far a)', which is a number, expected a predi"),
-    "number denied": (("(:init (ok a))", "(:init (ok a) (not (far a)))"), 4, "'(far a)', which is a number, expected"),
+    "number as a condition": (
+        ("(at start (ok ?t))", "(at start (not (far ?t)))"),
+        8,
+        "compare it, as in (> (x) 0)",
+    ),
+    "number as a goal": (
+        ("(:goal (done a))", "(:goal (far a))"),
+        5,
+        "'(far a)', which is a number, expected a pred",
+    ),
+    "number as a fact": (
+        ("(:init (ok a))", "(:init (far a))"),
+        4,
+        "'(far a)', which is a number, expected a predi",
+    ),
+    "number denied": (
+        ("(:init (ok a))", "(:init (ok a) (not (far a)))"),
+        4,
+        "'(far a)', which is a number, expected",
+    ),
     "predicate that changes": (
         ("(increase (total-cost) 2)", "(assign (done ?t) 2)"),
         13,
@@ -136,16 +178,36 @@ REFUSED = {
         13,
         "predicate, expected a number",
     ),
-    "predicate as an amount": (("(total-cost) 2)", "(total-cost) (ok ?t))"), 13, "is a predicate, expected a number"),
-    "predicate compared": (("(:goal (done a))", "(:goal (> (done a) 1))"), 5, "is a predicate, expected a number"),
-    "predicate with a value": (("(:init (ok a))", "(:init (= (ok a) 1))"), 4, "is a predicate, expected a number"),
+    "predicate as an amount": (
+        ("(total-cost) 2)", "(total-cost) (ok ?t))"),
+        13,
+        "is a predicate, expected a number",
+    ),
+    "predicate compared": (
+        ("(:goal (done a))", "(:goal (> (done a) 1))"),
+        5,
+        "is a predicate, expected a number",
+    ),
+    "predicate with a value": (
+        ("(:init (ok a))", "(:init (= (ok a) 1))"),
+        4,
+        "is a predicate, expected a number",
+    ),
     "difference of three": (
         ("(total-cost) 2)", "(total-cost) (- 3 1 1))"),
         13,
         "found 3 parts in (- 3 1 1), expected 2",
     ),
-    "division by nothing": (("(total-cost) 2)", "(total-cost) (/ 1 0))"), 13, "found '(/ 1 0)', expected a number"),
-    "value that is none": (("(:init (ok a))", "(:init (ok a) (= (far a) (far a)))"), 4, "'(far a)', expected a number"),
+    "division by nothing": (
+        ("(total-cost) 2)", "(total-cost) (/ 1 0))"),
+        13,
+        "found '(/ 1 0)', expected a number",
+    ),
+    "value that is none": (
+        ("(:init (ok a))", "(:init (ok a) (= (far a) (far a)))"),
+        4,
+        "'(far a)', expected a number",
+    ),
     "value too large": (
         ("(:init (ok a))", "(:init (ok a) (= (far a) 1e309))"),
         4,
@@ -161,7 +223,11 @@ REFUSED = {
         5,
         "expected a variable such as '?x'",
     ),
-    "times within or": (("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"), 8, "around it"),
+    "times within or": (
+        ("(at start (ok ?t))", "(or (at start (ok ?t)) (at end (ok ?t)))"),
+        8,
+        "around it",
+    ),
 }
 UNSUPPORTED = {
     "condition at another time": (
@@ -169,7 +235,11 @@ UNSUPPORTED = {
         9,
         "an effect at one time that depends on another",
     ),
-    "numeric goal": (("(:goal (done a))", "(:goal (> (total-cost) 3))"), 5, "which is for the metric"),
+    "numeric goal": (
+        ("(:goal (done a))", "(:goal (> (total-cost) 3))"),
+        5,
+        "which is for the metric",
+    ),
     "negative cost": (("(total-cost) 2)", "(total-cost) -2)"), 13, "less than nothing"),
     "conditional cost": (
         ("(increase (total-cost) 2)", "(when (ok ?t) (increase (total-cost) 2))"),

@@ -21,9 +21,9 @@ PROBLEM = """(define (problem p) (:domain signals) (:objects wave - action red g
 """
 FACTS = ("(on red)", "(ON green)", "(seen red)", "(seen green)", "(action_feasible wave)")
 ANSWERS = st.dictionaries(st.sampled_from(FACTS), st.booleans()).flatmap(
-    lambda facts: st.dictionaries(st.sampled_from(["(far red)", "(far green)"]), st.floats(0, 9)).map(
-        lambda numbers: facts | numbers
-    )
+    lambda facts: st.dictionaries(
+        st.sampled_from(["(far red)", "(far green)"]), st.floats(0, 9)
+    ).map(lambda numbers: facts | numbers)
 )
 
 
@@ -32,7 +32,10 @@ def signals(tmp_path_factory):
     return load_text(tmp_path_factory.mktemp("signals"), DOMAIN, PROBLEM)
 
 
-@given(moments=st.lists(st.one_of(ANSWERS, st.sampled_from(["wave", "same"])), max_size=12), feasible=st.booleans())
+@given(
+    moments=st.lists(st.one_of(ANSWERS, st.sampled_from(["wave", "same"])), max_size=12),
+    feasible=st.booleans(),
+)
 def test_what_is_believed_is_what_was_sensed_last_or_what_a_step_left(signals, moments, feasible):
     kb = FakeKb(signals.rosa_actions)
     kb.unfeasible = set() if feasible else {"wave"}

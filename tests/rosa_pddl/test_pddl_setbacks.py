@@ -110,7 +110,9 @@ class Troubled:
 
     def start(self, problem):
         future = Future()
-        trouble = PlanningResult(self.outcome, engine="odd", message=f"{self.outcome}", safe_step=self.safe)
+        trouble = PlanningResult(
+            self.outcome, engine="odd", message=f"{self.outcome}", safe_step=self.safe
+        )
         future.set_result(trouble if self.left else self.planner.plan(problem))
         self.left -= self.left > 0
         return future
@@ -121,7 +123,10 @@ def test_one_trouble_of_a_planner_is_not_remembered_as_no_plan(ways, outcome):
     world = World(ways, Troubled(1, outcome), delay_s=None)
     world.facts = {"(damp)": False}
     assert world.run() is Status.SUCCESS
-    assert [str(record.outcome) for record in world.executor.plans] == [str(outcome), "solved optimally"]
+    assert [str(record.outcome) for record in world.executor.plans] == [
+        str(outcome),
+        "solved optimally",
+    ]
     assert world.executor.plans[1].reason == f"{outcome} after start: retry 1 of 3"
 
 
@@ -138,7 +143,9 @@ def eager(ways):
     return world, planner, change
 
 
-def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(ways):
+def test_a_planner_in_trouble_is_asked_ever_less_often_for_what_is_not_needed_and_at_once_for_what_is(
+    ways,
+):
     world, planner, change = eager(ways)
     ticks(world, 60.0, change)
     asked = len(world.executor.plans)
@@ -185,7 +192,10 @@ def test_trouble_that_lasts_is_asked_ever_less_often_told_and_never_for_good(way
 def test_the_failure_says_how_often_it_was_tried_and_when_it_is_again(ways):
     world = World(ways, Troubled(100))
     assert world.run() is Status.FAILURE
-    assert world.executor.feedback_message == "no plan: engine crashed; tried 4 times, again in 1.6 s at the earliest"
+    assert (
+        world.executor.feedback_message
+        == "no plan: engine crashed; tried 4 times, again in 1.6 s at the earliest"
+    )
     assert world.tick() is Status.FAILURE
     assert len(world.executor.plans) == 4
 
@@ -252,7 +262,10 @@ def test_a_step_that_failed_once_waits_a_moment_and_is_begun_again(ways):
 def test_a_step_counts_as_often_as_it_has_to_be_tried(tries):
     domain = parse_domain(WAYS, PROBLEM)
     problem = Problem(
-        domain, initial_state(domain) - {"(damp)"}, costs={"(far)": 3.5}, weights={domain.step("near", []): tries}
+        domain,
+        initial_state(domain) - {"(damp)"},
+        costs={"(far)": 3.5},
+        weights={domain.step("near", []): tries},
     )
     for planner in (Planner(cached=0), Planner(cached=0, moves=0), Planner(cached=0, warm=False)):
         steps = [step.schema for step in planner.plan(problem).steps]
@@ -267,7 +280,11 @@ def test_an_eager_executor_arrives_although_costs_change_with_every_tick(ways):
     world.ticks = {"near": 30, "far": 30}
 
     def change():
-        world.facts = {"(damp)": False, "(near)": rng.uniform(8.0, 12.0), "(far)": rng.uniform(8.0, 12.0)}
+        world.facts = {
+            "(damp)": False,
+            "(near)": rng.uniform(8.0, 12.0),
+            "(far)": rng.uniform(8.0, 12.0),
+        }
 
     assert Status.SUCCESS in ticks(world, 20.0, change)
     assert sum(begun(world).values()) <= 6
@@ -275,7 +292,10 @@ def test_an_eager_executor_arrives_although_costs_change_with_every_tick(ways):
 
 def test_of_a_running_step_only_what_is_left_is_charged(ways):
     world = World(ways, policy=ReplanningPolicy(eager=True))
-    world.facts, world.ticks = {"(damp)": False, "(near)": 10.0, "(far)": 20.0}, {"near": 30, "far": 30}
+    world.facts, world.ticks = (
+        {"(damp)": False, "(near)": 10.0, "(far)": 20.0},
+        {"near": 30, "far": 30},
+    )
     assert world.run() is Status.SUCCESS  # now it is known how long it takes
     world.facts = {**world.facts, "(there)": False}
     world.tick()
@@ -317,7 +337,9 @@ def test_costs_less_than_a_thousandth_apart_are_told_apart(roads):
 
 
 AMOUNTS = st.one_of(
-    st.integers(0, 10**6).map(lambda number: number / 10**6), st.integers(0, 10**12).map(float), st.floats(0.0, 1e9)
+    st.integers(0, 10**6).map(lambda number: number / 10**6),
+    st.integers(0, 10**12).map(float),
+    st.floats(0.0, 1e9),
 )
 
 
@@ -342,7 +364,10 @@ def test_what_is_sensed_of_an_unknown_object_is_passed_over_and_told(ways):
     world = World(ways)
     world.facts = {"(at volcano)": True, "(damp)": False}
     assert world.run() is Status.SUCCESS
-    assert "has no object 'volcano' (in '(at volcano)'); known: other, pool, swim" in world.executor.findings[-1]
+    assert (
+        "has no object 'volcano' (in '(at volcano)'); known: other, pool, swim"
+        in world.executor.findings[-1]
+    )
     world.facts = {"(att pool)": True}
     with pytest.raises(UnknownNameError, match="nearest: at"):
         world.tick()

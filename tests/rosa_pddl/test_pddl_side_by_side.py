@@ -8,7 +8,15 @@ from hypothesis import strategies as st
 from pddl_world import FakeKb, World
 from py_trees.common import Status
 
-from rosa_pddl import Outcome, Planner, PlanningResult, Problem, ReplanningPolicy, initial_state, parse_domain
+from rosa_pddl import (
+    Outcome,
+    Planner,
+    PlanningResult,
+    Problem,
+    ReplanningPolicy,
+    initial_state,
+    parse_domain,
+)
 from rosa_pddl.instances import is_out_of_reach
 from rosa_pddl.plan_monitor import PlanExecution, shared_components
 from rosa_pddl.validate import StepEvent, replay
@@ -23,8 +31,14 @@ def durative_worlds(draw):
     literal = st.sampled_from([text for fact in facts for text in (fact, f"(not {fact})")])
     actions = []
     for number in range(3):
-        needs = [f"({draw(st.sampled_from(times))} {draw(literal)})" for _ in range(draw(st.integers(0, 2)))]
-        effects = [f"({draw(st.sampled_from(times[::2]))} {draw(literal)})" for _ in range(draw(st.integers(1, 2)))]
+        needs = [
+            f"({draw(st.sampled_from(times))} {draw(literal)})"
+            for _ in range(draw(st.integers(0, 2)))
+        ]
+        effects = [
+            f"({draw(st.sampled_from(times[::2]))} {draw(literal)})"
+            for _ in range(draw(st.integers(1, 2)))
+        ]
         if draw(st.booleans()):
             effects.append(f"(at end ({draw(st.sampled_from(['increase', 'decrease']))} (x) 1))")
         if draw(st.booleans()):
@@ -33,9 +47,13 @@ def durative_worlds(draw):
             f"(:durative-action a{number} :parameters () :duration (= ?duration 1)"
             f" :condition (and {' '.join(needs)}) :effect (and {' '.join(effects)}))"
         )
-    domain = f"(define (domain d) (:predicates (p) (q) (r) (s)) (:functions (x)) {' '.join(actions)})"
+    domain = (
+        f"(define (domain d) (:predicates (p) (q) (r) (s)) (:functions (x)) {' '.join(actions)})"
+    )
     held = draw(st.sets(st.sampled_from(facts)))
-    goal = draw(st.sampled_from(["(and (p) (q))", "(and (q) (r) (s))", "(and (p) (not (r)))", "(s)"]))
+    goal = draw(
+        st.sampled_from(["(and (p) (q))", "(and (q) (r) (s))", "(and (p) (not (r)))", "(s)"])
+    )
     problem = f"(define (problem p) (:domain d) (:init (= (x) 0) {' '.join(sorted(held))}) (:goal {goal}))"
     return domain, problem, draw(st.permutations([f"a{number}" for number in range(3)]))
 
@@ -61,7 +79,10 @@ def test_every_order_that_may_come_about_comes_to_the_same(world):
     for name in names:  # a sequence that works, as a planner gives one
         step = domain.step(name, ())
         wrong, _ = replay(
-            domain, [*steps, step], [[StepEvent(n, e)] for n in range(len(steps) + 1) for e in (False, True)], state
+            domain,
+            [*steps, step],
+            [[StepEvent(n, e)] for n in range(len(steps) + 1) for e in (False, True)],
+            state,
         )
         steps += [step] if wrong is None else []
     result = PlanningResult(Outcome.SOLVED, tuple(steps))
@@ -69,7 +90,10 @@ def test_every_order_that_may_come_about_comes_to_the_same(world):
     in_turn = PlanExecution.of(domain, result, ()).prediction(domain, state)
     assert in_turn.flaw is None
     for order in orders(plan):
-        assert replay(domain, plan.steps, [[event] for event in order], state) == (None, in_turn.facts)
+        assert replay(domain, plan.steps, [[event] for event in order], state) == (
+            None,
+            in_turn.facts,
+        )
 
 
 PAIR = """(define (domain pair) (:types action) (:predicates (action_feasible ?a - action) (lift_action ?a - action)
@@ -115,8 +139,12 @@ class _Composed(FakeKb):
 
     def __init__(self, world):
         super().__init__(("lift", "look"))
-        self.actions = {name: SimpleNamespace(functions=(f"{name}_function",)) for name in ("lift", "look")}
-        self.functions = {f"{name}_function": SimpleNamespace(designs=(name,)) for name in ("lift", "look")}
+        self.actions = {
+            name: SimpleNamespace(functions=(f"{name}_function",)) for name in ("lift", "look")
+        }
+        self.functions = {
+            f"{name}_function": SimpleNamespace(designs=(name,)) for name in ("lift", "look")
+        }
         self.designs = {
             "lift": SimpleNamespace(components=("arm",)),
             "look": SimpleNamespace(components=("eye", self.shared)),
@@ -140,4 +168,6 @@ def test_a_temporal_goal_that_nothing_brings_about_is_proven_unsolvable(pair):
     assert "ever undone" in result.message
     feasible = initial_state(pair) | {"(action_feasible lift)", "(action_feasible look)"}
     assert not is_out_of_reach(pair, feasible, pair.up_problem.goals)
-    assert shared_components(FakeKb(("lift",)))(pair.step("lift", ["lift"]), pair.step("lift", ["lift"]))
+    assert shared_components(FakeKb(("lift",)))(
+        pair.step("lift", ["lift"]), pair.step("lift", ["lift"])
+    )

@@ -34,7 +34,9 @@ def accepts_sequence(problem, steps):
 
     up_problem = problem.build()
     instances = [instance(problem.domain, up_problem, step) for step in steps]
-    return accepts(SequentialPlanValidator, up_problem, SequentialPlan(instances, up_problem.environment))
+    return accepts(
+        SequentialPlanValidator, up_problem, SequentialPlan(instances, up_problem.environment)
+    )
 
 
 def accepts_schedule(problem, schedule):
@@ -50,7 +52,9 @@ def accepts_schedule(problem, schedule):
         )
         for one in schedule
     ]
-    return accepts(TimeTriggeredPlanValidator, up_problem, TimeTriggeredPlan(timed, up_problem.environment))
+    return accepts(
+        TimeTriggeredPlanValidator, up_problem, TimeTriggeredPlan(timed, up_problem.environment)
+    )
 
 
 @st.composite
@@ -115,9 +119,13 @@ def test_random_schedules_are_judged_as_unified_planning_does(relay, data):
     chosen = data.draw(st.booleans())
     base = [(relay.step("run", ["ann"]), 0)] if chosen else []
     times = zip([*base, *drawn], data.draw(offsets), strict=False)
-    schedule = [TimedStep(step, whole + offset, DURATIONS[step.schema]) for (step, whole), offset in times]
+    schedule = [
+        TimedStep(step, whole + offset, DURATIONS[step.schema]) for (step, whole), offset in times
+    ]
     assert len(set(happening_times(schedule))) == len(happening_times(schedule))
-    state = initial_state(relay) ^ frozenset(data.draw(st.sets(st.sampled_from(["(lit)", "(baton ann)"]), max_size=1)))
+    state = initial_state(relay) ^ frozenset(
+        data.draw(st.sets(st.sampled_from(["(lit)", "(baton ann)"]), max_size=1))
+    )
     problem = Problem(relay, state)
     assert (schedule_flaw(relay, schedule, state) is None) == accepts_schedule(problem, schedule)
 
@@ -154,9 +162,14 @@ def test_number_that_one_step_needs_and_another_changes_at_the_same_time_is_in_t
 
     def flaw_of(drain_s):
         steps = [(domain.step("look", []), 0.0), (domain.step("drain", []), drain_s)]
-        return schedule_flaw(domain, [TimedStep(step, at_s, 2.0) for step, at_s in steps], initial_state(domain))
+        return schedule_flaw(
+            domain, [TimedStep(step, at_s, 2.0) for step, at_s in steps], initial_state(domain)
+        )
 
-    assert (flaw_of(0.0), flaw_of(0.5)) == ("look() and drain() get in each other's way over (fuel)", None)
+    assert (flaw_of(0.0), flaw_of(0.5)) == (
+        "look() and drain() get in each other's way over (fuel)",
+        None,
+    )
 
 
 def test_what_holds_over_all_is_looked_at_in_between(relay):

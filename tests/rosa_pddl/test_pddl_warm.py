@@ -21,7 +21,9 @@ def atoms_of(domain):
     """Every atom that the types allow."""
     for fluent in domain.up_problem.fluents:
         if fluent.type.is_bool_type():
-            choices = [domain.objects_of(domain.outside[part.type.name]) for part in fluent.signature]
+            choices = [
+                domain.objects_of(domain.outside[part.type.name]) for part in fluent.signature
+            ]
             for words in product(*choices):
                 yield f"({' '.join((domain.outside[fluent.name], *words))})"
 
@@ -31,7 +33,9 @@ def ways(result):
 
 
 def answer(result):
-    assert Outcome.ENGINE_CRASHED not in {attempt.outcome for attempt in result.attempts}, result.attempts
+    assert Outcome.ENGINE_CRASHED not in {attempt.outcome for attempt in result.attempts}, (
+        result.attempts
+    )
     assert not result.outcome.is_trouble, result.message
     return result.outcome, result.cost
 
@@ -61,7 +65,9 @@ def test_the_warm_way_answers_as_the_cold_one(request, which, data):
 def domains(draw):
     """Write a small random domain: facts with up to two arguments, negative and conditional parts, costs."""
     arities = [0, 1, 1, 2]
-    literal = st.tuples(st.integers(0, 3), st.booleans(), st.tuples(st.integers(0, 1), st.integers(0, 1)))
+    literal = st.tuples(
+        st.integers(0, 3), st.booleans(), st.tuples(st.integers(0, 1), st.integers(0, 1))
+    )
 
     def written(literals):
         texts = []
@@ -73,8 +79,15 @@ def domains(draw):
 
     actions = []
     for number in range(draw(st.integers(1, 4))):
-        needs, effects = draw(st.lists(literal, max_size=2)), draw(st.lists(literal, min_size=1, max_size=2))
-        when = f"(when (p3 ?x0 ?x1) {written([draw(literal)])})" if draw(st.integers(0, 5)) == 0 else ""
+        needs, effects = (
+            draw(st.lists(literal, max_size=2)),
+            draw(st.lists(literal, min_size=1, max_size=2)),
+        )
+        when = (
+            f"(when (p3 ?x0 ?x1) {written([draw(literal)])})"
+            if draw(st.integers(0, 5)) == 0
+            else ""
+        )
         cost = draw(st.sampled_from(["2", "(c ?x0)"]))
         actions.append(f"""(:action a{number} :parameters (?x0 ?x1 - t) :precondition (and {written(needs)})
           :effect (and {written(effects)} {when} (increase (total-cost) {cost})))""")
@@ -115,7 +128,11 @@ def test_so_it_does_in_random_domains(texts, data):
 
 def test_every_state_of_the_extended_mission_is_answered_warm(extended):
     planner = Planner(cached=0)
-    changeable = [atom for atom in atoms_of(extended) if atom.startswith(("(action_feasible", "(pipeline_found"))]
+    changeable = [
+        atom
+        for atom in atoms_of(extended)
+        if atom.startswith(("(action_feasible", "(pipeline_found"))
+    ]
     assert len(changeable) == 4
     static = initial_state(extended)
     planner.prepare(Problem(extended, static))
@@ -129,7 +146,9 @@ def test_facts_that_were_found_to_exclude_one_another_may_hold_together_all_the_
     assert ways(planner.plan(Problem(rooms, initial_state(rooms)))) == ["warm"]
     result = planner.plan(Problem(rooms, initial_state(rooms) | {"(at robby kitchen)"}))
     assert ways(result) == ["warm"]
-    assert answer(result) == answer(cold_planner().plan(Problem(rooms, initial_state(rooms) | {"(at robby kitchen)"})))
+    assert answer(result) == answer(
+        cold_planner().plan(Problem(rooms, initial_state(rooms) | {"(at robby kitchen)"}))
+    )
 
 
 def test_what_no_action_changes_is_kept_alive_once_it_has_changed(rooms):
@@ -152,7 +171,9 @@ def test_what_may_change_can_be_told_beforehand(rooms):
 AXIOMS = """(define (domain blocks) (:types t) (:predicates (clear ?x - t) (on ?x ?y - t) (done))
   (:action finish :precondition (forall (?x - t) (or (clear ?x) (exists (?y - t) (on ?y ?x)))) :effect (done))
   (:action sweep :parameters (?x - t) :effect (clear ?x)))"""
-AXIOMS_PROBLEM = "(define (problem p) (:domain blocks) (:objects a b - t) (:init (on a b)) (:goal (done)))"
+AXIOMS_PROBLEM = (
+    "(define (problem p) (:domain blocks) (:objects a b - t) (:init (on a b)) (:goal (done)))"
+)
 
 
 @pytest.mark.parametrize("moves", [0, 50_000])
@@ -161,11 +182,19 @@ def test_a_task_with_axioms_fits_every_state(tmp_path, moves):
     planner = Planner(moves=moves)
     for facts, cost in ((initial_state(domain), 2.0), (frozenset({"(on a b)", "(on b a)"}), 1.0)):
         result = planner.plan(Problem(domain, facts))
-        assert (ways(result), result.outcome, result.cost) == (["warm"], Outcome.SOLVED_OPTIMALLY, cost)
+        assert (ways(result), result.outcome, result.cost) == (
+            ["warm"],
+            Outcome.SOLVED_OPTIMALLY,
+            cost,
+        )
 
 
 def test_a_goal_that_holds_already_needs_no_search(rooms):
-    for goals in ((rooms.expression("(at robby hall)"),), (rooms.expression("(go_action go)"),), ()):
+    for goals in (
+        (rooms.expression("(at robby hall)"),),
+        (rooms.expression("(go_action go)"),),
+        (),
+    ):
         for planner in (Planner(cached=0), cold_planner()):
             result = planner.plan(Problem(rooms, initial_state(rooms), goals=goals))
             assert (answer(result), result.steps) == ((Outcome.SOLVED_OPTIMALLY, 0.0), ())
@@ -174,12 +203,19 @@ def test_a_goal_that_holds_already_needs_no_search(rooms):
 def test_goals_change_without_grounding_anew(rooms):
     planner = Planner(cached=0)
     state = initial_state(rooms) | {"(action_feasible go)", "(action_feasible look)"}
-    goals = {text: (rooms.expression(text),) for text in ("(at robby kitchen)", "(scanned kitchen)", "(lit hall)")}
-    answers = {text: planner.plan(Problem(rooms, state, goals=goal)) for text, goal in goals.items()}
+    goals = {
+        text: (rooms.expression(text),)
+        for text in ("(at robby kitchen)", "(scanned kitchen)", "(lit hall)")
+    }
+    answers = {
+        text: planner.plan(Problem(rooms, state, goals=goal)) for text, goal in goals.items()
+    }
     assert [result.cost for result in answers.values()] == [1.0, 3.0, None]
     assert [ways(result) for result in answers.values()] == [["warm"]] * 3
     for text, result in answers.items():
-        assert answer(result) == answer(cold_planner().plan(Problem(rooms, state, goals=goals[text])))
+        assert answer(result) == answer(
+            cold_planner().plan(Problem(rooms, state, goals=goals[text]))
+        )
 
 
 @pytest.mark.parametrize("moves", [0, 50_000])
@@ -246,16 +282,25 @@ def test_costs_that_are_not_whole_are_told_exactly(world):
 
 
 def test_two_questions_at_once_are_answered_like_one_after_the_other(extended):
-    states = [initial_state(extended) | {f"(action_feasible {action})"} for action in extended.rosa_actions]
+    states = [
+        initial_state(extended) | {f"(action_feasible {action})"}
+        for action in extended.rosa_actions
+    ]
     planner = Planner(cached=0)
     futures = [planner.start(Problem(extended, state)) for state in states * 3]
     together = [answer(future.result(60.0)) for future in futures]
-    assert together == [answer(Planner(cached=0).plan(Problem(extended, state))) for state in states] * 3
+    assert (
+        together
+        == [answer(Planner(cached=0).plan(Problem(extended, state))) for state in states] * 3
+    )
 
 
 def test_what_takes_no_longer_than_a_tick_is_answered_at_once(extended):
     planner = Planner(cached=0)
-    problem = Problem(extended, initial_state(extended) | {"(action_feasible recharge)", "(pipeline_found pipeline)"})
+    problem = Problem(
+        extended,
+        initial_state(extended) | {"(action_feasible recharge)", "(pipeline_found pipeline)"},
+    )
     first = planner.plan(problem)
     at_once, future = planner.start(problem), planner.start(problem)
     assert at_once.done()
@@ -267,7 +312,10 @@ def test_what_takes_no_longer_than_a_tick_is_answered_at_once(extended):
 
 def test_what_takes_longer_is_not(extended, world):
     planner = Planner(cached=0)
-    assert _Portfolio(Planner("fast-downward"), Problem(extended, initial_state(extended))).at_once() is None
+    assert (
+        _Portfolio(Planner("fast-downward"), Problem(extended, initial_state(extended))).at_once()
+        is None
+    )
     state, costs = world.situation()
     problem = Problem(world.domain, state, costs=costs)
     assert planner.plan(problem).outcome is Outcome.SOLVED_OPTIMALLY

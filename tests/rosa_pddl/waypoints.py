@@ -36,7 +36,9 @@ class Waypoints:
         self.places = [f"w{number}" for number in range(size)]
         self.corridors = set()
         for number, (x, y) in enumerate(points):
-            near = sorted(range(size), key=lambda other: hypot(points[other][0] - x, points[other][1] - y))
+            near = sorted(
+                range(size), key=lambda other: hypot(points[other][0] - x, points[other][1] - y)
+            )
             # the nearest earlier one makes sure that there is a way to each
             for other in {*near[1:3], *[one for one in near if one < number][:1]}:
                 self.corridors |= {(number, other), (other, number)}
@@ -51,7 +53,11 @@ class Waypoints:
     def situation(self, at: str = "w0"):
         """Return a state and costs such as a knowledge base may say next."""
         open_now = self.rng.random(len(self.possible)) < 0.7
-        passable = {f"(passable {words})" for words, is_open in zip(self.possible, open_now, strict=True) if is_open}
+        passable = {
+            f"(passable {words})"
+            for words, is_open in zip(self.possible, open_now, strict=True)
+            if is_open
+        }
         state = frozenset({f"(at {at})", "(configured c0)"} | passable)
         factors = self.rng.integers(5, 15, size=len(self.possible))
         costs = {f"(switch_cost {c})": 20.0 for c in CONFIGURATIONS}

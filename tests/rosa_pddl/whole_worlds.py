@@ -30,7 +30,11 @@ _MOST_TICKS = 2000
 
 def random_domain(rng):
     places = [f"p{number}" for number in range(int(rng.integers(2, 5)))]
-    roads = [(a, b, int(rng.integers(1, 5))) for a, b in product(places, places) if a != b and rng.random() < 0.55]
+    roads = [
+        (a, b, int(rng.integers(1, 5)))
+        for a, b in product(places, places)
+        if a != b and rng.random() < 0.55
+    ]
     facts = [f"(road {a} {b}) (= (far {a} {b}) {far})" for a, b, far in roads]
     facts += [f"(station {place})" for place in places if rng.random() < 0.4]
     samples = [f"s{number}" for number in range(int(rng.integers(1, 3)))]
@@ -50,9 +54,12 @@ def random_domain(rng):
 def can_be_reached(domain, state, goals):
     """Look at every state that steps in turn lead to: whether the goals can be reached."""
     choices = {
-        name: [domain.objects_of(kind) for _, kind in domain.schema_of[name].parameters] for name in domain.schemas
+        name: [domain.objects_of(kind) for _, kind in domain.schema_of[name].parameters]
+        for name in domain.schemas
     }
-    steps = [domain.step(name, words) for name, lists in choices.items() for words in product(*lists)]
+    steps = [
+        domain.step(name, words) for name, lists in choices.items() for words in product(*lists)
+    ]
     queue, seen = deque([state]), {state}
     while queue:
         state = queue.popleft()
@@ -74,7 +81,9 @@ def episode(rng, planner):
     force when the executor has ended and nothing happens any more. An end that never comes raises.
     """
     domain = random_domain(rng)
-    policy = ReplanningPolicy(side_by_side=rng.random() < 0.8, while_planning=str(rng.choice(["continue", "hold"])))
+    policy = ReplanningPolicy(
+        side_by_side=rng.random() < 0.8, while_planning=str(rng.choice(["continue", "hold"]))
+    )
     world = World(domain, planner, policy=policy)
     world.ticks = {schema: int(rng.integers(1, 6)) for schema in domain.schemas}
     events = sorted(int(one) for one in rng.integers(0, 60, size=int(rng.integers(0, 4))))
@@ -82,7 +91,9 @@ def episode(rng, planner):
     for tick in range(_MOST_TICKS):
         status = world.tick()
         at_once = max(at_once, len(world.executor.current_steps))
-        world.facts = {text: known for text, known in world.facts.items() if not text.startswith("(fuel")}
+        world.facts = {
+            text: known for text, known in world.facts.items() if not text.startswith("(fuel")
+        }
         while events and events[0] <= tick:
             events.pop(0)
             happen(rng, world)
@@ -108,7 +119,11 @@ def happen(rng, world):
         world.facts[f"(lies {name} {rng.choice(places)})"] = True
     elif kind < 0.6 and len(samples) > 1:
         gone = str(samples[-1])
-        world.facts = {text: known for text, known in world.facts.items() if gone not in text.split(")")[0].split()}
+        world.facts = {
+            text: known
+            for text, known in world.facts.items()
+            if gone not in text.split(")")[0].split()
+        }
         executor.remove_object(gone)
     elif kind < 0.8:
         world.facts["(fuel)"] = int(rng.integers(0, 6))

@@ -56,7 +56,11 @@ class Script:
         self.active = name
 
     def _hear(self, key, value):
-        if key == "water_visibility" and self.adaptive and altitude_for(float(value)) != self._altitude:
+        if (
+            key == "water_visibility"
+            and self.adaptive
+            and altitude_for(float(value)) != self._altitude
+        ):
             self._altitude = altitude_for(float(value))
             self.env.components.set_parameters("spiral_search", {"spiral_altitude": self._altitude})
         elif key == "pipeline_found":

@@ -25,7 +25,9 @@ class RunsAhead(SuaveEnv):
 
 class GoesBack(SuaveEnv):
     def advance(self, until, *, pause=False):
-        return super().advance(max(until, self.now) if math.isfinite(until) else self.now, pause=pause)
+        return super().advance(
+            max(until, self.now) if math.isfinite(until) else self.now, pause=pause
+        )
 
 
 class TellsLate(SuaveEnv):
@@ -139,7 +141,9 @@ BROKEN = {
 }
 
 
-@pytest.mark.parametrize("changes", [{}, {"rules": "2025"}, {"battery": False, "thruster_events": "1 failure 3"}])
+@pytest.mark.parametrize(
+    "changes", [{}, {"rules": "2025"}, {"battery": False, "thruster_events": "1 failure 3"}]
+)
 def test_the_sea_keeps_its_promises(changes):
     check_env(opened(**changes))
 

@@ -44,7 +44,11 @@ def test_spiral_begins_at_its_second_point_and_takes_one_step_per_tick():
         spiral.tick(time)
     growth = 2 * 2.0 * math.tan(math.radians(30)) * 0.1 / (2 * math.pi)
     expected = [
-        (CENTRE[0] + k * growth * math.cos(0.1 * k), CENTRE[1] + k * growth * math.sin(0.1 * k), -18.0)
+        (
+            CENTRE[0] + k * growth * math.cos(0.1 * k),
+            CENTRE[1] + k * growth * math.sin(0.1 * k),
+            -18.0,
+        )
         for k in range(1, 6)
     ]
     assert [target for _, target in pilot.sent] == [pytest.approx(point) for point in expected]
@@ -203,7 +207,9 @@ def test_follower_resumes_the_rest_of_the_path(loses, next_point):
     assert pilot.sent[-1] == (10, (*STRAIGHT[next_point], -18.75))
     pilot.position = (*STRAIGHT[next_point], -18.75)
     follower.tick(12)
-    assert follower.distance_m == pytest.approx(0.5)  # the way back to the first point does not count
+    assert follower.distance_m == pytest.approx(
+        0.5
+    )  # the way back to the first point does not count
     assert follower.total_m == pytest.approx(inspected + follower.distance_m)
 
 
@@ -215,7 +221,9 @@ def test_follower_publishes_the_distance_when_it_changes_and_the_end_once():
     messages = outbox.fetch()
     assert values_of(messages, "pipeline_inspected") == [(0, "true")]
     assert values_of(messages, "distance_inspected") == [(0, "1.5")]
-    assert {status["message"] for message in messages for status in message["status"]} == {"mission status"}
+    assert {status["message"] for message in messages for status in message["status"]} == {
+        "mission status"
+    }
 
 
 def test_follower_without_a_pipeline_does_nothing():

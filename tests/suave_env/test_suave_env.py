@@ -84,7 +84,9 @@ def test_the_thruster_fails_when_told_and_is_reported_once_within_a_second():
     assert [value for _, value in heard] == ["FALSE"]
     assert 35 <= heard[0][0] <= 36
     assert env.observe().thrusters_failed == (1,)
-    assert [one for one in env.disturbances if one[1].startswith("thruster")] == [(35.0, "thruster 1 failed")]
+    assert [one for one in env.disturbances if one[1].startswith("thruster")] == [
+        (35.0, "thruster 1 failed")
+    ]
 
 
 def test_a_thruster_that_recovers_by_itself_is_reported_too():
@@ -158,7 +160,8 @@ def test_a_vehicle_on_its_way_stops_when_the_last_component_that_moves_it_is_dea
 
 
 @pytest.mark.parametrize(
-    ("component", "period"), [("_spiral", 1.0), ("_follower", 2.0), ("_recharge", 5.0), ("_visibility", 1.0)]
+    ("component", "period"),
+    [("_spiral", 1.0), ("_follower", 2.0), ("_recharge", 5.0), ("_visibility", 1.0)],
 )
 def test_the_phases_of_the_timers_differ_from_run_to_run(component, period):
     phases = set()
@@ -167,7 +170,11 @@ def test_the_phases_of_the_timers_differ_from_run_to_run(component, period):
         if component == "_visibility":
             phases.add(values_of(env.advance(5.0), "water_visibility")[0][0])
             continue
-        name = {"_spiral": "spiral_search", "_follower": "follow_pipeline", "_recharge": "recharge"}[component]
+        name = {
+            "_spiral": "spiral_search",
+            "_follower": "follow_pipeline",
+            "_recharge": "recharge",
+        }[component]
         sent = []
         env._autopilot.go_to = lambda target, time, sent=sent: sent.append(time)
         env._follower.take_path(((20.0, 0.0),))
@@ -219,7 +226,9 @@ def test_the_pipeline_is_followed_at_a_quarter_metre_per_second():
 def test_a_frozen_thruster_slows_but_does_not_stop_the_search():
     counts = []
     for events in ("", "1 failure 20", "1 failure 20, 3 failure 20"):
-        env = make_env(5, battery=False, spiral_altitude_m=1.0, start_y_m=40.0, thruster_events=events)
+        env = make_env(
+            5, battery=False, spiral_altitude_m=1.0, start_y_m=40.0, thruster_events=events
+        )
         env.components.activate("spiral_search")
         env.advance(130.0)
         counts.append(env._spiral._count)
@@ -259,7 +268,11 @@ def test_a_scripted_mission_searches_finds_recharges_and_goes_on(seed):
     levels = values_of(script.messages, "battery_level")
     index = levels.index((recharged[0][0], "1.0"))
     assert float(levels[index - 1][1]) < 0.25
-    order = [list(message["status"][0]["values"]) for message in script.messages if message["time"] == recharged[0][0]]
+    order = [
+        list(message["status"][0]["values"])
+        for message in script.messages
+        if message["time"] == recharged[0][0]
+    ]
     assert order.index(["battery_level"]) < order.index(["battery_recharged"])
     metrics = env.metrics
     assert values_of(script.messages, "pipeline_found") == [(metrics.found_s, "true")]

@@ -26,7 +26,9 @@ def test_a_move_starts_and_ends_at_rest_and_keeps_its_limits(move):
     gain = np.diff(fast) / step
     assert np.abs(gain).max() <= acceleration * (1 + 1e-6) + 1e-9
     assert np.abs(np.diff(gain) / step).max() <= jerk * (1 + 1e-3) + 1e-6
-    np.testing.assert_allclose(np.cumsum((fast[1:] + fast[:-1]) / 2 * step), along[1:], atol=1e-4 * length)
+    np.testing.assert_allclose(
+        np.cumsum((fast[1:] + fast[:-1]) / 2 * step), along[1:], atol=1e-4 * length
+    )
 
 
 @given(MOVES, st.floats(1.1, 3))
@@ -59,7 +61,9 @@ def test_a_new_setpoint_does_not_jerk_the_wanted_velocity():
     guidance = Guidance(Settings(), (0.0, 0.0, -18.0))
     position, velocity = (0.3, -0.2, -18.1), (0.4, 0.1, 0.2)
     guidance.go_to((5.0, 5.0, -17.0), position, velocity, 3.0)
-    assert guidance.force(list(position), list(velocity), 3.0, 0.025) == pytest.approx((0, 0, 0), abs=1e-9)
+    assert guidance.force(list(position), list(velocity), 3.0, 0.025) == pytest.approx(
+        (0, 0, 0), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -75,7 +79,9 @@ def test_a_lasting_error_is_worked_against_ever_harder_up_to_a_limit(axis):
 
 
 def test_climbing_and_diving_have_limits_of_their_own():
-    settings = Settings().replace(climb_limit_m_s=0.5, descent_limit_m_s=0.2, jerk_limit_m_s3=10, integral_gain=0)
+    settings = Settings().replace(
+        climb_limit_m_s=0.5, descent_limit_m_s=0.2, jerk_limit_m_s3=10, integral_gain=0
+    )
     speeds = []
     for height in (-8.0, -18.0):
         guidance = Guidance(settings, (0.0, 0.0, -13.0))
@@ -97,7 +103,9 @@ def test_thrusters_in_the_model_make_the_force_that_was_wanted(wanted):
         torque += np.cross(model.site(f"thruster_{number}").pos, push)
     np.testing.assert_allclose(force, (forward, left, up), atol=1e-6)
     # the front and rear arms differ by 4 %, which the mixer of ArduPilot does not know
-    np.testing.assert_allclose(torque[[0, 2]], (roll, turn), atol=1e-6 + 0.006 * abs(left) + 0.01 * abs(turn))
+    np.testing.assert_allclose(
+        torque[[0, 2]], (roll, turn), atol=1e-6 + 0.006 * abs(left) + 0.01 * abs(turn)
+    )
 
 
 @given(st.lists(st.floats(-500, 500), min_size=5, max_size=5))

@@ -9,7 +9,9 @@ from suave_env import Settings
 from suave_env.monitors import Violations
 from suave_env.vehicle import Thrusters, floated
 
-NOTES = st.lists(st.tuples(st.floats(0, 10), st.sampled_from("ab"), st.booleans(), st.booleans()), max_size=20)
+NOTES = st.lists(
+    st.tuples(st.floats(0, 10), st.sampled_from("ab"), st.booleans(), st.booleans()), max_size=20
+)
 
 
 @given(NOTES)
@@ -29,7 +31,9 @@ def test_time_in_violation_is_the_length_of_the_union(notes):
 
 def test_an_adaptive_search_is_in_violation_for_a_moment_and_a_steady_one_for_long():
     changed = {"battery": False, "thruster_events": "", "start_y_m": 4.0}
-    adaptive, steady = (Script(make_env(1, **changed), adaptive=kind).run(100).env.metrics for kind in (True, False))
+    adaptive, steady = (
+        Script(make_env(1, **changed), adaptive=kind).run(100).env.metrics for kind in (True, False)
+    )
     assert 0 < adaptive.violation_s < 8
     assert adaptive.uncorrected == 0
     # at 2 m all the time, which is right from 12 to 22 s, 58 to 68 s and 92 to 102 s
@@ -61,11 +65,17 @@ def test_only_what_changes_something_counts_as_a_switch():
         env.components.set_parameters("spiral_search", {"spiral_altitude": 3.0})
     env.advance(1.0)
     assert env.metrics.switches == 2
-    assert [(change.component, change.active) for change in env.components.history] == [("spiral_search", True)] * 2
+    assert [(change.component, change.active) for change in env.components.history] == [
+        ("spiral_search", True)
+    ] * 2
     assert [change.parameters["spiral_altitude"] for change in env.components.history] == [2.0, 3.0]
 
 
-@given(st.lists(st.floats(-50, 50), min_size=5, max_size=5), st.floats(0, 10), st.sampled_from([(), (1, 3)]))
+@given(
+    st.lists(st.floats(-50, 50), min_size=5, max_size=5),
+    st.floats(0, 10),
+    st.sampled_from([(), (1, 3)]),
+)
 def test_energy_is_what_an_ideal_propeller_takes(wanted, duration, stuck):
     thrusters = Thrusters(Settings())
     thrusters.allocate(30.0, -10.0, 4.0, 1.0, 0.5)
@@ -99,5 +109,12 @@ def test_thruster_words_are_those_of_the_rules(rules):
     env = make_env(0, rules=rules, thruster_events="3 failure 2")
     env.components.activate("recover_thrusters")
     heard = env.advance(12.0)
-    words = [v["c_thruster_3"] for m in heard for s in m["status"] if "c_thruster_3" in (v := s["values"])]
-    assert words == (["FALSE", "RECOVERED"] if rules == "2024" else ["FALSE", "ERROR", "RECOVERED", "OK"])
+    words = [
+        v["c_thruster_3"]
+        for m in heard
+        for s in m["status"]
+        if "c_thruster_3" in (v := s["values"])
+    ]
+    assert words == (
+        ["FALSE", "RECOVERED"] if rules == "2024" else ["FALSE", "ERROR", "RECOVERED", "OK"]
+    )

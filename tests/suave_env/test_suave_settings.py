@@ -20,7 +20,9 @@ def test_every_setting_says_its_unit_meaning_and_source():
 
 def test_replacing_leaves_the_original_as_it_was():
     settings = Settings()
-    changed = settings.replace(discharge_time_s=150, battery=False, spiral_patience=3, thruster_events="")
+    changed = settings.replace(
+        discharge_time_s=150, battery=False, spiral_patience=3, thruster_events=""
+    )
     assert (changed.discharge_time_s, changed.battery, changed.spiral_patience) == (150.0, False, 3)
     assert settings == Settings()
     with pytest.raises(FrozenInstanceError):
@@ -32,7 +34,9 @@ def test_a_whole_number_is_read_as_a_number_with_fraction_where_one_is_meant():
 
 
 def test_an_unknown_setting_is_refused_with_the_nearest_known_ones():
-    with pytest.raises(SuaveEnvError, match=r"no setting 'discharge_time'; the nearest are discharge_time_s"):
+    with pytest.raises(
+        SuaveEnvError, match=r"no setting 'discharge_time'; the nearest are discharge_time_s"
+    ):
         Settings().replace(discharge_time=100.0)
 
 
@@ -82,7 +86,8 @@ def test_thruster_events_are_read_in_order_of_time():
 
 
 @pytest.mark.parametrize(
-    "text", ["7 failure 3", "0 failure 3", "1 breaks 3", "1 failure", "1 failure -2", "1 failure nan"]
+    "text",
+    ["7 failure 3", "0 failure 3", "1 breaks 3", "1 failure", "1 failure -2", "1 failure nan"],
 )
 def test_thruster_events_that_cannot_be_read_are_refused_with_an_example(text):
     with pytest.raises(SuaveEnvError, match="1 failure 35, 1 recovery 90"):
@@ -101,7 +106,11 @@ def test_rules_of_2025_change_what_they_differ_in_and_nothing_else():
 
 def test_what_is_set_stands_whatever_the_rules_say_of_it():
     settings = Settings().replace(visibility_period_s=80, rules="2025", bias_m=0.3)
-    assert (settings.visibility_period_s, settings.bias_m, settings.pipe_point_offset_m) == (80.0, 0.3, 0.0)
+    assert (settings.visibility_period_s, settings.bias_m, settings.pipe_point_offset_m) == (
+        80.0,
+        0.3,
+        0.0,
+    )
     with pytest.raises(SuaveEnvError, match="there are no rules '2030'; known are 2024, 2025"):
         Settings().replace(rules="2030")
 

@@ -19,7 +19,9 @@ def test_activating_what_is_active_changes_nothing(env):
     env.components.activate("recover_thrusters")
     env.advance(1.0)
     env.components.activate("recover_thrusters")
-    recovered = [one for one in env.advance(20.0) if "RECOVERED" in one["status"][0]["values"].values()]
+    recovered = [
+        one for one in env.advance(20.0) if "RECOVERED" in one["status"][0]["values"].values()
+    ]
     assert len(recovered) == 6
     assert len(env.components.history) == 1
 
@@ -34,12 +36,16 @@ def test_parameters_are_in_force_at_once_and_returned_as_a_copy(env):
 
 @pytest.mark.parametrize("method", ["activate", "deactivate", "is_active", "parameters"])
 def test_an_unknown_component_is_refused_with_the_nearest_known(env, method):
-    with pytest.raises(SuaveEnvError, match="no component 'spiral_serch'; the nearest are spiral_search"):
+    with pytest.raises(
+        SuaveEnvError, match="no component 'spiral_serch'; the nearest are spiral_search"
+    ):
         getattr(env.components, method)("spiral_serch")
 
 
 def test_an_unknown_parameter_is_refused_with_those_that_exist(env):
-    with pytest.raises(SuaveEnvError, match="no parameter of spiral_search 'speed'; known are spiral_altitude"):
+    with pytest.raises(
+        SuaveEnvError, match="no parameter of spiral_search 'speed'; known are spiral_altitude"
+    ):
         env.components.check("spiral_search", {"speed": 1.0})
     with pytest.raises(SuaveEnvError, match="no parameter of recharge 'speed'; known are none"):
         env.components.set_parameters("recharge", {"speed": 1.0})

@@ -117,10 +117,21 @@ def test_tilted_vehicle_rights_itself():
 
 
 def test_the_packaged_model_holds_the_default_settings_and_the_pipeline():
-    plain = mujoco.MjModel.from_xml_string((files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8"))
+    plain = mujoco.MjModel.from_xml_string(
+        (files("suave_env") / "assets" / "sea.xml").read_text(encoding="utf-8")
+    )
     filled = Vehicle(Settings(), -17.0, 2.0, -18.5).model
-    for name in ("body_mass", "body_inertia", "body_ipos", "body_gravcomp", "actuator_gainprm", "actuator_ctrlrange"):
-        np.testing.assert_allclose(getattr(filled, name), getattr(plain, name), rtol=1e-12, err_msg=name)
+    for name in (
+        "body_mass",
+        "body_inertia",
+        "body_ipos",
+        "body_gravcomp",
+        "actuator_gainprm",
+        "actuator_ctrlrange",
+    ):
+        np.testing.assert_allclose(
+            getattr(filled, name), getattr(plain, name), rtol=1e-12, err_msg=name
+        )
     assert plain.geom("seabed").pos[2] == SEABED_Z_M
     middles = [plain.geom(f"pipe_{number}").pos[:2] for number in range(1, 6)]
     expected = [np.add(a, b) / 2 for a, b in pairwise(VERTICES_M)]

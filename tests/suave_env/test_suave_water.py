@@ -16,7 +16,9 @@ SCHEDULE = {0: 3, 12: 2, 23: 1, 58: 2, 69: 3, 92: 2, 103: 1, 138: 2, 149: 3, 172
 
 def test_visibility_follows_the_published_schedule():
     water = Water(Settings())
-    expected = [SCHEDULE[max(start for start in SCHEDULE if start <= second)] for second in range(218)]
+    expected = [
+        SCHEDULE[max(start for start in SCHEDULE if start <= second)] for second in range(218)
+    ]
     assert [altitude_for(water.visibility(second)) for second in range(218)] == expected
 
 
@@ -36,7 +38,9 @@ def test_visibility_crosses_the_thresholds_at_the_published_times():
 
 
 @given(st.floats(1.3, 3.7), st.floats(0, 400), st.floats(-100, 100), st.floats(20, 200))
-def test_a_crossing_is_where_the_visibility_passes_the_threshold_next(threshold, after, shift, period):
+def test_a_crossing_is_where_the_visibility_passes_the_threshold_next(
+    threshold, after, shift, period
+):
     water = Water(Settings().replace(visibility_shift_s=shift, visibility_period_s=period))
     time, falls = water.next_crossing(threshold, after)
     assert after < time <= after + period * (1 + 1e-6)
