@@ -379,8 +379,7 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> elements.
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
         if word.endswith("_array"):
-            items = [read(item) for item in _items(value, word)]
-            return items  # type: ignore[return-value]  # all of one type
+            return [read(item) for item in _items(value, word)]  # type: ignore[return-value]  # all of one type
         return read(value)
     except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
