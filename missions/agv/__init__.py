@@ -71,7 +71,6 @@ def agv_mission(
         engines=("label-setting",),
         world=AgvKind(building, weights),
         why_not=why_not,
-        waits_for_news=True,
         selects=True,
     )
 

@@ -180,11 +180,6 @@ class AdaptationLog:
             if turns:
                 self._turns.append((time, turns))
 
-    def passed_over(self, time: float) -> None:
-        """Note that a tick without work was left out at this time [s]; ignored if that was noted already."""
-        if time > self._this_tick:
-            self.ticking(time)
-
     def settle(self) -> None:
         """Assign decisions to causes, and report adaptations that are over; called after each turn of the manager."""
         with self._kb.reading():
@@ -193,11 +188,6 @@ class AdaptationLog:
             self._settled = self._kb.log.last
             over = [one for one in self._open if one.is_over(self._kb, self._last_tick)]
             self._close(sorted(over, key=lambda one: not one.action))
-
-    @property
-    def is_at_rest(self) -> bool:
-        """Whether no adaptation is open, and every task plan was looked at."""
-        return not self._open and not plans_after(self._plan_settled, self._plans())
 
     def finish(self) -> None:
         """Report an action that was given up and that no other followed; called when a run ends without its goal."""

@@ -282,9 +282,6 @@ class Mission:
             If it returns a reason, the mission ends as soon as its world `is_still`.
         by_hand: builds a tree that commands the managed system itself, for comparison: `--manager bt`.
         selects: whether the task layer selects configurations itself, so that no other manager can run it.
-        waits_for_news: whether a tick of the tree, or of the behaviours of planned steps, does nothing unless a status
-            has changed or something was sensed since the tick before, and `facts` gives the same until then. Such ticks
-            are then left out of a run that nobody watches.
 
     Raises:
         MissionError: a field has the wrong type, a function takes other arguments, or there is no task.
@@ -304,7 +301,6 @@ class Mission:
     why_not: Callable[[KnowledgeBase, Percepts], str] = lambda kb, percepts: ""
     by_hand: Callable[[KnowledgeBase, Percepts, ManagedSystem], Behaviour] | None = None
     selects: bool = False
-    waits_for_news: bool = False
 
     def __post_init__(self) -> None:
         self._check(

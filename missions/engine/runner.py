@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
-from math import inf, isfinite, nan
+from math import isfinite, nan
 from time import perf_counter
 from typing import Any, Final
 
@@ -412,12 +412,6 @@ class RosaRun(MissionRun):
         self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
         self.tree = self._runner.tree
         self.tree.setup()
-        self._may_rest = mission.waits_for_news and planner is None
-        self._statuses: list[Status] = []
-        self._rests_at: tuple[int, int] | None = (
-            None  # revisions of knowledge and percepts when it began to rest
-        )
-        self._is_told = False
         self._answered = -1
         self._left = ""
 
@@ -427,7 +421,7 @@ class RosaRun(MissionRun):
 
     @property
     def due(self) -> float:
-        return self._runner.due if self._rests_at is None else inf
+        return self._runner.due
 
     @property
     def is_done(self) -> bool:
@@ -452,9 +446,6 @@ class RosaRun(MissionRun):
 
     def receive(self, message: Message) -> Sequence[DiagnosticProblem]:
         started = perf_counter()
-        if self._rests_at is not None:
-            self._log.passed_over(self._runner.put_off(self._now()))
-            self._is_told = True
         told, message = message, self._hears(message)
         if message is not told:
             check_message(message, f"hear() of manager {self.manager}")
@@ -467,12 +458,7 @@ class RosaRun(MissionRun):
         return problems
 
     def decide(self) -> bool:
-        if self._rests_at is not None and self._goes_on_resting():
-            return False
-        is_due, before = self._now() >= self._runner.due, self._kb.revision
-        self._may_rest = (
-            self._may_rest and self._now() <= self._runner.due
-        )  # a late tick depends on the world
+        is_due = self._now() >= self._runner.due
         if is_due or self._kb.revision != self._answered or self._kb.pending_plan is not None:
             self._manage()  # between ticks, only a changed status needs the manager
         with self.spending("waiting for plans"):
@@ -485,39 +471,7 @@ class RosaRun(MissionRun):
             self._manage()
         if is_ticked and self.world.is_still and self._kb.pending_plan is None:
             self.is_stuck = bool(self.mission.why_not(self._kb, self.percepts))
-        if is_ticked and self._may_rest:
-            self._consider_resting(before)
         return is_ticked
-
-    def _consider_resting(self, before: int) -> None:
-        """Leave out further ticks if this one changed nothing, nothing is under way, and no status depends on time."""
-        kb, tree = self._kb, self._runner.tree
-        known, self._statuses = self._statuses, [one.status for one in tree.root.iterate()]
-        if (
-            self._statuses != known
-            or kb.revision != before
-            or kb.pending_plan is not None
-            or not self._log.is_at_rest
-        ):
-            return
-        is_watched = bool(
-            self.listeners or tree.visitors or tree.pre_tick_handlers or tree.post_tick_handlers
-        )
-        if not is_watched and self._task.waits_for_news and _is_timeless(kb):
-            self._rests_at, self._is_told = (before, self.percepts.revision), False
-
-    def _goes_on_resting(self) -> bool:
-        """Return whether to rest on: the world stopped for a message, not for a command, and it changed nothing."""
-        is_told, self._is_told = self._is_told, False
-        if (
-            is_told
-            and (self._kb.revision, self.percepts.revision) == self._rests_at
-            and not self.listeners
-        ):
-            return True
-        self._rests_at = None
-        self._log.passed_over(self._runner.put_off(self._now()))
-        return False
 
     def end(self) -> None:
         try:
@@ -570,15 +524,3 @@ class RosaRun(MissionRun):
     def _hear(self, event: Event) -> None:
         if event.kind is EventKind.ACTION_UPDATE:
             self.tell(lambda listener: listener.action(event.text, event.time))
-
-
-def _is_timeless(kb: KnowledgeBase) -> bool:
-    """Return whether no status can change by time alone: no age limit, no dwell time, no assertion."""
-    with kb.reading() as state:
-        nodes, asserted = state.network.present(), state.asserted
-        return not any(
-            asserted[node.index] is not None
-            or getattr(node.element, "max_age", inf) != inf
-            or getattr(node.element, "dwell", 0.0) > 0.0
-            for node in nodes
-        )

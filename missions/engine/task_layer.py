@@ -56,11 +56,6 @@ class TaskLayer:
         if self._made is not None and self._made.error is not None:
             raise self._made.error
 
-    @property
-    def waits_for_news(self) -> bool:
-        """Whether nothing that plans has anything to do before there is news."""
-        return all(getattr(one, "waits_for_news", True) for one in self._planning)
-
     def plans(self) -> tuple[PlanRecord, ...]:
         """Return the last plans, in the order in which this method found them, numbered from 1."""
         for number, one in enumerate(self._planning):

@@ -19,5 +19,4 @@ MISSION = Mission(
     facts=facts,
     world=SEA,
     fixed={"battery": "false"},
-    waits_for_news=True,
 )

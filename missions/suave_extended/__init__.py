@@ -19,5 +19,4 @@ MISSION = Mission(
     actions=by_schema(SearchPipeline, InspectPipeline, Recharge),
     facts=facts,
     world=SEA,
-    waits_for_news=True,
 )

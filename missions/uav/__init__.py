@@ -29,6 +29,5 @@ MISSION = Mission(
     ),
     facts=facts,
     world=SKY,
-    waits_for_news=True,
     why_not=lambda kb, percepts: "the battery is empty" if percepts.holds("battery_empty") else "",
 )

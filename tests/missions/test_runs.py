@@ -10,7 +10,6 @@ import pytest
 from py_trees.behaviours import Running
 from py_trees.common import ParallelPolicy
 from py_trees.composites import Parallel
-from py_trees.visitors import VisitorBase
 from running import result, rosa_run, run_mission, text
 
 from kb import KnowledgeBase, Status
@@ -121,22 +120,6 @@ def test_run_that_forgets_its_oldest_task_plans_is_the_same_and_says_where_what_
     assert told[0] == told[1]
 
 
-@pytest.mark.parametrize("task", TASK_KINDS)
-@pytest.mark.parametrize(("tick_period_s", "delay_s"), [(0.1, 0.0), (0.1, 7.3), (0.3, 0.25)])
-@pytest.mark.parametrize("name", ["suave_extended", "agv", "uav"])
-def test_run_leaves_out_ticks_without_news_and_is_the_same(name, tick_period_s, delay_s, task):
-    shown, ticks = [], []
-    for is_watched in (False, True):
-        settings = {"planning_delay_s": delay_s, "tick_period_s": tick_period_s}
-        run = open_run(find_mission(name), task=task, seed=103, settings=settings)
-        if is_watched:
-            run.tree.add_visitor(VisitorBase())  # nothing is left out then
-        shown.append(as_json(summary(run, run.run(), 103, {})))
-        ticks.append(run.tree.count)
-    assert shown[0] == shown[1]
-    assert ticks[0] < ticks[1] / 2 or tick_period_s != 0.1
-
-
 def test_tree_whose_planner_is_in_trouble_goes_on_and_the_trouble_is_told():
     planner = Plans("planner")
     planner.find("start", Outcome.OUT_OF_TIME)
@@ -187,7 +170,6 @@ def test_reactions_follow_the_disturbances_that_truly_happened():
 @pytest.mark.parametrize("task", TASK_KINDS)
 def test_same_seed_gives_the_same_bytes_and_another_does_not(task):
     again = run_mission("suave_extended", task, 0)[2]
-    from missions.views.output import as_json
 
     assert as_json(again) == text("suave_extended", task, 0)
     assert text("suave_extended", task, 1) != text("suave_extended", task, 0)
@@ -283,25 +265,3 @@ def test_mission_is_opened_without_the_others_and_imported_without_a_simulator_o
         f"assert not [one for one in {others.split()!r} if f'missions.{{one}}' in sys.modules]"
     )
     subprocess.run([sys.executable, "-c", script], check=True)
-
-
-@pytest.mark.parametrize(
-    ("mission", "settings"),
-    [
-        ("suave_extended", {}),
-        ("agv", {"capacity_j": "3000"}),
-        ("agv", {"tick_period_s": "0.125"}),
-        ("uav", {"duration_s": "120"}),
-    ],
-)
-def test_ticks_that_are_left_out_while_nobody_watches_change_nothing(mission, settings):
-    left = []
-    for listeners in ((), (Listener(),)):
-        run = open_run(find_mission(mission), seed=3, settings=settings)
-        run.listen(*listeners)
-        verdict = run.run()
-        left.append((as_json(summary(run, verdict, 3, settings)), run.tree.count))
-    (unwatched, few), (watched, all_ticks) = left
-    assert unwatched == watched
-    # where the world is late for ticks, none is left out: nobody could tell when they would have been
-    assert few == all_ticks if "tick_period_s" in settings else few < all_ticks / 8
