@@ -378,9 +378,9 @@ def _parameter(value: Literal, type_name: str | None, place: Place) -> elements.
         ]
         raise place.error(str(UnknownName("parameter type", type_name, known)))
     try:
-        return (
-            [read(item) for item in _items(value, word)] if word.endswith("_array") else read(value)
-        )  # type: ignore[return-value]  # all of one type
+        if word.endswith("_array"):
+            return [read(item) for item in _items(value, word)]  # type: ignore[return-value]  # all of one type
+        return read(value)
     except (ValueError, KeyError, TypeError):
         raise place.error(f"{shown(value)} cannot be read as {type_name}") from None
 

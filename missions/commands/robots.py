@@ -88,8 +88,10 @@ def bridge(
             root: Behaviour = Running("others decide")
             if make_tree is not None and not answer:
                 root = built(
-                    f"the tree of {tree or robot}", Behaviour, partial(make_tree, kb, percepts)
-                )  # type: ignore[type-abstract]  # only asked about
+                    f"the tree of {tree or robot}",
+                    Behaviour,  # type: ignore[type-abstract]  # only for isinstance
+                    partial(make_tree, kb, percepts),
+                )
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)
             end = math.inf if seconds is None else time.monotonic() + seconds
             try:

@@ -103,10 +103,10 @@ def build_task(
         return TaskLayer(
             built(
                 f"the tree of mission {mission.name}",
-                Behaviour,
+                Behaviour,  # type: ignore[type-abstract]  # only for isinstance
                 partial(mission.tree, kb, percepts),
             )
-        )  # type: ignore[type-abstract]  # only for isinstance
+        )
     domain = mission_domain(mission)
     planner, made = planner_of(mission, domain), Made(kb, percepts)
     executor = PlanExecutor(

@@ -1,160 +1,18 @@
-"""How long a whole mission takes, and questions and events with its model, beside the naive twin on the same."""
+"""How long a whole mission takes, beside its physics alone."""
 
-import copy
-from collections.abc import Callable
-from itertools import cycle
-from time import perf_counter, process_time, thread_time
-from typing import NamedTuple
+from time import process_time, thread_time
 
 import numpy
 import pytest
-from figures import percentiles, shown, table
-from generated import Happening
-from naive_peers import NaivePeer, facts
+from figures import shown, table
 
-from kb import KnowledgeBase, PriorityPlanner
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
-from missions.suave_extended.model import suave_extended_model
 
 pytestmark = pytest.mark.benchmark(group="extended SUAVE")
 
-ROUNDS, NAIVE_ROUNDS = 2000, 50
-MISSION_ROUNDS, MISSION_S = 7, 300.0
-SEARCH = "search_pipeline"
-
-
-class Operation(NamedTuple):
-    """What is timed on our side and on the twin's, with a new value each time."""
-
-    ours: Callable[[KnowledgeBase, object], object]
-    naive: Callable[[NaivePeer, object], object] | None
-    values: tuple[object, ...]
-    calls: int = 1
-
-
-def searching() -> KnowledgeBase:
-    """Return a knowledge base of a vehicle that searches, in clear water with a full battery."""
-    kb = KnowledgeBase(suave_extended_model())
-    kb.measure("water_visibility", 3.5)
-    kb.measure("battery_level", 1.0)
-    assert kb.request_action(SEARCH)
-    carry_out(kb, PriorityPlanner().plan(kb))
-    return kb
-
-
-def carry_out(kb, plan):
-    if plan is None:
-        return
-    for name in plan.deactivate:
-        kb.component_active(name, False)
-    for name in plan.activate:
-        kb.component_active(name, True)
-    kb.finish_plan(plan, "completed")
-
-
-def adapt(kb, value):
-    kb.measure("water_visibility", value)
-    return PriorityPlanner().plan(kb)
-
-
-def repair(kb, failed):
-    (kb.component_failed if failed else kb.component_recovered)("c_thruster_1")
-    return PriorityPlanner().plan(kb)
-
-
-def suppose_naively(twin, _):
-    supposed = copy.copy(twin)
-    supposed.value = {**twin.value, "water_visibility": 1.5, "battery_level": 0.1}
-    return supposed.selectable_actions()
-
-
-OPERATIONS = {
-    "measure, no status changes": Operation(
-        lambda kb, value: kb.measure("water_visibility", value),
-        lambda twin, value: twin.tell(Happening("measured", "water_visibility", value)),
-        (3.6, 3.7),
-    ),
-    "measure across a threshold, selection, plan": Operation(adapt, None, (2.5, 3.5)),
-    "component fails or recovers, selection, plan": Operation(repair, None, (True, False)),
-    "is_feasible": Operation(
-        lambda kb, _: kb.is_feasible(SEARCH),
-        lambda twin, _: twin.status("action", SEARCH) != "unfeasible",
-        (0,),
-        100,
-    ),
-    "situation of two values, selectable_actions": Operation(
-        lambda kb, _: set(
-            kb.situation(water_visibility=1.5, battery_level=0.1).selectable_actions()
-        ),
-        suppose_naively,
-        (0,),
-    ),
-    "explain what is feasible": Operation(lambda kb, _: kb.explain(SEARCH), None, (0,)),
-    "explain what is not": Operation(lambda kb, _: kb.explain(SEARCH), None, (0,)),
-}
-
-
-@pytest.fixture(scope="module")
-def rows(tables):
-    found = {}
-    head = ("extended SUAVE, in memory", "p50", "p90", "p99", "naive twin, p50", "ratio")
-    tables["1"] = lambda: table(
-        "A mission", head, [found[name] for name in OPERATIONS if name in found]
-    )
-    return found
-
-
-@pytest.mark.parametrize("name", OPERATIONS)
-def test_speed_with_the_model_of_a_mission(name, benchmark, rows):
-    operation, kb = OPERATIONS[name], searching()
-    twin = NaivePeer(kb.model, list(facts(kb)))
-    if name == "explain what is not":
-        kb.measure("battery_level", 0.1)
-    plans = "plan" in name
-    times, answers = timed(benchmark, operation, kb, plans)
-    assert all(plan is not None for plan in answers) or not plans
-    naive = naively(operation, kb, twin)
-    ratio = f"{naive / percentiles(times)[0]:.0f}x" if naive else None
-    rows[name] = (name, *map(shown, percentiles(times)), naive and shown(naive), ratio)
-
-
-def timed(benchmark, operation, kb, plans):
-    """Return the time of each call, and what was answered; a plan is carried out before the next call, untimed."""
-    answers, values = [], cycle(operation.values)
-
-    def prepare():
-        if plans and answers:
-            carry_out(kb, answers[-1])
-        return (next(values),), {}
-
-    def call(value):
-        answers.append(operation.ours(kb, value))
-
-    def many(value):
-        for _ in range(operation.calls):
-            operation.ours(kb, value)
-
-    if operation.calls > 1:
-        benchmark.pedantic(many, setup=prepare, rounds=ROUNDS // 10)
-    else:
-        benchmark.pedantic(call, setup=prepare, rounds=ROUNDS, warmup_rounds=20)
-    return [time / operation.calls for time in benchmark.stats.stats.data], answers
-
-
-def naively(operation, kb, twin):
-    """Return the median time of the twin, whose answers are the same."""
-    if operation.naive is None:
-        return None
-    times, values = [], cycle(operation.values)
-    for _ in range(NAIVE_ROUNDS):
-        value = next(values)
-        start = perf_counter()
-        answer = operation.naive(twin, value)
-        times.append(perf_counter() - start)
-        assert answer == operation.ours(kb, value)
-    return percentiles(times)[0]
-
+MISSION_ROUNDS = 7
+MISSION_S = 300.0
 
 WHOLE = {
     "ours, tree": {"manager": "ours"},
