@@ -25,7 +25,7 @@ BIN = VENV / ("Scripts" if os.name == "nt" else "bin")
 MARK = VENV / "set-up-for"
 PYTHON, TESTING = {"optimal", "plot", "sim"}, "dev"
 EXTRAS = {
-    **dict.fromkeys(("suave", "suave_extended", "agv", "uav", "campaign", "effort"), "sim"),
+    **dict.fromkeys(("suave", "suave_extended", "agv", "uav", "campaign"), "sim"),
     **{"--plot": "plot", "report": "plot", "--reason": "reason"},
     **{
         "--live": "live",

@@ -56,11 +56,7 @@ COMMANDS: Final = {
     ),
     "learn": (
         "experiments:learn",
-        "Suggest changes of a model, each with its interval; --apply writes them.",
-    ),
-    "effort": (
-        "experiments:effort",
-        "Count what it takes to write a model, beside the counts of the ROSA paper.",
+        "Compare a model with runs: rates and durations, each with its interval.",
     ),
     "store": ("store:app", "Look after the store of a knowledge base."),
 }

@@ -1,8 +1,7 @@
 """The simulated sea of the (extended) SUAVE mission: a BlueROV2 in MuJoCo looks for a pipeline and follows it."""
 
-from suave_env.checker import BrokenEnvError, check_env
 from suave_env.env import SuaveEnv
 from suave_env.monitors import Change
 from suave_env.settings import Settings, SuaveEnvError
 
-__all__ = ["BrokenEnvError", "Change", "Settings", "SuaveEnv", "SuaveEnvError", "check_env"]
+__all__ = ["Change", "Settings", "SuaveEnv", "SuaveEnvError"]

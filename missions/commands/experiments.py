@@ -1,4 +1,4 @@
-"""`rosa campaign`, `rosa report`, `rosa learn` and `rosa effort`: many runs, what came of them, and of models."""
+"""`rosa campaign`, `rosa report` and `rosa learn`: many runs, and what came of them."""
 
 import shlex
 from collections.abc import Callable
@@ -28,7 +28,6 @@ from missions.experiments.learning import read_runs
 from missions.experiments.workers import Cluster, Processes, Workers, conduct
 from missions.views import report as page
 from missions.views.console import CampaignProgress
-from missions.views.output import as_json, open_files
 
 KINDS: Final = ("rate", "estimation", "threshold")
 
@@ -215,29 +214,3 @@ def learn(
     if apply is not None:
         known.save(apply)
         console.print(f"{changed} change{'s' * (changed != 1)}, written to {apply}", markup=False)
-
-
-def effort(
-    models: Annotated[
-        list[str] | None,
-        typer.Argument(
-            metavar="MISSION|FILE",
-            help="A mission, module:NAME or model file; default: all missions.",
-        ),
-    ] = None,
-    json: Annotated[Path | None, typer.Option(help="Write all that is counted.")] = None,
-) -> None:
-    """Count what it takes to write a model, beside the counts of the ROSA paper.
-
-    Entities: actions, functions, components, attributes, and each key of each
-    configuration. Relations: functional requirements (one for each action),
-    function designs, component configurations, constraints (one that is
-    shared counts once), estimations.
-    """
-    from missions.experiments.effort import lines_of, survey  # which imports missions to count them
-
-    files = open_files({"json": json})
-    found = survey(models or ())
-    typer.echo("\n".join(lines_of(found)))
-    if "json" in files:
-        files["json"].finish(as_json(found))
