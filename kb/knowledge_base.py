@@ -41,7 +41,6 @@ from kb.state import Overlay, State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
 
-
 _BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
 """The verbs of events that are caused by time, by the model or by the store, and never told by a caller."""
 _TOLD: Final = {"measure": "measure", "amend": "_amend"}
