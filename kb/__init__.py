@@ -16,7 +16,7 @@ from kb.exceptions import (
 from kb.execution import StagedExecutor
 from kb.explanation import ChoiceExplanation, Explanation
 from kb.files import ModelFileError
-from kb.forecasts import FeasibleUntil, Forecast
+from kb.forecast import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
 from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner

@@ -68,7 +68,7 @@ class Rate(NamedTuple):
     learns: bool = False
 
 
-FORECASTS: Final = ("constant", "trend", "periodic")
+FORECASTS: Final = ("constant", "trend")
 """The ways in which an attribute can be forecast, beside its rates and functions of one's own."""
 
 ForecastFunction = Callable[[Sequence[tuple[float, float]], float], float | None]
@@ -492,7 +492,7 @@ class Attribute(Element):
             )
 
     def forecast(self, by: str | ForecastFunction) -> None:
-        """State how this attribute is forecast where no rate applies: "constant", "trend", "periodic" or a function."""
+        """State how this attribute is forecast where no rate applies: "constant", "trend" or a function."""
         self.model.change(self, forecasting=by)
 
     def changes(

@@ -17,7 +17,7 @@ from kb.elements import parameters as checked_parameters
 from kb.events import Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explanation import why, why_selected
-from kb.forecasts import Forecaster, feasible_until
+from kb.forecast import Forecaster, feasible_until
 from kb.knowledge import Knowledge, Reading
 from kb.model import Model, amend
 from kb.network import Node
@@ -148,7 +148,7 @@ class KnowledgeBase:
         self._publisher = Publisher(known.log, self._lock)
         known.heard = self._publisher.deliver
         self._held = Reading(self._lock, known.settled)
-        self.forecast = Forecaster(self, known)
+        self.forecast = Forecaster(self)
         self._world, self._is_closed = World(known, self.store, keep, self.reading), False
         self.log: Log = known.log
         self.history = HistoryView(known.records, self.reading)

@@ -7,7 +7,7 @@ given another monitor, planner or executor works with it in the same way.
 import logging
 from collections.abc import Callable, Iterable
 from contextlib import suppress
-from typing import Protocol
+from typing import Any, Protocol
 
 from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
 from kb.execution import StagedExecutor
@@ -152,8 +152,9 @@ class ConfigurationManager:
         self._executor = StagedExecutor(managed, budgets=budgets) if executor is None else executor
         check_methods("an executor", self._executor, Executor)
         self._monitors = list(monitors)
-        if hasattr(managed, "observe") and managed not in self._monitors:
-            self._monitors.append(managed)
+        as_monitor: Any = managed
+        if hasattr(managed, "observe") and as_monitor not in self._monitors:
+            self._monitors.append(as_monitor)
         if callable(getattr(managed, "is_active", None)):
             self._monitors.append(ActivityMonitor(managed))
         for monitor in self._monitors:

@@ -12,7 +12,7 @@ from typing import Final
 from kb import explanation, views
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue
-from kb.forecasts import Forecast, feasible_until, suppose_forecast
+from kb.forecast import Forecast, feasible_until, suppose_forecast
 from kb.knowledge import Reading
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
@@ -243,11 +243,11 @@ def suppose(
                 raise InvalidValue(
                     f"a situation is that of a time from now on, {now!r} s by the clock; not {at!r}"
                 )
-            doing = of.doing(state, None).union(
+            doing = of.doing(None).union(
                 node.name for what, node, _ in supposed if what == "requested"
             )
             for node in (node for name, node in network.attributes.items() if name not in values):
-                supposed.append(("forecast", node, of.at(state, node, then, now, doing)))
+                supposed.append(("forecast", node, of.at(node.name, then, now, doing)))
     return Situation(base, state, supposed, at)
 
 

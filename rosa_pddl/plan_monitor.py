@@ -8,7 +8,7 @@ from itertools import chain
 from math import inf
 from typing import NamedTuple
 
-from kb.forecasts import FeasibleUntil
+from kb.forecast import FeasibleUntil
 from rosa_pddl.belief import Belief, ExpectedEffects
 from rosa_pddl.domain import Domain, Feasibility, PlanningResult, State, Step, TimedStep
 from rosa_pddl.exceptions import UnsupportedPddlError

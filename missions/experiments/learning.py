@@ -9,6 +9,7 @@ from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from statistics import fmean, median, stdev
 from typing import Final, NamedTuple, Self
@@ -23,7 +24,7 @@ from kb.elements import (
     EstimationKind,
     Rate,
 )
-from kb.forecasts import Series, slope_of
+from kb.forecast import Series, slope_of
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, needs
 from missions.engine.runner import MissionRun, RosaRun
 from missions.experiments.campaign import FILE, read_store
@@ -143,7 +144,7 @@ class _Span:
         parts = (
             (of, part)
             for of, seen in self.series.items()
-            for part in Series(*seen).inside(*ranges.get(of, _ANY))
+            for part in _inside(Series(*seen), *ranges.get(of, _ANY))
         )
         for name, (times, values) in parts:
             slope = slope_of(Series(times, values))
@@ -154,6 +155,14 @@ class _Span:
                     middle
                 ):
                     yield name, slope
+
+
+def _inside(series: Series, low: float, high: float) -> Iterator[Series]:
+    """Yield the parts between two bounds: what is at a bound is held there, and shows no rate."""
+    points = zip(*series, strict=True)
+    for is_inside, part in groupby(points, lambda point: low < point[1] < high):
+        if is_inside:
+            yield Series(*zip(*part, strict=True))
 
 
 def spans_of(one: Experience, model: Model) -> list[_Span]:

@@ -11,7 +11,7 @@ def suave_model(name: str = "suave") -> Model:
     """Build the model; every call gives a new one, which may be extended."""
     model = Model(name)
     visibility = model.environmental_attribute("water_visibility", unit="m", low=0.0)
-    visibility.forecast("periodic")
+    visibility.forecast("constant")
 
     # What the vehicle is made of. Thrusters are plain hardware: they fail, but nobody switches them.
     thrusters = [model.component(f"c_thruster_{number}") for number in range(1, 7)]

@@ -37,7 +37,7 @@ def raising(samples, time):
     raise OSError("no signal")
 
 
-WAYS = ("", "constant", "trend", "periodic", biased, pessimist, spiky, dead, nonsense, raising)
+WAYS = ("", "constant", "trend", biased, pessimist, spiky, dead, nonsense, raising)
 
 
 def robot(chance):

@@ -49,7 +49,7 @@ def model_of(chance):
     model.actions["mow"].constrain(light >= 0.1)
     model.action("dock")
     for one in attributes:
-        wrong = chance.choice(("constant", "trend", "periodic", biased, gloomy, mad))
+        wrong = chance.choice(("constant", "trend", biased, gloomy, mad))
         rates = [
             Rate(chance.choice((-1.0, -0.03, -0.01, 0.01)), action, chance.random() < 0.5)
             for action in ("", "mow")
