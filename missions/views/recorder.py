@@ -471,7 +471,8 @@ class RunRecorder(Listener):
     ) -> None:
         self._run = run
         self._scene: tuple[str, ...] | None = None
-        self._disturbed = self._failed = 0
+        self._disturbed: set[tuple[float, str]] = set()
+        self._failed = 0
         is_ours = isinstance(run, RosaRun)
         kb = run.kb if is_ours else KnowledgeBase(run.model, clock=lambda: run.world.now)
         self._own = None if is_ours else kb
@@ -542,9 +543,11 @@ class RunRecorder(Listener):
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
-        for time, text in run.ask("disturbances")[self._disturbed :]:
-            self._disturbed += 1
-            recorder.put("disturbance", self._disturbed, {"t": time, "words": text})
+        for time, text in run.disturbances():
+            if (time, text) not in self._disturbed:
+                self._disturbed.add((time, text))
+                number = len(self._disturbed)
+                recorder.put("disturbance", number, {"t": time, "words": text})
         if self._own is not None:
             for number, one in enumerate(run.actions, start=1):
                 recorder.acted(number, one)
