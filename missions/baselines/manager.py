@@ -3,12 +3,13 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from math import inf
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import DiagnosticProblem, RequiredAction
-from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict
+from missions.engine.managers import ManagerBase, is_in_sea, manager_name
+from missions.engine.mission import Message, Mission, MissionError, Percepts, Verdict, World
 from missions.engine.runner import MissionRun
-from missions.engine.settings import RunSettings, Setting
+from missions.engine.settings import RunSettings
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -109,7 +110,7 @@ class Robot:
         self.percepts.receive(message)
 
 
-class Manager:
+class Manager(ManagerBase):
     """Configures the vehicle for the task that is under way; run with `rosa run suave --manager package:Class`.
 
     By default tasks are those of SUAVE's mission node: search until the pipeline is found, then inspect it. A manager
@@ -124,8 +125,29 @@ class Manager:
 
     tasks: ClassVar[tuple[str, ...]] = ("bt",)
     decides_tasks: ClassVar[bool] = False
-    options: ClassVar[tuple[Setting, ...]] = ()
     period_s: float = 0.1
+
+    @classmethod
+    def refusal(cls, mission: Mission) -> str:
+        if is_in_sea(mission):
+            return ""
+        return (
+            f"{cls.__name__} commands the sea's vehicle, and {mission.name} does not happen in "
+            "the sea; make it a subclass of missions.baselines.Policy"
+        )
+
+    @classmethod
+    def open(
+        cls,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings,
+        rng: "Generator",
+        options: Mapping[str, Any],
+    ) -> "BaselineRun":
+        sea: Any = world  # `refusal` has found that the mission happens in the sea
+        return BaselineRun(mission, sea, settings, cls, rng, options)
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -168,13 +190,12 @@ class BaselineRun(MissionRun):
         mission: Mission,
         world: "Sea",
         settings: RunSettings,
-        name: str,
         manager: type[Manager],
         rng: "Generator",
         options: Mapping[str, float],
     ) -> None:
         task = "tree of the manager" if manager.decides_tasks else "mission node"
-        super().__init__(mission, world, settings, name, task)
+        super().__init__(mission, world, settings, manager_name(manager), task)
         published = [one.name for one in manager.options if one.is_published]
         self.inputs = {f"input_from_paper_{name}": options[name] for name in published}
         self._changes = world.history
@@ -184,7 +205,7 @@ class BaselineRun(MissionRun):
         mission_s, period_s = world.settings.mission_period_s, self._manager.period_s
         if not 0 < period_s < inf:
             raise MissionError(
-                f"manager {name}: period_s is {period_s!r}; allowed is a number of seconds above 0"
+                f"manager {self.manager}: period_s is {period_s!r}; allowed is a number of seconds above 0"
             )
         self.robot.agenda.every(mission_s, phases[0] * mission_s, self._decide_task)
         self.robot.agenda.every(period_s, phases[1] * period_s, self._update)

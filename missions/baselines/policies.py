@@ -2,14 +2,17 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
 from kb.diagnostics import COMPONENT_REPORTS, COMPONENT_VALUES
 from kb.planners import by_priority
 from kb.views import ConfigurationView, DesignView
-from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World
-from missions.engine.settings import Setting
+from missions.engine.managers import ManagerBase, manager_name
+from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World, built
+from missions.engine.runner import RosaRun
+from missions.engine.settings import RunSettings, Setting
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 Part = DesignView | ConfigurationView
 
 
-class Policy:
+class Policy(ManagerBase):
     """Chooses designs and configurations in any mission; one of your own is run as `--manager package:Class`.
 
     Attributes:
@@ -28,13 +31,27 @@ class Policy:
         rng: random generator, its only source of chance.
     """
 
-    options: ClassVar[tuple[Setting, ...]] = ()
     adapts_tasks: ClassVar[bool] = True
-    tasks: ClassVar[tuple[str, ...]] = ("bt", "pddl")
     is_waiting = True  # it may choose again only because time has passed
 
     def __init__(self, model: Model, rng: "Generator", given: Mapping[str, Any]) -> None:
         self.model, self.rng, self.given = model, rng, given
+
+    @classmethod
+    def open(
+        cls,
+        mission: Mission,
+        task: str,
+        world: World,
+        settings: RunSettings,
+        rng: "Generator",
+        options: Mapping[str, Any],
+    ) -> RosaRun:
+        policy = cls(mission.model(), rng, options)
+        name = manager_name(cls)
+        title = f"what alter() of {name} gives"
+        altered = built(title, Mission, partial(policy.alter, mission, world))
+        return RosaRun(altered, task, world, settings, name, policy, policy.hear)
 
     def pick(
         self, kb: KnowledgeBase, possible: Sequence[Part], selected: Part | None
@@ -160,9 +177,18 @@ class ByHand(Policy):
     adapts_tasks = False
     tasks = ("bt",)
 
+    @classmethod
+    def refusal(cls, mission: Mission) -> str:
+        if mission.by_hand is not None:
+            return ""
+        return (
+            f"mission {mission.name} has no hand-written tree; give it by_hand=lambda kb, "
+            "percepts, managed: ..., or take another manager"
+        )
+
     def alter(self, mission: Mission, world: World) -> Mission:
         by_hand = mission.by_hand
-        assert by_hand is not None  # `check_run` has refused it otherwise
+        assert by_hand is not None  # `refusal` has refused the mission otherwise
         return replace(
             super().alter(mission, world),
             tree=lambda kb, percepts: by_hand(kb, percepts, world.managed),

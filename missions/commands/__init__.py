@@ -76,7 +76,7 @@ def list_settings(
     ] = "ours",
 ) -> None:
     """List what `rosa run MISSION --set NAME=VALUE` takes, with default, unit, what is allowed, and source."""
-    from missions.baselines import options_of
+    from missions.engine.managers import options_of
     from missions.engine.mission import find_mission, settings_of
 
     found, console = find_mission(mission), open_console()
