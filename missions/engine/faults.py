@@ -79,7 +79,9 @@ def read_fault(text: str) -> Fault:
     return fault
 
 
-def check_faults(faults: Iterable[Fault], model: Model, duration_s: float = inf) -> tuple[Fault, ...]:
+def check_faults(
+    faults: Iterable[Fault], model: Model, duration_s: float = inf
+) -> tuple[Fault, ...]:
     """Return the faults with the names as the model writes them.
 
     Raises:

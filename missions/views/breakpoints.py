@@ -1,8 +1,8 @@
 """Breakpoints: conditions on what a page shows, at which a run or a replay stops.
 
-    inspect_pipeline unfeasible      an element has a status
-    battery_level < 0.25             a measurement crosses a value
-    "follow pipeline" success        a behaviour of the tree ends its tick with a status
+inspect_pipeline unfeasible      an element has a status
+battery_level < 0.25             a measurement crosses a value
+"follow pipeline" success        a behaviour of the tree ends its tick with a status
 """
 
 import operator
@@ -95,7 +95,7 @@ class Breakpoints:
 
     def __init__(self, met: Callable[[Breakpoint, float], object]) -> None:
         self.all: list[Breakpoint] = []
-        self._met = met
+        self.met = met
         self._names: dict[tuple[str, int | str], str] = {}
 
     def watch(self, rows: Rows) -> None:
@@ -118,4 +118,4 @@ class Breakpoints:
             name = self._names.get((kind, key), "")
             for breakpoint in self.all:
                 if breakpoint.is_met(track, key, name, value):
-                    self._met(breakpoint, time)
+                    self.met(breakpoint, time)
