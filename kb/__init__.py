@@ -1,7 +1,7 @@
 """What a robot knows: which actions are feasible now, why, and how it has to be configured for what it does."""
 
 from kb.checks import Finding, Severity
-from kb.diagnostics import DiagnosticProblem
+from kb.diagnostics import DiagnosticProblem, DiagnosticRule, DiagnosticRules
 from kb.elements import AttributeKind, ComponentKind, EstimationKind, Expression, StalePolicy
 from kb.events import Event, EventKind, Log, StatusChange
 from kb.exceptions import (
@@ -47,6 +47,8 @@ __all__ = [
     "ConfigurationManager",
     "Criterion",
     "DiagnosticProblem",
+    "DiagnosticRule",
+    "DiagnosticRules",
     "DuplicateName",
     "EstimationKind",
     "Event",

@@ -1,6 +1,5 @@
 """The knowledge base: it takes in facts, infers statuses, and keeps the required actions and what is selected."""
 
-import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
@@ -12,7 +11,7 @@ from typing import Any, Concatenate, Final, ParamSpec, TypeVar
 from weakref import finalize
 
 from kb import questions, views
-from kb.diagnostics import DiagnosticProblem, read_diagnostics
+from kb.diagnostics import DiagnosticProblem, DiagnosticRules, record_diagnostics
 from kb.elements import Parameters, finite_number, flag, status_of, table, text, whole
 from kb.elements import parameters as checked_parameters
 from kb.events import Event, Log, Publisher
@@ -41,8 +40,6 @@ from kb.records import (
 from kb.state import Overlay, State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
-
-_log = logging.getLogger(__name__)
 
 _BY_ITSELF: Final = frozenset({"dwell", "lapse", "begin", "store"})
 """The verbs of events that are caused by time, by the model or by the store, and never told by a caller."""
@@ -350,29 +347,23 @@ class KnowledgeBase:
         if self._knowledge.state.active[node.index] != flag("active", active, InvalidValue):
             self._tell("component_active", node.name, active, reason)
 
-    def receive(self, diagnostics: object) -> tuple[DiagnosticProblem, ...]:
-        """Tell the facts in a DiagnosticArray of ROS; see `kb.diagnostics` for the forms that are accepted.
+    def receive(
+        self, diagnostics: object, *, rules: DiagnosticRules | None = None
+    ) -> tuple[DiagnosticProblem, ...]:
+        """Record the facts in a DiagnosticArray of ROS; see `kb.diagnostics` for the forms that are accepted.
+
+        Args:
+            diagnostics: the array.
+            rules: the meaning of statuses that are not ROSA's own.
 
         Returns:
-            The parts that could not be used, and why; all other parts are told. These problems are also logged, and
-            counted in `history.rejected`.
+            The parts that could not be used, and why; all other parts are recorded. These problems are also logged,
+            and counted in `history.rejected`.
         """
-        problems = []
-        for reading in read_diagnostics(diagnostics):
-            if isinstance(reading, DiagnosticProblem):
-                problems.append(reading)
-                continue
-            try:
-                getattr(self, reading.verb)(*reading.arguments)
-            except KnowledgeBaseError as error:
-                problems.append(
-                    DiagnosticProblem(reading.arguments[0], reading.written, str(error))
-                )
-        for problem in problems:
-            _log.warning("diagnostics: %s", problem)
+        problems = record_diagnostics(self, diagnostics, rules)
         with self._lock:
             self._knowledge.records.rejected += len(problems)
-        return tuple(problems)
+        return problems
 
     @_telling
     def assert_status(

@@ -121,7 +121,7 @@ class ConfigurationManager:
     Args:
         kb: the knowledge base that all stages talk through.
         managed: the system whose components are switched and configured; if it has `is_active`, the manager monitors
-            with it which components run.
+            with it which components run; if it has `observe`, it is a monitor too.
         planner: decides what to select; a `PriorityPlanner` by default.
         executor: carries out plans; by default a `StagedExecutor` on `managed`, within the planner's budgets if any.
         monitors: called first at each update.
@@ -151,8 +151,11 @@ class ConfigurationManager:
         budgets = getattr(self._planner, "budgets", None)
         self._executor = StagedExecutor(managed, budgets=budgets) if executor is None else executor
         check_methods("an executor", self._executor, Executor)
-        can_tell = callable(getattr(managed, "is_active", None))
-        self._monitors = (*monitors, *([ActivityMonitor(managed)] if can_tell else []))
+        self._monitors = list(monitors)
+        if hasattr(managed, "observe") and managed not in self._monitors:
+            self._monitors.append(managed)
+        if callable(getattr(managed, "is_active", None)):
+            self._monitors.append(ActivityMonitor(managed))
         for monitor in self._monitors:
             check_methods("a monitor", monitor, Monitor)
         self._gate = None if veto is None else VetoGate(kb, veto)
