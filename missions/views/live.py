@@ -399,9 +399,12 @@ class LiveView(AbstractContextManager["LiveView"]):
             return {"past": rows, "from": start}
         if asked.get("ask") == "whatif":
             situation = self._kb.situation(
-                dict(asked.get("measured", {})), failed=list(asked.get("failed", ()))
+                dict(asked.get("measured", {})),
+                failed=list(asked.get("failed", ())),
+                recovered=list(asked.get("recovered", ())),
             )
-            return {"whatif": {"t": self._now, **supposed(situation)}}
+            outcome = supposed(self._kb, situation, self.recorder.names)
+            return {"whatif": {"t": self._now, **outcome}}
         if self._steering is None:
             raise MissionError(
                 "this page may only watch; with --allow-control, pages may control a simulation"
