@@ -100,6 +100,8 @@ class Breakpoints:
 
     def watch(self, rows: Rows) -> None:
         """Hear the rows from now on; what holds already meets no breakpoint."""
+        if self.hear in rows.heard:
+            return
         latest, _ = rows.snapshot()
         for row in latest:
             self.hear(row)

@@ -228,6 +228,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         self.url = f"{self._place}{query}"
         self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
         self.recorder.header["live"] = True
+        if steering is not None:
+            steering.breakpoints.watch(self.recorder.rows)
         live = {"socket": f"/ws{query}"}
         document = {"version": VERSION, "runs": [], "differences": [], "live": live, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
