@@ -278,11 +278,13 @@ class ComponentKind(StrEnum):
     """How a component is switched.
 
     `plain`: hardware, or software without a driver; never commanded, its activity is bookkeeping.
-    `process`: started and stopped. `lifecycle`: runs all the time and is made active or inactive.
+    `process`: started and stopped. `ros_node`: a process that is started by `ros2 run package
+    executable`. `lifecycle`: runs all the time and is made active or inactive.
     """
 
     PLAIN = "plain"
     PROCESS = "process"
+    ROS_NODE = "ros_node"
     LIFECYCLE = "lifecycle"
 
 
@@ -615,12 +617,20 @@ class Function(Element):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Action(_Constrainable):
-    """Something a mission does, and the functions it needs for that."""
+    """Something a mission does, and the functions it needs for that.
+
+    Attributes:
+        functions: the names of the functions that it requires.
+        restores: the attributes and components that it can make right again, e.g. the battery
+            level by recharging.
+    """
 
     functions: tuple[str, ...] = ()
+    restores: tuple["Restorable", ...] = ()
 
 
 Constrainable = Action | FunctionDesign | Component | Configuration
+Restorable = Attribute | Component
 Estimable = FunctionDesign | Component | Configuration
 Changeable = Element | Constraint | Estimation
 

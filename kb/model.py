@@ -47,6 +47,7 @@ from kb.elements import (
     Function,
     FunctionDesign,
     Rate,
+    Restorable,
     StalePolicy,
     called,
     choice,
@@ -190,10 +191,18 @@ class Model:
         name: str,
         *,
         requires: Iterable[Function | str] = (),
+        restores: Iterable[Restorable | str] = (),
         constraints: Iterable[Expression] = (),
     ) -> Action:
-        """Declare what a mission can do, and the functions (or their names) that this requires."""
-        return self.declare(Action, name, constraints, functions=requires)
+        """Declare what a mission can do.
+
+        Args:
+            name: unique among actions.
+            requires: the functions that it needs, or their names.
+            restores: the attributes and components that it makes right again, or their names.
+            constraints: while one of them is violated, the action is unfeasible.
+        """
+        return self.declare(Action, name, constraints, functions=requires, restores=restores)
 
     def declare(
         self,
@@ -423,7 +432,21 @@ class Model:
         rows = [(KINDS[type(one)], one.name, _facts(one)) for one in named]
         return html_table(f"model {self.name}", ("kind", "name", "what it is"), rows)
 
+    def _restored(self, action: str, values: object) -> tuple[Restorable, ...]:
+        """Return attributes and components that are given by themselves or by their names."""
+        tables = {KINDS[cls]: self._tables[cls] for cls in (Attribute, Component)}
+        advice = "give the element itself, e.g. model."
+        elements: list[Restorable] = []
+        for value in listed(f"what {action!r} restores", values):
+            if isinstance(value, str):
+                value = meant_by(value, tables, "attribute or component", advice)
+            self._owned(f"what {action!r} restores", value, Restorable)
+            elements.append(value)
+        return tuple(dict.fromkeys(elements))
+
     def _names(self, cls: type[Element], name: str, field: str, value: object) -> object:
+        if field == "restores" and cls is Action:
+            return self._restored(name, value)
         if field not in REFERENCES:
             raise UnknownName(f"field of {KINDS[cls]}", field, CHECKS[cls])
         if field not in ("functions", "components"):
@@ -568,6 +591,9 @@ def _users_of(model: Contents, element: Element) -> list[str]:
         for text, names in named
         if element.name in (names if isinstance(names, tuple) else (names,))
     ]
+    for action in model.tables[Action].values():
+        if element in action.restores:
+            found.append(f"action {action.name!r}")
     rated = model.attributes.values() if isinstance(element, Action) else ()
     return found + [
         f"a rate of {one.name!r}"
@@ -653,7 +679,8 @@ def _facts(element: Element) -> str:
             and value != one.default
             and value not in ((), {})
         ):
-            words = ", ".join(map(str, value)) if isinstance(value, tuple) else str(value)
+            parts = value if isinstance(value, tuple) else (value,)
+            words = ", ".join(str(getattr(part, "name", part)) for part in parts)
             said.append(f"{one.name.replace('_', ' ')}: {words}")
     return "; ".join(said)
 

@@ -114,6 +114,7 @@ def check_model(model: Contents, names: Iterable[str] | None = None) -> tuple[Fi
         *_unused(model, network),
         *_out_of_range(model),
         *_doubtful_choices(model, network),
+        *_restored_twice(network),
         *(found("file-note", f"model {model.name}", note) for note in model.notes),
     ]
     places = {_described(one): place for one, place in model.places.items()}
@@ -205,6 +206,18 @@ def _out_of_range(model: Contents) -> Iterator[Finding]:
             where = listing(each.name for each in one.constrained)
             message = f"{_described(one)} {how}: {one.attribute} is {attribute.range} (on {where})"
             yield found("out-of-range", _described(one), message)
+
+
+def _restored_twice(network: Network) -> Iterator[Finding]:
+    """Yield the elements that several actions restore."""
+    restoring: dict[Element, list[str]] = {}
+    for node in network.actions.values():
+        for element in node.element.restores:
+            restoring.setdefault(element, []).append(node.name)
+    for element, actions in restoring.items():
+        if len(actions) > 1:
+            message = f"{_described(element)} is restored by actions {listing(actions)}"
+            yield found("restored-twice", _described(element), message)
 
 
 # -------------------------------------------------------------------- what no measurement makes possible

@@ -9,7 +9,7 @@ from html import escape
 from itertools import chain
 from typing import Final, NamedTuple
 
-from kb.elements import Attribute, exact, table
+from kb.elements import Action, Attribute, exact, table
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
@@ -88,6 +88,13 @@ class Explanation:
     def causes(self) -> tuple["Explanation", ...]:
         """All causes of the status, each with its own explanation down to the facts."""
         return tuple(cause for reason in self.reasons for cause in reason)
+
+    def is_restored_by(self, action: Action) -> bool:
+        """Tell whether an action that succeeds can make this element feasible again.
+
+        It can if some remedy consists of attributes and components that the action restores.
+        """
+        return any(remedy.is_restored_by(action) for remedy in self.remedies)
 
     @property
     def sentence(self) -> str:

@@ -11,7 +11,16 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from kb.elements import Component, Constraint, Element, Function, StalePolicy, exact
+from kb.elements import (
+    Action,
+    Attribute,
+    Component,
+    Constraint,
+    Element,
+    Function,
+    StalePolicy,
+    exact,
+)
 from kb.measurements import turning_point
 from kb.network import Node
 from kb.state import State
@@ -201,9 +210,13 @@ class Requirements:
             if self._holding[attribute.index]:
                 return FREE
         interval = _wanted(node, None if state is None else state.verdict[node.index])
-        return (
-            NOTHING if interval.is_empty else Alternatives((Box({attribute.name: interval}),), True)
-        )
+        possible = interval
+        if state is not None:  # no measurement will ever be outside the range
+            of = attribute.attribute
+            possible = interval.meet(Interval((of.low, 0), (of.high, 0)))
+        if possible.is_empty:
+            return NOTHING
+        return Alternatives((Box({attribute.name: interval}),), True)
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
         boxes: list[Box] = []
@@ -330,6 +343,21 @@ class Remedy:
 
     def __str__(self) -> str:
         return " and ".join(str(fact) for fact in self.facts)
+
+    def is_restored_by(self, action: Action) -> bool:
+        """Tell whether all its facts are about attributes and components that an action restores.
+
+        A measurement that has to be repeated or to last is about its attribute; an asserted status
+        or a missing design is nothing that an action can restore.
+        """
+        attributes = [each.name for each in action.restores if isinstance(each, Attribute)]
+        for fact in self.facts:
+            if isinstance(fact, Measured):
+                if fact.attribute not in attributes:
+                    return False
+            elif fact.what != "recovered" or fact.element not in action.restores:
+                return False
+        return True
 
     def covers(self, other: "Remedy") -> bool:
         """Return whether the other remedy asks for more: further facts, or the same facts in narrower intervals."""

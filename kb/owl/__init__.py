@@ -52,6 +52,7 @@ SPECIAL: Final[Mapping[tuple[type, str], str]] = {
     (elements.Attribute, "quality"): "QualityAttribute",
     (elements.Attribute, "environmental"): "EnvironmentalAttribute",
     (elements.Component, "process"): "ProcessComponent",
+    (elements.Component, "ros_node"): "RosNodeComponent",
     (elements.Component, "lifecycle"): "LifecycleComponent",
 }
 """The special kind of an element, by its class and its field `kind`."""
@@ -247,7 +248,7 @@ def _escaped(name: str) -> str:
 _BY_KIND: Final[Mapping[str, Any]] = {kind: cls for cls, kind in CLASSES.items()}
 _RANKS: Final = {kind: rank for rank, kind in enumerate(CLASSES.values())}
 _LISTS: Final = frozenset(
-    {"functions", "components", "constrained", "activate", "deactivate", "parameters"}
+    {"functions", "components", "constrained", "restores", "activate", "deactivate", "parameters"}
 )
 _UNSAID: Final = frozenset(
     {"position", "prefersNothing"}
@@ -303,7 +304,8 @@ class Declarer:
     def _value(self, cls: type, field: str, given: tuple[Value, ...]) -> object:
         if field == "preference" or (cls is elements.Configuration and field == "parameters"):
             return dict(self._pair(field, one) for one in given)
-        if (of := elements.REFERENCES.get(field)) or field in ("constrained", "causer", "element"):
+        named = ("constrained", "causer", "element", "restores")
+        if (of := elements.REFERENCES.get(field)) or field in named:
             players = [self._element(one, of or object) for one in given]
             found = tuple(one.name for one in players) if of else tuple(players)
             return found if field in _LISTS else _single(field, found)

@@ -3,18 +3,22 @@
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, nullcontext
+from contextlib import ExitStack, nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from kb import KnowledgeBaseError
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
+from missions.engine.faults import FORMS, inject, read_fault
 from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
 from missions.engine.runner import MissionRun, RosaRun
+from missions.views.breakpoints import Breakpoint
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
 from missions.views.output import as_json, files_tried, open_files, summary, timing_of
@@ -49,6 +53,30 @@ def run(
     settings: Annotated[
         list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting.")
     ] = None,
+    fail: Annotated[
+        list[str] | None,
+        typer.Option(metavar=FORMS["fail"], help="Have a component fail at a time [s]."),
+    ] = None,
+    recover: Annotated[
+        list[str] | None,
+        typer.Option(metavar=FORMS["recover"], help="Have a component recover at a time [s]."),
+    ] = None,
+    measure: Annotated[
+        list[str] | None,
+        typer.Option(metavar=FORMS["measure"], help="Replace a measurement from a time [s] on."),
+    ] = None,
+    release: Annotated[
+        list[str] | None,
+        typer.Option(metavar=FORMS["release"], help="End that replacement at a time [s]."),
+    ] = None,
+    stop_at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--break",
+            metavar="CONDITION",
+            help='Stop at a condition, such as "inspect_pipeline unfeasible".',
+        ),
+    ] = None,
     groot2: Annotated[
         int | None,
         typer.Option(
@@ -66,7 +94,10 @@ def run(
         str | None, typer.Option(help="The token of --host; by default one is made up.")
     ] = None,
     allow_control: Annotated[
-        bool, typer.Option("--allow-control", help="Let the page hold and disturb it.")
+        bool,
+        typer.Option(
+            "--allow-control", help="Allow pause, step and fault injection from the page."
+        ),
     ] = False,
     tui: Annotated[
         bool, typer.Option("--tui", help="Show the run in the terminal while it runs; q leaves.")
@@ -86,56 +117,66 @@ def run(
     if plot is not None:
         with needs("plot", "a picture of the run"):
             import matplotlib  # noqa: F401  # if it is missing, say so before the run
-    found = find_mission(mission)
+    chosen = find_mission(mission)
     changed = assignments(settings or [], "--set") | ({} if rules is None else {"rules": rules})
+    verbs = {"fail": fail, "recover": recover, "measure": measure, "release": release}
+    faults = [read_fault(f"{verb} {text}") for verb, texts in verbs.items() for text in texts or ()]
+    is_mcap = record is not None and record.suffix == ".mcap"
+    is_shown = tui or live is not None
+    is_drawn = bool(report or plot)
     console = open_console()
     with ExitStack() as stack:
-        mcap = record if record is not None and record.suffix == ".mcap" else None
-        lines = None if mcap else record
-        files = open_files(
-            {"json": json, "plot": plot, "report": report, "timing": timing, "record": lines}
-        )
-        steering = Steering(
-            (1.0 if realtime or live is not None or tui else 0.0) if speed is None else speed
-        )
-        opened = open_run(found, manager=manager, task=task, seed=seed, settings=changed)
+        paths = {"json": json, "plot": plot, "report": report, "timing": timing}
+        files = open_files(paths | {"record": None if is_mcap else record})
+        opened = open_run(chosen, manager=manager, task=task, seed=seed, settings=changed)
+        if faults:
+            inject(opened, *faults)
+        if speed is None:
+            speed = 1.0 if realtime or is_shown else 0.0
+        steering = Steering(speed)
+        steering.begin(opened)
         progress = progress and not tui
-        narrator, page = Narrator(console, opened.settings.duration_s), None
+        narrator = Narrator(console, opened.settings.duration_s)
         if progress:
             opened.listen(narrator)
         if groot2 is not None:
             _publish(opened, groot2, stack)
-        if lines is not None:
-            LineRecorder(opened, seed, _lines_written(lines, stack))
-        is_drawn = bool(report or plot)
-        if is_drawn or mcap or tui or live is not None:
-            keep = None if is_drawn or live is None else KEEP
+        if record is not None and not is_mcap:
+            LineRecorder(opened, seed, _lines_written(record, stack))
+        page = None
+        if is_drawn or is_mcap or is_shown or stop_at:
+            keep = KEEP if live is not None and not is_drawn else None
             page = RunRecorder(opened, seed, changed, keep, what_if=report is not None)
+            steering.stop_at(*stop_at or ())
+            steering.breakpoints.watch(page.recorder.rows)
+            if not is_shown:
+                steering.breakpoints.met = partial(_end_at, opened)
         opened.listen(steering)
         if page and live is not None:
-            if allow_control:
-                steering.begin(opened)
-            seen, control = page.recorder, steering if allow_control else None
             view = LiveView(
-                seen.kb, port=live, host=host, token=token, recorder=seen, steering=control
+                page.recorder.kb,
+                port=live,
+                host=host,
+                token=token,
+                recorder=page.recorder,
+                steering=steering if allow_control else None,
             )
             stack.callback(view.close)
             console.print(f"live: {view.url}", soft_wrap=True)
-        if page and mcap:
+        if page and record is not None and is_mcap:
             from missions.wires.mcap import McapRecorder
 
             tree = opened.tree if isinstance(opened, RosaRun) else None
-            made = McapRecorder(
-                mcap, opened.kb, tree, page=page.recorder, run=header(opened, seed)["run"]
-            )
-            stack.callback(_print_refused, console, made.refused)  # when the file is complete
-            opened.listen(stack.enter_context(made))
+            about = header(opened, seed)["run"]
+            bag = McapRecorder(record, opened.kb, tree, page=page.recorder, run=about)
+            stack.callback(_print_refused, console, bag.refused)  # when the file is complete
+            opened.listen(stack.enter_context(bag))
         with narrator.progress if progress else nullcontext():
             doing = f"task layer: {opened.task}" if manager == "ours" else f"manager: {manager}"
-            console.print(f"[bold]{found.name}[/] ({doing}, seed {seed})")
+            console.print(f"[bold]{chosen.name}[/] ({doing}, seed {seed})")
             start = time.perf_counter()
             try:
-                verdict = _watched(opened, page) if tui and page else opened.run()
+                verdict = _watched(opened, page, steering) if tui and page else opened.run()
             except KeyboardInterrupt:
                 verdict = Verdict("aborted", f"stopped by hand after {opened.world.now:.1f} s")
             wall_s = time.perf_counter() - start
@@ -156,6 +197,15 @@ def run(
         raise typer.Exit(FAILED)
 
 
+def _end_at(run: MissionRun, breakpoint: Breakpoint, time_s: float) -> None:
+    """End a run that nobody watches at a breakpoint, and explain the element."""
+    explained = ""
+    with suppress(MissionError, KnowledgeBaseError):  # a behaviour, or a manager without a base
+        explained = str(run.kb.explain(breakpoint.name))
+    words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
+    run.trouble = Verdict("aborted", words, explained)
+
+
 def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
     """Return a function that writes a line at once, so that a program that is killed leaves what it has heard."""
     with files_tried(f"write {path}"):
@@ -173,11 +223,11 @@ def _print_refused(console: Console, refused: Mapping[str, int]) -> None:
         console.print(f"not recorded, {count} times: {what}", style="yellow", markup=False)
 
 
-def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
+def _watched(run: MissionRun, page: RunRecorder, steering: Steering) -> Verdict:
     """Run in a thread beside the view in the terminal; leaving the view stops the run."""
     from missions.views.terminal import RecorderFeed, TerminalView
 
-    view = TerminalView(RecorderFeed(page.recorder))
+    view = TerminalView(RecorderFeed(page.recorder), steering)
     with ThreadPoolExecutor(1, "mission") as pool:
         going = pool.submit(run.run)
         try:
@@ -185,6 +235,8 @@ def _watched(run: MissionRun, page: RunRecorder) -> Verdict:
         finally:  # also when the program is to end
             if not going.done():
                 run.trouble = Verdict("aborted", f"stopped by hand after {run.world.now:.1f} s")
+                steering.do({"do": "speed", "value": 0})
+                steering.do({"do": "resume"})
         return going.result()
 
 

@@ -34,17 +34,16 @@ def _plain(value: object) -> float | str | dict[Any, Any]:
 
 def header(run: MissionRun, seed: int) -> Message:
     """Return the first message of a recording: it has no status, but says how the mission was run, for the replay."""
-    return {
-        "time": 0.0,
-        "status": [],
-        "run": {
-            "mission": run.mission.name,
-            "task": run.task,
-            "seed": seed,
-            "settings": asdict(run.settings),
-            "switching_s": dict(getattr(run.world.managed, "takes", {})),
-        },
+    about = {
+        "mission": run.mission.name,
+        "task": run.task,
+        "seed": seed,
+        "settings": asdict(run.settings),
+        "switching_s": dict(getattr(run.world.managed, "takes", {})),
     }
+    if run.faults is not None:
+        about["faults"] = [str(fault) for fault in run.faults.planned]
+    return {"time": 0.0, "status": [], "run": about}
 
 
 class LineRecorder(Listener):

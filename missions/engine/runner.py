@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from math import isfinite, nan
 from time import perf_counter
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -44,6 +44,9 @@ from missions.engine.settings import RunSettings
 from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
 from rosa_pddl import PlanRecord
+
+if TYPE_CHECKING:
+    from missions.engine.faults import FaultInjector
 
 OURS: Final = "ours"
 """The manager name of our own: the knowledge base, its configuration manager, and the task layer asked for."""
@@ -144,6 +147,7 @@ class MissionRun(ABC):
         tree: the tree that is ticked; None if there is none.
         problems: parts of messages that could not be used, with their times [s].
         alter: replaces the messages published by a time [s], as a disturbance from outside; None for none.
+        faults: the faults that are injected, see `missions.engine.faults.inject`; None for none.
         inputs: figures of published results that were given to the manager, by name.
         compute_s: computing time on this machine by part [s]; no decision depends on it.
         listeners: those that are notified.
@@ -168,6 +172,7 @@ class MissionRun(ABC):
         self.tree: BehaviourTree | None = None
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
+        self.faults: FaultInjector | None = None
         self.inputs: Mapping[str, float] = {}
         self.compute_s = defaultdict[str, float](float, world=0.0)
         self.listeners: Sequence[Listener] = ()
@@ -275,6 +280,13 @@ class MissionRun(ABC):
             raise MissionError(f"{its} gives {given!r:.100}; expected is {wanted}")
         return given
 
+    def disturbances(self) -> list[tuple[float, str]]:
+        """Return what truly happened, and when [s], in order of time: by itself, or because it was injected."""
+        happened = list(self.ask("disturbances"))
+        if self.faults is not None:
+            happened += [(fault.time, fault.words) for fault in self.faults.injected]
+        return sorted(happened, key=lambda entry: entry[0])
+
     def results(self) -> Mapping[str, float | None]:
         """Return the mission's figures up to now by name, units in the names, including `inputs`."""
         return {**self.ask("results"), **self.inputs}
@@ -315,6 +327,8 @@ class MissionRun(ABC):
         spent_s = sum(self.compute_s.values())
         if self.alter is not None:
             messages = self.alter(messages, self.world.now)
+        if self.faults is not None:
+            messages = self.faults.alter(messages, self.world.now)
         for message in messages:
             self._take_in(message)
         is_decided = self.decide()

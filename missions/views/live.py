@@ -11,7 +11,7 @@ import logging
 import os
 import socket
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
 from math import inf
 from secrets import token_urlsafe
@@ -19,12 +19,12 @@ from threading import Condition, Thread
 from typing import TYPE_CHECKING, Any, Final
 from urllib.parse import parse_qs, quote, urlsplit
 
-from kb import KnowledgeBase, KnowledgeBaseError, Model
-from kb.diagnostics import MEASUREMENTS
+from kb import KnowledgeBase, KnowledgeBaseError
 from kb.elements import finite_number
-from missions.engine.mission import Message, MissionError, needs
-from missions.engine.recording import failed, measured, recovered
+from missions.engine.faults import Fault, inject
+from missions.engine.mission import MissionError, needs
 from missions.engine.runner import Listener, MissionRun
+from missions.views.breakpoints import Breakpoint, Breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
 from missions.views.report import VERSION, encoded, page_of
@@ -68,85 +68,96 @@ _SERVER: Final[dict[str, Any]] = {
 
 
 class Steering(Listener):
-    """Paces and pauses a simulated run, and replaces measurements that the robot hears by injected ones.
+    """Paces and pauses a simulated run, stops it at breakpoints, and injects faults.
 
     Args:
         speed: times real time; 0 for as fast as possible.
     """
 
     def __init__(self, speed: float = 1.0) -> None:
+        self.breakpoints = Breakpoints(self._stop_at)
         self._speed = _pace(speed)
         self._is_paused = False
         self._steps = 0
-        self._held: dict[str, float] = {}
-        self._said: list[tuple[str, str]] = []
+        self._stopped_at = ""
         self._change = Condition()
         self._start: tuple[float, float] | None = None
-        self._model: Model | None = None
+        self._run: MissionRun | None = None
 
     @property
     def state(self) -> dict[str, Any]:
-        """Whether the run is paused, its speed, and the injected values by attribute."""
+        """Whether the run is paused and where it stopped, its speed, breakpoints and injected values."""
         with self._change:
-            return {"paused": self._is_paused, "speed": self._speed, "held": dict(self._held)}
+            faults = None if self._run is None else self._run.faults
+            return {
+                "paused": self._is_paused,
+                "stopped": self._stopped_at,
+                "speed": self._speed,
+                "held": {} if faults is None else dict(faults.held),
+                "breaks": [each.text for each in self.breakpoints.all],
+            }
 
     def begin(self, run: MissionRun) -> None:
-        self._model, run.alter = run.model, self.alter
+        """Steer a run, which has not begun yet."""
+        self._run = run
 
-    def do(self, asked: Mapping[str, Any]) -> None:
-        """Do what a page asks for: `asked["do"]` is pause, resume, step, speed or inject.
+    def do(self, request: Mapping[str, Any]) -> None:
+        """Do what a page requests: `request["do"]` is pause, resume, step, speed, break or inject.
 
         Raises:
             MissionError, kb.UnknownName: there is no such command or element, or its value is not allowed.
         """
-        what = asked.get("do")
+        what = request.get("do")
         with self._change:
             if what in ("pause", "resume"):
-                self._is_paused, self._start, self._steps = what == "pause", None, 0
+                self._is_paused = what == "pause"
+                self._start = None
+                self._steps = 0
+                self._stopped_at = ""
             elif what == "step":
-                self._is_paused, self._steps = True, self._steps + 1
+                self._is_paused = True
+                self._steps += 1
             elif what == "speed":
-                self._speed, self._start = _pace(asked.get("value")), None
+                self._speed = _pace(request.get("value"))
+                self._start = None
+            elif what == "break":
+                texts = [str(text) for text in request.get("at", ())]
+                self.stop_at(*texts)
             elif what == "inject":
-                self._inject(asked)
+                self._inject(request)
             else:
-                raise MissionError(
-                    f"{what!r} is unknown; known are pause, resume, step, speed and inject"
-                )
+                known = "pause, resume, step, speed, break and inject"
+                raise MissionError(f"{what!r} is unknown; known are {known}")
             self._change.notify_all()
 
-    def _inject(self, asked: Mapping[str, Any]) -> None:
-        if self._model is None:
-            raise MissionError("no run has begun yet")
-        attributes, components = self._model.attributes, self._model.components
-        values = {
-            attributes[one].name: finite_number(value)
-            for one, value in dict(asked.get("measure", {})).items()
-        }
-        released = [attributes[one].name for one in asked.get("release", ())]
-        told = [(one, components[asked[one]].name) for one in ("fail", "recover") if one in asked]
-        self._held = {
-            name: value for name, value in {**self._held, **values}.items() if name not in released
-        }
-        self._said += [("measure", name) for name in values] + told
+    def stop_at(self, *texts: str) -> None:
+        """Replace the breakpoints; see `Breakpoint` for how one is written."""
+        run = self._open_run()
+        behaviours = [] if run.tree is None else [node.name for node in run.tree.root.iterate()]
+        breakpoints = [Breakpoint(text) for text in texts]
+        for breakpoint in breakpoints:
+            breakpoint.check(run.model, behaviours)
+        self.breakpoints.all = breakpoints
 
-    def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]:
-        """Return the messages that the robot hears at a time [s], with injected values and failures."""
+    def _stop_at(self, breakpoint: Breakpoint, time_s: float) -> None:
         with self._change:
-            said, self._said, held = self._said, [], dict(self._held)
-        if held:
-            messages = [_with(message, held) for message in messages]
-        for what, name in said:
-            if what == "measure":
-                messages = (
-                    [*messages, measured(now, **{name: held[name]})] if name in held else messages
-                )
-            else:
-                messages = [
-                    *messages,
-                    failed(now, name) if what == "fail" else recovered(now, name),
-                ]
-        return messages
+            self._is_paused = True
+            self._start = None
+            self._stopped_at = f"{breakpoint.text} at {time_s:.1f} s"
+
+    def _inject(self, request: Mapping[str, Any]) -> None:
+        run = self._open_run()
+        faults = []
+        for name, value in dict(request.get("measure", {})).items():
+            faults.append(Fault("measure", name, value=finite_number(value)))
+        faults += [Fault("release", name) for name in request.get("release", ())]
+        faults += [Fault(verb, request[verb]) for verb in ("fail", "recover") if verb in request]
+        inject(run, *faults)
+
+    def _open_run(self) -> MissionRun:
+        if self._run is None:
+            raise MissionError("no run has begun yet")
+        return self._run
 
     def tick(self, run: MissionRun) -> None:
         with self._change:
@@ -156,8 +167,10 @@ class Steering(Listener):
 
     def _left(self, simulated: float) -> float:
         """Return how long the run must wait at a simulated time [s]; infinity while it is paused."""
-        if self._is_paused or not self._speed:
-            return inf if self._is_paused and not self._steps else 0.0
+        if self._is_paused:
+            return 0.0 if self._steps else inf
+        if not self._speed:
+            return 0.0
         now = time.monotonic()
         self._start = self._start or (now, simulated)
         return self._start[0] + (simulated - self._start[1]) / self._speed - now
@@ -215,6 +228,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         self.url = f"{self._place}{query}"
         self.recorder = recorder or Recorder(kb, tree, **{"keep": KEEP, "what_if": False, **shown})
         self.recorder.header["live"] = True
+        if steering is not None:
+            steering.breakpoints.watch(self.recorder.rows)
         live = {"socket": f"/ws{query}"}
         document = {"version": VERSION, "runs": [], "differences": [], "live": live, "note": ""}
         self._page = page_of(document, str(self.recorder.header["title"]))
@@ -268,10 +283,10 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     @property
     def _state(self) -> dict[str, Any]:
-        steered = (
-            {"paused": False, "speed": 1.0} if self._steering is None else self._steering.state
-        )
-        return {"over": self._is_closing, "pages": len(self._pages), **steered}
+        state = {"over": self._is_closing, "pages": len(self._pages)}
+        if self._steering is None:
+            return {**state, "paused": False, "speed": 1.0}
+        return {**state, **self._steering.state}
 
     @property
     def _now(self) -> float:
@@ -351,7 +366,7 @@ class LiveView(AbstractContextManager["LiveView"]):
             "next": following,
         }
         greeting |= {"now": self._now, "dropped": page.dropped, "state": self._state}
-        greeting["may"] = [] if self._steering is None else ["pause", "speed", "inject"]
+        greeting["may"] = [] if self._steering is None else ["pause", "speed", "break", "inject"]
         await page.websocket.send(encoded(greeting))
         page.next = following
 
@@ -386,9 +401,12 @@ class LiveView(AbstractContextManager["LiveView"]):
             return {"past": rows, "from": start}
         if asked.get("ask") == "whatif":
             situation = self._kb.situation(
-                dict(asked.get("measured", {})), failed=list(asked.get("failed", ()))
+                dict(asked.get("measured", {})),
+                failed=list(asked.get("failed", ())),
+                recovered=list(asked.get("recovered", ())),
             )
-            return {"whatif": {"t": self._now, **supposed(situation)}}
+            outcome = supposed(self._kb, situation, self.recorder.names)
+            return {"whatif": {"t": self._now, **outcome}}
         if self._steering is None:
             raise MissionError(
                 "this page may only watch; with --allow-control, pages may control a simulation"
@@ -418,23 +436,6 @@ def _listening(host: str, port: int) -> socket.socket:
         raise MissionError(
             f"the live page cannot listen on {host}:{port}: {said}; give another port, or 0"
         ) from None
-
-
-def _with(message: Message, held: Mapping[str, float]) -> Message:
-    """Return a message with the injected values in place of the measured ones."""
-    statuses = [
-        {
-            **one,
-            "values": {
-                key: repr(held[key]) if key in held else value
-                for key, value in one["values"].items()
-            },
-        }
-        if str(one["message"]).strip().casefold() in MEASUREMENTS
-        else one
-        for one in message["status"]
-    ]
-    return {**message, "status": statuses}
 
 
 def _pace(value: Any) -> float:  # noqa: ANN401  # whatever a page sends

@@ -115,7 +115,7 @@ def summary(
         "reactions": [
             _fields(one, "uncertainty", "start_s", "delay_s") for one, _ in run.reactions
         ],
-        "disturbances": [{"at_s": time, "what": text} for time, text in run.ask("disturbances")],
+        "disturbances": [{"at_s": time, "what": text} for time, text in run.disturbances()],
         "diagnostics_problems": [
             {"at_s": time, "problem": str(problem)} for time, problem in run.problems
         ],

@@ -2,10 +2,9 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from itertools import compress, count
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import count
 from math import inf, isfinite
-from operator import ne
 from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
@@ -17,12 +16,11 @@ from py_trees.trees import BehaviourTree
 from py_trees.visitors import VisitorBase
 
 from kb import DiagnosticProblem, Event, KnowledgeBase, ReconfigurationPlan, RequiredAction
-from kb.network import Network, Node
 from missions.engine.adaptations import Adaptation, AdaptationLog, is_news, plans_after
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
-from missions.views.facts import CHOSEN, cases, chain_of, choice_of, described
+from missions.views.facts import ElementTable, Names, cases, chain_of, level_of
 from missions.views.output import figure_in_words, plain
 from missions.views.report import Recorded, Rows, framed, write_report
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
@@ -30,7 +28,6 @@ from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
 
 _log = logging.getLogger(__name__)
 
-_COLUMNS: Final = ("status", "required", "selected", "active", "stale")
 _LETTERS: Final = {
     Status.RUNNING: "R",
     Status.SUCCESS: "S",
@@ -110,11 +107,10 @@ class Recorder:
         )
         if self._own is not None:
             self._own.news(inf)
-        self._nodes: dict[tuple[str, str], int] = {}
-        self._seen_version = self._revision = -1
-        self._columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        self._elements = ElementTable(kb)
+        self._standing: dict[tuple[int, str], bool | str] = {}
         self._events: deque[Event] = deque(maxlen=_REMEMBERED)
-        self._supposed = self._adapted = self._planned = 0
+        self._supposed = self._adapted = self._planned = self._troubles = 0
         self._posed_at = -inf
         self._task_plans: list[Any] = []
         self._heard: dict[Any, Any] = {}  # the last task plan of each behaviour
@@ -122,7 +118,7 @@ class Recorder:
             raise MissionError(
                 f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
             )
-        self._look(kb.now)
+        self._look(kb.now, is_amended=True)
         for one in kb.required_actions:
             self.acted(one.number, one)
         self._tree = (
@@ -145,6 +141,11 @@ class Recorder:
     def put(self, track: str, key: int | str, value: object, time: float | None = None) -> None:
         """Add a row at a time [s], by default now: of track "signal", "disturbance", "problem" or another of a page."""
         self.rows.put(self.kb.now if time is None else time, track, key, value)
+
+    @property
+    def names(self) -> Names:
+        """The number of each element, by kind and name."""
+        return self._elements.names
 
     @property
     def recorded(self) -> Recorded:
@@ -171,20 +172,19 @@ class Recorder:
     def _hear(self, event: Event) -> None:
         time = event.time
         if event.verb == "measure":
-            if ("attribute", event.subject) not in self._nodes:
-                self._look(time)
-            self.rows.put(
-                time, "value", self._nodes["attribute", event.subject], event.arguments[1]
-            )
+            if ("attribute", event.subject) not in self.names:
+                self._look(time, is_amended=True)
+            self.rows.put(time, "value", self.names["attribute", event.subject], event.arguments[1])
             if not event.changes:
                 return
         self._events.append(event)
         shown = {"verb": event.verb, "words": event.text, "kind": str(event.kind)}
+        shown["level"] = level_of(event)
         shown |= {
             name: one for name, one in event.to_json().items() if name in ("cause", "changes")
         }
         self.rows.put(time, "event", event.number, shown)
-        self._look(time)
+        self._look(time, is_amended=event.verb == "amend")
         self._note_records(event)
         if (
             self._what_if
@@ -196,58 +196,36 @@ class Recorder:
             self._own.ticking(time)
             self._own.settle()
 
-    def _look(self, time: float) -> None:
-        with self.kb.reading() as state:
-            if state.network.revision != self._revision:
-                self._revision = state.network.revision
-                self._describe(time, state.network)
-            elif state.version == self._seen_version:
-                return
-            self._seen_version = state.version
-            changed: dict[Node, None] = {}
-            for name in _COLUMNS:
-                now, before = state.columns[name], self._columns[name]
-                before += [None] * (len(now) - len(before))
-                for index in compress(range(len(now)), map(ne, now, before)):
-                    node, value = state.network.nodes[index], now[index]
-                    changed[node] = None
-                    if name != "status" and (value or before[index] is not None):
-                        self.rows.put(time, name, index, int(value))
-                    elif name == "status" and node.kind != "attribute":
-                        self.rows.put(time, name, index, str(value))
-                self._columns[name] = list(now)
-            self._explain(time, set(state.network.present()) if changed else set(), changed)
-
-    def _describe(self, time: float, network: Network) -> None:
-        present = {node.index: node for node in network.present()}
-        for index in sorted(present.keys() | set(self._nodes.values())):
-            node = present.get(index)
-            self.rows.put(
-                time,
-                "element",
-                index,
-                None if node is None else described(node, self.header["units"]),
-            )
-        self._nodes = {(node.kind, node.name): node.index for node in present.values()}
-
-    def _explain(self, time: float, present: Collection[Node], changed: Iterable[Node]) -> None:
-        """Write rows for these elements: the reason of the status, remedies, and the choice made for it."""
-        chosen_for: dict[Node, None] = {}
-        for node in changed:
-            if node not in present or node.kind in ("constraint", "attribute"):
+    def _look(self, time: float, *, is_amended: bool = False) -> None:
+        """Write rows for what has changed of any element, and why."""
+        if is_amended:
+            for number, element in self._elements.describe(self.header["units"]):
+                self.rows.put(time, "element", number, element)
+        changed: dict[int, str] = {}
+        for number, kind, track, value in self._elements.standing():
+            before = self._standing.get((number, track))
+            if value == before:
                 continue
-            found = self.kb.explain(node.element)
-            self.rows.put(time, "why", node.index, found.sentence)
-            self.rows.put(time, "help", node.index, [str(one) for one in found.remedies] or None)
-            chosen_for |= dict.fromkeys(
-                one for one in (node, *node.wholes) if one.kind in CHOSEN and one.parts
-            )
-        for node in chosen_for:
-            self.rows.put(time, "choice", node.index, choice_of(self.kb, node))
+            self._standing[number, track] = value
+            changed[number] = kind
+            if value or before is not None:
+                self.rows.put(time, track, number, value if track == "status" else int(value))
+        owners: dict[int, None] = {}
+        for number, kind in changed.items():
+            if kind in ("constraint", "attribute"):
+                continue
+            for track, value in self._elements.explain(number).items():
+                self.rows.put(time, track, number, value)
+            owner = self._elements.owner(number)
+            if owner is not None and owner not in changed:
+                owners[owner] = None
+        for owner in owners:
+            for track, value in self._elements.choice(owner).items():
+                self.rows.put(time, track, owner, value)
 
     def _note_records(self, event: Event) -> None:
         """Write rows for the action, plan or parameters that an event changed."""
-        time, rows, names = event.time, self.rows, self._nodes
+        time, rows, names = event.time, self.rows, self.names
         if event.verb in ("request_action", "cancel_action"):
             one = next(
                 one for one in reversed(self.kb.history.actions) if one.action == event.subject
@@ -312,7 +290,7 @@ class Recorder:
         self.put(
             "action",
             number,
-            {"action": self._nodes["action", one.action], "cause": one.cause, **_ending(one)},
+            {"action": self.names["action", one.action], "cause": one.cause, **_ending(one)},
         )
 
     def adapted(self, adaptation: Adaptation) -> None:
@@ -327,9 +305,7 @@ class Recorder:
             "changed": adaptation.change,
             "reaction": adaptation.reaction_s,
             "in_force": plain(adaptation.in_force_s),
-            "chain": chain_of(
-                adaptation, tuple(self._events), self._task_plans, self._nodes, nodes
-            ),
+            "chain": chain_of(adaptation, tuple(self._events), self._task_plans, self.names, nodes),
         }
         self.put("adaptation", self._adapted, shown)
         if self._own is not None:
@@ -340,7 +316,14 @@ class Recorder:
     def suppose(self, time: float) -> None:
         """Work out and write what would be feasible if other values had been measured."""
         self._supposed += 1
-        self.rows.put(time, "whatif", self._supposed, {"t": time, "cases": cases(self.kb)})
+        self.rows.put(
+            time, "whatif", self._supposed, {"t": time, "cases": cases(self.kb, self.names)}
+        )
+
+    def trouble(self, words: str) -> None:
+        """Write what went wrong, in a sentence."""
+        self._troubles += 1
+        self.put("problem", self._troubles, words)
 
     def elements_of(self, behaviour: Behaviour) -> list[int]:
         """Return the index of the action that a behaviour is for, in a list that is empty if there is none."""
@@ -348,7 +331,7 @@ class Recorder:
             action = getattr(behaviour, "action", None)
         except Exception:  # py_trees raises several kinds if a port is not connected yet
             return []
-        index = self._nodes.get(("action", action)) if isinstance(action, str) else None
+        index = self.names.get(("action", action)) if isinstance(action, str) else None
         return [] if index is None else [index]
 
 
@@ -386,8 +369,9 @@ class _TreeRows(VisitorBase):
         """Call `look`; log what it raises, so that the robot goes on."""
         try:
             look()
-        except Exception:
+        except Exception as error:
             _log.exception("a tick is not shown in full")
+            self._recorder.trouble(f"a tick is not shown in full: {error!r}")
 
     def _note(self) -> None:
         recorder = self._recorder
@@ -471,7 +455,7 @@ class RunRecorder(Listener):
     ) -> None:
         self._run = run
         self._scene: tuple[str, ...] | None = None
-        self._disturbed = self._failed = 0
+        self._disturbed: set[tuple[float, str]] = set()
         is_ours = isinstance(run, RosaRun)
         kb = run.kb if is_ours else KnowledgeBase(run.model, clock=lambda: run.world.now)
         self._own = None if is_ours else kb
@@ -520,8 +504,7 @@ class RunRecorder(Listener):
             self._own.receive(message)
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
-        self._failed += 1
-        self.recorder.put("problem", self._failed, str(problem))
+        self.recorder.trouble(str(problem))
 
     def adaptation(self, adaptation: Adaptation) -> None:
         self.recorder.adapted(adaptation)
@@ -542,9 +525,11 @@ class RunRecorder(Listener):
         if tuple(scenery) != self._scene:  # names alone tell that it has changed
             self._scene = tuple(scenery)
             recorder.show(scenery)
-        for time, text in run.ask("disturbances")[self._disturbed :]:
-            self._disturbed += 1
-            recorder.put("disturbance", self._disturbed, {"t": time, "words": text})
+        for time, text in run.disturbances():
+            if (time, text) not in self._disturbed:
+                self._disturbed.add((time, text))
+                number = len(self._disturbed)
+                recorder.put("disturbance", number, {"t": time, "words": text})
         if self._own is not None:
             for number, one in enumerate(run.actions, start=1):
                 recorder.acted(number, one)

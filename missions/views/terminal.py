@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Final
 from urllib.parse import urlsplit
 
 from missions.engine.mission import MissionError, needs
+from missions.views.live import Steering
 from missions.views.recorder import Recorder
 from missions.views.report import NUMBERED
 
@@ -17,7 +18,7 @@ with needs("tui", "the view in a terminal"):
     from rich.text import Text
     from textual.app import App, ComposeResult
     from textual.containers import VerticalScroll
-    from textual.widgets import Footer, Header, Static
+    from textual.widgets import Footer, Header, Input, Static
 
 _PERIOD_S: Final = 0.2
 _SPARKS: Final = "▁▂▃▄▅▆▇█"
@@ -28,6 +29,9 @@ _STYLES: Final = {
     **{"unfeasible": ("✕", "red"), "failure": ("✕", "red")},
 }
 """Sign and colour of a status, of a behaviour or an element."""
+_LOGGED: Final = {"event": "info", "taskplan": "info", "disturbance": "warning", "problem": "error"}
+"""The tracks that the log shows, each with its level unless the entry has its own."""
+_LEVELS: Final = {"info": "blue", "warning": "yellow", "error": "bold red"}
 
 
 class RecorderFeed:
@@ -106,6 +110,8 @@ class Fold:
         time, track, key, value = row
         self.now = max(self.now, time)
         last = self._last.setdefault(track, {})
+        if track in _LOGGED and value is not None:
+            value = {"t": time, **(value if isinstance(value, dict) else {"words": value})}
         last[key] = value
         if track in NUMBERED and len(last) > _KEPT:
             del last[next(iter(last))]
@@ -164,6 +170,20 @@ class Fold:
                 + Text(f"\n{'':11}{one['cause']}", "dim")
             )
 
+    def log(self, words: str) -> Iterator[Text]:
+        """Yield what happened, the latest first: time, level and text; only what has the words, if any are given."""
+        entries = []
+        for track, level in _LOGGED.items():
+            for entry in self.track(track).values():
+                text = str(entry.get("words", ""))
+                if track == "taskplan":
+                    text = f"plan: {entry['outcome']} ({entry['engine']}), {entry['reason']}"
+                entries.append((entry["t"], entry.get("level", level), text))
+        for time, level, text in sorted(entries, reverse=True):
+            if all(word in f"{level} {text}".casefold() for word in words.casefold().split()):
+                line = Text(f"{time:7.1f} s  ", "dim")
+                yield line.append(f"{level:<8}", _LEVELS[level]).append(text)
+
     def measurements(self, width: int) -> Iterator[Text]:
         """Yield each measurement with its latest value, and a line of its latest values."""
         elements = self.track("element")
@@ -191,44 +211,88 @@ def _course(values: deque[float], width: int) -> str:
 
 
 class TerminalView(App[None]):
-    """Shows the rows of a feed until the user leaves with `q`."""
+    """Shows the rows of a feed until the user leaves with `q`.
+
+    Args:
+        steering: pauses the run and has it go on; None for a run that can only be watched.
+    """
 
     CSS = """
     Screen { layout: grid; grid-size: 2 2; }
     VerticalScroll { border: round $primary; padding: 0 1; }
     VerticalScroll:focus { border: round $accent; }
+    .hidden, Input.hidden { display: none; }
+    Input { dock: bottom; }
     """
-    BINDINGS: ClassVar[Any] = [("q", "quit", "leave"), ("tab", "focus_next", "next pane")]
-    PANES: Final = ("tree", "known", "adaptations", "measurements")
+    BINDINGS: ClassVar[Any] = [
+        ("q", "quit", "leave"),
+        ("tab", "focus_next", "next pane"),
+        ("l", "log", "event log"),
+        ("slash", "filter", "filter"),
+        ("space", "hold", "pause or go on"),
+    ]
+    PANES: Final = ("tree", "known", "adaptations", "measurements", "log")
 
-    def __init__(self, feed: RecorderFeed | SocketFeed) -> None:
+    def __init__(self, feed: RecorderFeed | SocketFeed, steering: Steering | None = None) -> None:
         super().__init__()
-        self.title, self._feed, self._fold = feed.title, feed, Fold()
+        self.title = feed.title
+        self._feed = feed
+        self._steering = steering
+        self._fold = Fold()
         self._shown = {name: Static(id=name) for name in self.PANES}
+        self._filter = Input(placeholder="words that an entry must have", classes="hidden")
 
     def compose(self) -> ComposeResult:
         yield Header()
         for name, shown in self._shown.items():
-            pane = VerticalScroll(shown)
+            pane = VerticalScroll(shown, classes="hidden" if name == "log" else "")
             pane.border_title = name
             yield pane
+        yield self._filter
         yield Footer()
 
     def on_mount(self) -> None:
         self.set_interval(_PERIOD_S, self.look)
 
+    def action_log(self) -> None:
+        """Show the event log in the place of the adaptations, or these again."""
+        for name in ("log", "adaptations"):
+            parent = self._shown[name].parent
+            if isinstance(parent, VerticalScroll):
+                parent.toggle_class("hidden")
+
+    def action_filter(self) -> None:
+        """Ask for the words that an entry of the log must have."""
+        self._filter.remove_class("hidden")
+        self._filter.focus()
+
+    def on_input_submitted(self) -> None:
+        self._filter.add_class("hidden")
+        self.set_focus(None)
+        self.look()
+
+    def action_hold(self) -> None:
+        """Pause the run, or have it go on."""
+        if self._steering is not None:
+            self._steering.do({"do": "resume" if self._steering.state["paused"] else "pause"})
+
     def look(self) -> None:
         rows, wrong = self._feed.take()
         for row in rows:
             self._fold.put(row)
-        outcome = self._fold.track("result").get(0)
-        over = f"over: {outcome['outcome']}, {outcome['reason']}" if outcome else ""
-        self.sub_title = "  ".join(filter(None, (f"{self._fold.now:.1f} s", over, wrong)))
+        ended = self._fold.track("result").get(0)
+        words = [f"{self._fold.now:.1f} s"]
+        if ended:
+            words.append(f"{ended['outcome']}: {ended['reason']}")
+        elif self._steering is not None and self._steering.state["paused"]:
+            words.append(f"paused {self._steering.state['stopped']}".strip())
+        self.sub_title = "  ".join([*words, wrong]).strip()
         lines = {
             "tree": self._fold.tree(),
             "known": self._fold.known(),
             "adaptations": self._fold.adaptations(),
+            "measurements": self._fold.measurements(self.size.width // 2 - 6),
+            "log": self._fold.log(self._filter.value),
         }
-        lines["measurements"] = self._fold.measurements(self.size.width // 2 - 6)
         for name, shown in lines.items():
             self._shown[name].update(Text("\n").join(shown))

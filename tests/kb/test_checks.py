@@ -249,6 +249,12 @@ def preferred_attribute_that_nothing_estimates(model):
     model.add_fact(RequiredActionFact("explore", {"light": 1.0}))
 
 
+@specimen("restored-twice", "attribute light", "restored by actions explore_again and look")
+def attribute_that_two_actions_restore(model):
+    for name in ("explore_again", "look"):
+        model.action(name, requires=["see"], restores=["light"])
+
+
 @specimen("unused-attribute", "attribute wind", "nothing depends on attribute wind")
 def attribute_that_nothing_depends_on(model):
     model.quality_attribute("wind")

@@ -312,3 +312,33 @@ def test_more_remedies_than_can_be_told_are_counted(model):
     assert str(explanation).endswith(
         "wheel_0 recovered or wheel_1 recovered or wheel_10 recovered or at least 13 more"
     )
+
+
+def test_remedy_outside_the_range_of_an_attribute_is_not_given():
+    model = Model("rover")
+    volt = model.quality_attribute("volt", low=0, high=10)
+    camera = model.component("camera")
+    camera.configuration("day", constraints=[volt < 0])
+    camera.configuration("night", constraints=[volt >= 10])
+    camera.configuration("dusk", constraints=[volt > 10])
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.measure("volt", 9)
+    assert told(kb, "camera") == ["volt >= 10"]
+
+
+def test_action_restores_an_element_if_one_remedy_is_all_its_own():
+    model = Model("rover")
+    energy = model.quality_attribute("energy")
+    camera = model.component("camera")
+    model.function("see").design("by camera", [camera])
+    model.action("look", requires=["see"], constraints=[energy >= 0.5])
+    recharge = model.action("recharge", restores=[energy])
+    overhaul = model.action("overhaul", restores=[energy, "camera"])
+    kb = KnowledgeBase(model, clock=Clock())
+    kb.measure("energy", 0.1)
+    assert kb.explain("look").is_restored_by(recharge)
+    kb.component_failed("camera")
+    assert not kb.explain("look").is_restored_by(recharge)
+    assert kb.explain("look").is_restored_by(overhaul)
+    kb.assert_status(kb.actions["look"], "unfeasible")
+    assert not kb.explain("look").is_restored_by(overhaul)

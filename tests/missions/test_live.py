@@ -366,7 +366,7 @@ def test_injected_failure_and_recovery_are_heard_and_what_is_held_is_released():
             ({"do": "inject", "measure": {"battery": 1}}, "unknown attribute 'battery'"),
             ({"do": "inject", "measure": {"battery_level": "low"}}, "low"),
             ({"do": "speed", "value": -1}, "a speed must be from 0"),
-            ({"do": "jump"}, "known are pause, resume, step, speed and inject"),
+            ({"do": "jump"}, "known are pause, resume, step, speed, break and inject"),
         ):
             (*_, answer) = talk(view, wrong, until=lambda one: "error" in one)
             assert words in answer["error"]

@@ -229,7 +229,7 @@ def test_moving_a_measurement_tells_what_would_be_chosen_and_of_which_instant_th
     feasible = told.split("feasible then")[1].split("other statuses")[0]
     assert "recharge" in feasible
     assert "inspect_pipeline" not in feasible
-    stored = float(re.search(r"stored for ([\d.]+) s", told)[1])
+    stored = float(re.search(r"stored at ([\d.]+) s", told)[1])
     assert 0 < stored <= 120
 
 
@@ -284,7 +284,7 @@ def test_proof_says_what_failures_leave(visits, tmp_path):
     assert len(rows) == 1 + len(proof.consequences)
 
 
-CUT = """() => [...document.querySelectorAll("html, body *:not(.unseen, svg *, [role=tree] *, .lane li)")]
+CUT = """() => [...document.querySelectorAll("html, body *:not(.unseen, svg *, [role=tree] *, .lane *)")]
   .filter(one => one.scrollWidth > one.clientWidth + 1 && one.clientWidth > 0)
   .filter(one => one.tagName === "HTML" || getComputedStyle(one).overflowX !== "visible")
   .map(one => `${one.tagName}.${one.className} ${one.scrollWidth} > ${one.clientWidth}: ${one.textContent}`)"""
@@ -309,9 +309,9 @@ def test_no_violation_of_accessibility(visits, scheme, width):
         pytest.skip("axe-core is not here: `npm ci` in missions/views/page installs it")
     page = visits.show(visits.file(report(recorded("suave_extended"))), width, scheme=scheme)
     page.evaluate(AXE.read_text(encoding="utf-8"))
-    for keys in ((), ("p", "p")):
-        for key in keys:
-            page.keyboard.press(key)
+    for tab in ("What if", "Events"):
+        page.get_by_role("button", name=tab, exact=True).click()
+        page.keyboard.press("n")
         page.locator("#knowledge li button").first.click()
         found = page.evaluate("() => axe.run().then(found => found.violations)")
         told = [
@@ -367,7 +367,7 @@ def test_keyboard_alone_reaches_and_works_everything(shown):
     assert focused() == "search the tree"
     shown.keyboard.type("feasible?")
     assert shown.get_by_role("treeitem").filter(has_text="recharge feasible?").count() == 1
-    for _ in range(4):
+    for _ in range(6):
         shown.keyboard.press("Tab")
     assert focused() == "nodes of the tree"
     shown.keyboard.press("End")
@@ -375,6 +375,73 @@ def test_keyboard_alone_reaches_and_works_everything(shown):
     shown.keyboard.press("Escape")
     shown.keyboard.press("d")
     assert shown.evaluate("() => document.documentElement.dataset.theme") == "dark"
+
+
+def test_panel_fills_the_page_and_goes_back_and_the_link_keeps_it(shown, visits):
+    def height(page):
+        return page.locator("#tree").bounding_box()["height"]
+
+    small = height(shown)
+    shown.locator("#tree .outline").focus()
+    shown.keyboard.press("e")
+    assert height(shown) > 2 * small
+    assert not shown.locator("#scene").is_visible()
+    shown.keyboard.press("Escape")
+    assert height(shown) == pytest.approx(small, abs=120)  # the chain has left its room
+    shown.get_by_role("button", name="Scene: change places with the next panel").click()
+    shown.get_by_role("button", name="Tree · 14 nodes: fill the page").click()
+    sync_api.expect(shown).to_have_url(re.compile("p=tree.*o=adaptations%2Ctree%2Cscene"))
+    again = visits.show(shown.url)
+    assert height(again) == height(shown)
+
+
+def test_events_are_filtered_and_lead_to_their_instant(shown):
+    shown.get_by_role("button", name="Events").click()
+    entries = shown.locator("#log .entry")
+    assert entries.count() > 50
+    shown.get_by_label("least level").select_option("error")
+    shown.get_by_label("search events").fill("thruster")
+    told = entries.all_inner_texts()
+    assert told
+    assert all("error" in one and "thruster" in one for one in told)
+    entries.first.click()
+    assert shown.locator(".clock").inner_text().startswith(told[0].split(" s")[0])
+
+
+def test_condition_leads_to_its_next_time_and_stops_the_playing(shown):
+    slide(shown, 0)
+    shown.get_by_role("button", name="Events").click()
+    shown.get_by_label("condition, such as").fill("inspect_pipeline unfeasible")
+    shown.get_by_role("button", name="Next time").click()
+    assert shown.locator(".clock").inner_text().startswith("150.9 s")
+    shown.get_by_role("button", name="Stop there").click()
+    slide(shown, 149)
+    shown.keyboard.press("Escape")
+    shown.locator("#instant").focus()
+    shown.keyboard.press("Space")
+    sync_api.expect(shown.locator(".clock")).to_have_text(re.compile("^150.9 s"))
+    shown.get_by_role("button", name="play (Space)").wait_for()
+    shown.get_by_label("condition, such as").fill("nobody failed")
+    assert "no such element" in shown.locator("#log").inner_text()
+
+
+def test_curves_are_zoomed_by_dragging_read_and_downloaded(shown):
+    plot = shown.locator("#timelines .plot").first
+    box = plot.bounding_box()
+    shown.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 20)
+    shown.mouse.down()
+    shown.mouse.move(box["x"] + 0.6 * box["width"], box["y"] + 20, steps=3)
+    shown.mouse.up()
+    sync_api.expect(shown).to_have_url(re.compile(r"z=\d+(\.\d+)?%2C\d+"))
+    assert re.search(r"[\d.]+ at \d+", shown.locator("#timelines .reads").first.inner_text())
+    with shown.expect_download() as started:
+        shown.get_by_role("button", name="CSV").click()
+    lines = Path(started.value.path()).read_text(encoding="utf-8").splitlines()
+    assert lines[0].startswith('"time [s]","water_visibility [m]","battery_level')
+    times = [float(line.split(",")[0]) for line in lines[1:]]
+    assert 80 < times[0] < times[-1] < 210
+    shown.keyboard.press("z")
+    sync_api.expect(shown).not_to_have_url(re.compile("z="))
 
 
 def test_adaptations_are_told_to_screen_readers(shown):
@@ -512,7 +579,7 @@ def test_report_that_a_live_view_wrote_claims_no_knowledge_base_to_ask(visits):
         "live",
     )
     page = visits.show(visits.file(text))
-    assert "Of the cases stored" in page.locator("#whatif").inner_text()
+    assert "Cases stored at" in page.locator("#whatif").inner_text()
     assert "manager" not in page.locator(".head").inner_text()
     assert page.get_by_role("alert").inner_text() == "cut off at 300 s"
 
@@ -553,7 +620,11 @@ def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(
         "one => { one.value = 0.1; one.dispatchEvent(new Event('input', {bubbles: true})) }"
     )
     page.locator("#whatif", has_text="feasible then").wait_for()
-    page.get_by_role("button", name="Measure this from now on").click()
+    page.get_by_role("button", name="Disturb").click()
+    page.get_by_label("value of battery_level").fill("0.1")
+    page.locator("#disturb li", has_text="battery_level").get_by_role(
+        "button", name="Measure"
+    ).click()
     adapted = page.locator("#adaptations li button", has_text="search_pipeline → recharge")
     adapted.click()
     sync_api.expect(page).to_have_url(
@@ -575,6 +646,44 @@ def test_fault_is_injected_and_the_adaptation_and_its_chain_stand_there(
         "aria-pressed", "true"
     )
     assert page.locator("#instant").evaluate("one => one.value === one.max")
+
+
+def test_what_if_changes_no_fact_in_a_live_mission(visits):
+    steering = Steering(speed=0)
+    steering.do({"do": "pause"})
+    with mission(steering, duration=20) as (view, run, _):
+        page = visits.show(view.url)
+        visits.outlives_its_mission = True
+        known = repr(run.kb.components), repr(run.kb.attributes), run.kb.log.last
+        for component in ("c_thruster_1", "spiral_search"):
+            page.locator("#whatif").get_by_role("button", name=f"{component} failed").click()
+        outcome = page.locator("#whatif .details", has_text="other statuses")
+        outcome.get_by_text("c_thruster_1").wait_for()
+        assert (repr(run.kb.components), repr(run.kb.attributes), run.kb.log.last) == known
+        assert run.faults is None
+        page.get_by_role("button", name="Disturb").click()
+        page.locator("#disturb li", has_text="c_thruster_1").get_by_role(
+            "button", name="Fail"
+        ).click()
+        steering.do({"do": "step"})
+        page.get_by_role("button", name="Events").click()
+        page.locator(".entry.error", has_text="c_thruster_1 has failed").wait_for()
+        assert run.kb.components["c_thruster_1"].status == "failure"
+
+
+def test_live_mission_stops_at_a_breakpoint_set_on_the_page(visits):
+    steering = Steering(speed=0)
+    steering.do({"do": "pause"})
+    with mission(steering, duration=40) as (view, run, _):
+        page = visits.show(view.url)
+        visits.outlives_its_mission = True
+        page.get_by_role("button", name="Events").click()
+        page.get_by_label("condition, such as").fill("water_visibility < 3")
+        page.get_by_role("button", name="Stop there").click()
+        page.locator(".stop", has_text="water_visibility < 3").wait_for()
+        page.get_by_role("button", name="Resume mission").click()
+        page.locator(".connection", has_text="paused: water_visibility < 3 at").wait_for()
+        assert 2.8 < run.kb.attributes["water_visibility"].value < 3
 
 
 def test_page_says_that_the_mission_is_gone(visits, running, address):

@@ -65,7 +65,7 @@ def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
     )
     assert "water_visibility" in panes["measurements"]
     assert "█" in panes["measurements"]
-    assert "over: " in title
+    assert "aborted: " in title
     assert right <= 80
 
 
@@ -107,3 +107,16 @@ def test_program_that_is_to_end_does_not_wait_for_the_run_that_it_shows(monkeypa
     done = CliRunner().invoke(cli.app, ["run", "suave", "--tui", "--speed", "10"])
     assert done.exit_code == 143
     assert time.monotonic() - start < 15.0
+
+
+def test_log_shows_what_happened_and_only_what_is_filtered(recorder):
+    fold = Fold()
+    for row in recorder.rows.since(0)[1]:
+        fold.put(row)
+    everything = [str(line) for line in fold.log("")]
+    errors = [str(line) for line in fold.log("error thruster")]
+    assert any("recharge is requested" in line for line in everything)
+    assert 0 < len(errors) < len(everything)
+    assert all("thruster" in line for line in errors)
+    times = [float(line.partition(" s")[0]) for line in everything]
+    assert times == sorted(times, reverse=True)

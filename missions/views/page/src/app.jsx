@@ -3,10 +3,12 @@ import { batch, useComputed } from "@preact/signals";
 import { Adaptations, Chain } from "./adaptations.jsx";
 import { clock, withUnit } from "./format.js";
 import { KEYS } from "./keys.js";
+import { Disturb } from "./disturb.jsx";
 import { Knowledge } from "./knowledge.jsx";
+import { Events } from "./log.jsx";
 import { complaint, connection, dropped, may, order, state } from "./live.js";
 import { Scene } from "./scene.jsx";
-import { adaptations, chosen, revision, run, runs, shown, time } from "./state.js";
+import { adaptations, chosen, enlarged, revision, run, runs, shown, tab, time } from "./state.js";
 import { theme, toggleTheme } from "./theme.js";
 import { Timelines } from "./timelines.jsx";
 import { Transport } from "./transport.jsx";
@@ -16,12 +18,14 @@ import { WhatIf } from "./whatif.jsx";
 const PACES = [0, 0.5, 1, 2, 5, 10];
 
 function Live() {
-  const { paused, speed, over, pages } = state.value;
+  const { paused, stopped, speed, over, pages } = state.value;
   const can = (what) => may.value.includes(what);
   const paces = [...new Set([...PACES, speed])];
   return (
     <div class="tools" role="group" aria-label="mission">
-      <span class={`connection ${connection.value}`} role="status">{over ? "over" : connection.value}{paused && ", paused"}</span>
+      <span class={`connection ${connection.value}`} role="status">
+        {over ? "over" : connection.value}{paused && `, paused${stopped ? `: ${stopped}` : ""}`}
+      </span>
       {dropped.value > 0 && <span class="bad">{dropped.value} updates dropped</span>}
       {pages > 1 && <small>{pages} pages</small>}
       {can("pause") && <button onClick={() => order(paused ? "resume" : "pause")}>{paused ? "Resume" : "Pause"} mission</button>}
@@ -100,6 +104,9 @@ function Head({ note }) {
   );
 }
 
+/** The panels that share a place. */
+const Side = () => ({ whatif: <WhatIf />, log: <Events />, disturb: <Disturb /> })[tab.value] ?? <WhatIf />;
+
 /** What a screen reader is told: the adaptation that came last. */
 function Told() {
   const latest = useComputed(() => adaptations.value.findLast(([, one]) => one.t <= time.value)?.[1]).value;
@@ -107,18 +114,18 @@ function Told() {
 }
 
 export function App({ differences, note }) {
-  if (!run.value) return <main role="status">{complaint.value || `The mission is asked for: ${connection.value}.`}</main>;
+  if (!run.value) return <main role="status">{complaint.value || `Connecting to the mission: ${connection.value}.`}</main>;
   return (
     <>
       <Head note={note} />
-      <main>
+      <main class={enlarged.value ? "has-large" : ""}>
         <Chain />
         <Adaptations differences={differences} />
         <Scene />
-        <Timelines />
         <Tree />
+        <Side />
+        <Timelines />
         <Knowledge />
-        <WhatIf />
       </main>
       <Transport />
       <Told />

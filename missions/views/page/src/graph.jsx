@@ -2,7 +2,7 @@
 import { useSignal, useSignalEffect } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import { BOX, drawing, nodes, pick, selectedNode, stateOf } from "./forest.js";
-import { at, chosen, stepsOf } from "./state.js";
+import { at, chosen, enlarged, stepsOf } from "./state.js";
 import { markOf, useSize } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
 
@@ -45,9 +45,10 @@ function drawBox(context, { node, x, y }, isWorded) {
   const steps = stepsOf("nodes", node.uid);
   if (!steps.length) return;
   context.fillStyle = colour("--chain");
-  context.fillRect(x - 4, y - 8, 9 * steps.length + 8, 14);
+  const wide = 9 * steps.length + 8;
+  context.fillRect(x + BOX.width - wide, y - 10, wide, 13); // above the name, where no mark is
   context.fillStyle = colour("--panel");
-  context.fillText(steps.join(" "), x, y + 3);
+  context.fillText(steps.join(" "), x + BOX.width - wide + 5, y + 1);
 }
 
 export function Graph() {
@@ -90,7 +91,7 @@ export function Graph() {
   }, [chosen.value]);
 
   const onWheel = (event) => {
-    if (!event.ctrlKey && !event.shiftKey) return; // the page scrolls
+    if (!event.ctrlKey && !event.shiftKey && enlarged.value !== "tree") return; // the page scrolls
     event.preventDefault();
     zoom(Math.exp(-(event.deltaY || event.deltaX) / 300), [event.offsetX, event.offsetY]);
   };

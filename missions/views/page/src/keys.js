@@ -1,7 +1,13 @@
 // The keyboard: what each key does, wherever the focus is, but where one types or where a list has keys of its own.
-import { chosen, end, leap, seek, selected, start, step, time } from "./state.js";
+import { chosen, end, enlarge, enlarged, leap, seek, selected, start, step, time, zoomed } from "./state.js";
 import { togglePlay } from "./player.js";
 import { toggleTheme } from "./theme.js";
+
+/** The panel that has the focus, else the tree. */
+function panelInFocus() {
+  const id = document.activeElement.closest(".panel")?.id ?? "tree";
+  return ["whatif", "log", "disturb"].includes(id) ? "side" : id;
+}
 
 /** Each key as [its name, what it does, and how]. */
 export const KEYS = {
@@ -15,7 +21,9 @@ export const KEYS = {
   n: ["n", "next adaptation", () => leap(1)],
   p: ["p", "previous adaptation", () => leap(-1)],
   "/": ["/", "search the tree", () => document.querySelector("#tree input[type=search]").focus()],
-  Escape: ["Esc", "nothing chosen", () => (chosen.value = selected.value = null)],
+  e: ["e", "enlarge the panel in focus, or put it back", () => enlarge(enlarged.value ?? panelInFocus())],
+  z: ["z", "all of the time again", () => (zoomed.value = null)],
+  Escape: ["Esc", "nothing chosen, nothing enlarged", () => (chosen.value = selected.value = enlarged.value = null)],
   d: ["d", "light or dark", toggleTheme],
   "?": ["?", "these keys", () => document.querySelector("#keys").showModal()],
 };

@@ -1,6 +1,7 @@
-// The address keeps the instant and the choice: #t=151.0&a=7 (adaptation) &e=12 (element) &r=1 (the second run).
+// The address keeps what is shown: #t=151.0&a=7 (adaptation) &e=12 (element) &r=1 (the second run) &p=tree (enlarged)
+// &o=scene,tree,... (order of the panels) &b=log (of those that share a place) &z=10,20 (the time that is zoomed).
 import { batch, effect } from "@preact/signals";
-import { adaptations, chosen, isFollowing, run, runs, seek, selected, shown, time } from "./state.js";
+import { adaptations, chosen, enlarged, isFollowing, order, PANELS, run, runs, seek, selected, shown, tab, time, zoomed } from "./state.js";
 
 const LATER_MS = 200; // browsers ration how often an address may change
 
@@ -13,6 +14,12 @@ export function readLink() {
       shown.value = runs.value[said.get("r")] ? Number(said.get("r")) : 0;
       chosen.value = adaptations.value.some(([key]) => key === said.get("a")) ? said.get("a") : null;
       selected.value = said.get("e");
+      enlarged.value = PANELS.includes(said.get("p")) ? said.get("p") : null;
+      tab.value = said.get("b") ?? tab.value;
+      const panels = (said.get("o") ?? "").split(",");
+      order.value = [...panels].sort().join() === [...PANELS].sort().join() ? panels : PANELS;
+      const ends = (said.get("z") ?? "").split(",").map(parseFloat);
+      zoomed.value = ends.length === 2 && ends[0] < ends[1] ? ends : null;
       if (Number.isFinite(t)) seek(t);
     });
   }
@@ -29,6 +36,10 @@ export function keepLink() {
     if (chosen.value !== null) said.set("a", chosen.value);
     if (selected.value !== null) said.set("e", selected.value);
     if (shown.value) said.set("r", shown.value);
+    if (enlarged.value) said.set("p", enlarged.value);
+    if (tab.value !== "whatif") said.set("b", tab.value);
+    if (order.value !== PANELS) said.set("o", order.value);
+    if (zoomed.value) said.set("z", zoomed.value);
     clearTimeout(timer);
     timer = setTimeout(() => history.replaceState(null, "", `#${said}`), LATER_MS);
   });

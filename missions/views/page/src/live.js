@@ -18,7 +18,7 @@ let [failures, asked, wanted] = [0, 0, 0]; // wanted: number of the row up to wh
 
 const send = (message) => socket.readyState === WebSocket.OPEN && socket.send(JSON.stringify(message));
 export const order = (what, more = {}) => send({ do: what, ...more });
-export const ask = (measured) => send({ ask: "whatif", id: (asked += 1), measured, failed: [] });
+export const ask = (supposed) => send({ ask: "whatif", id: (asked += 1), ...supposed });
 
 export function connect(path) {
   const url = new URL(path, location.href);

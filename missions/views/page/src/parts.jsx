@@ -1,7 +1,8 @@
 // The small parts that every view is made of: panels, marks of status, references to elements, sizes.
 import { useSignal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
-import { chain, run, select, selected, stepsOf, useAt } from "./state.js";
+import { may } from "./live.js";
+import { chain, enlarge, enlarged, order, run, select, selected, stepsOf, swap, tab, useAt } from "./state.js";
 
 /** Each status as [shape, tone]; the shapes differ, so that nobody needs the colours. */
 const MARKS = {
@@ -25,12 +26,42 @@ export function Mark({ status, quiet }) {
 /** The status of an element at the instant shown. */
 export const Standing = ({ of, quiet }) => <Mark status={useAt("status", of) ?? ""} quiet={quiet} />;
 
-export const Panel = ({ id, title, aside, children }) => (
-  <section class="panel" id={id} aria-labelledby={`${id}-title`}>
-    <header><h2 id={`${id}-title`}>{title}</h2>{aside}</header>
-    {children}
-  </section>
+/** The panels that share a place, with their titles. */
+const SHARED = { whatif: "What if", log: "Events", disturb: "Disturb" };
+
+const Tabs = () => (
+  <div class="tools tabs" role="group" aria-label="shown here">
+    {Object.entries(SHARED).filter(([id]) => id !== "disturb" || may.value.includes("inject")).map(([id, title]) => (
+      <button key={id} aria-pressed={tab.value === id} onClick={() => (tab.value = id)}>{title}</button>
+    ))}
+  </div>
 );
+
+export function Panel({ id, title, aside, children }) {
+  const shared = id in SHARED;
+  const of = shared ? "side" : id;
+  const isLarge = enlarged.value === of;
+  const turn = order.value.indexOf(of);
+  return (
+    <section class={`panel ${isLarge ? "is-large" : ""}`} id={id} aria-labelledby={`${id}-title`}
+      style={{ order: turn, "--slot": `slot${turn}` }}>
+      <header>
+        <h2 id={`${id}-title`} class={shared && "unseen"}>{title}</h2>
+        {shared && <Tabs />}
+        <div class="tools">
+          {aside}
+          <button class="icon" aria-label={`${title}: ${isLarge ? "back to its place" : "fill the page"}`} aria-pressed={isLarge}
+            title="fill the page, or back (e)" onClick={() => enlarge(of)}>⤢</button>
+          {!isLarge && (
+            <button class="icon" aria-label={`${title}: change places with the next panel`} title="change places with the next panel"
+              onClick={() => swap(of)}>⇄</button>
+          )}
+        </div>
+      </header>
+      {children}
+    </section>
+  );
+}
 
 /** The numbers of the steps of the chosen chain that are about an element, or a node of the tree. */
 export function Badges({ list = "elements", one }) {

@@ -1,5 +1,6 @@
 // Plays what is past, as fast as asked for, until the end.
 import { effect, signal } from "@preact/signals";
+import { stopBetween } from "./conditions.js";
 import { end, isFollowing, seek, start, time } from "./state.js";
 
 export const SPEEDS = [0.5, 1, 2, 5, 10, 30];
@@ -15,9 +16,11 @@ effect(() => {
   if (!isPlaying.value) return;
   let before = performance.now();
   let frame = requestAnimationFrame(function turn(now) {
-    if (!isFollowing.peek()) seek(time.peek() + ((now - before) / 1000) * speed.peek());
+    const [from, until] = [time.peek(), time.peek() + ((now - before) / 1000) * speed.peek()];
+    const stop = stopBetween(from, until);
+    if (!isFollowing.peek()) seek(stop ?? until);
     before = now;
-    if (time.peek() >= end.peek()) isPlaying.value = false;
+    if (stop !== undefined || time.peek() >= end.peek()) isPlaying.value = false;
     else frame = requestAnimationFrame(turn);
   });
   return () => cancelAnimationFrame(frame);

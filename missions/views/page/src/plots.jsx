@@ -1,14 +1,16 @@
 // A measurement over time, with its thresholds, where it was stale, and the other run's beside it where there are two.
-import { effect } from "@preact/signals";
+import { effect, signal } from "@preact/signals";
 import { useEffect, useRef } from "preact/hooks";
 import uPlot from "uplot";
-import { end, revision, run, runs, shown, start, stepsOf, useAt } from "./state.js";
-import { figure, pretty, withUnit } from "./format.js";
+import { end, revision, run, runs, shown, span, stepsOf, useAt } from "./state.js";
+import { clock, figure, pretty, withUnit } from "./format.js";
 import { Name, Standing } from "./parts.jsx";
 import { colour, theme } from "./theme.js";
 
 const HEIGHT = 84; // [px]
 const AXIS = 44; // room for the numbers at the left [px]
+const NAMED = 3; // names of a group of thresholds; the rest is counted
+export const hovered = signal(null); // the time where the pointer is
 const FAR = "1500px 0px"; // a plot farther out of sight than this is not made yet
 
 /** What a key of a track was in each run, as columns that uPlot takes; the last value holds to the end. */
@@ -63,7 +65,7 @@ function options(width, limits, stale, count) {
   const numbers = { stroke: () => colour("--muted"), grid, ticks: { show: false }, font: "11px system-ui", size: AXIS, space: 26 };
   return {
     width, height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 0, 4, 0],
-    scales: { x: { time: false, range: () => [start.peek(), end.peek()] }, y: { range: spread(limits) } },
+    scales: { x: { time: false, range: () => span.peek() }, y: { range: spread(limits) } },
     axes: [{ show: false }, { ...numbers, values: (_, ticks) => ticks.map((tick) => figure(tick)) }],
     series: [{}, ...Array.from({ length: count }, line)],
     hooks: { drawClear: [(plot) => shade(plot, stale())], draw: [(plot) => rule(plot, limits)] },
@@ -75,7 +77,7 @@ function Canvas({ label, tracks, stale, limits }) {
   const frame = useRef(null);
   useEffect(() => {
     let plot, stop;
-    const draw = () => (theme.value, shown.value, revision.value, plot.setData(columns(tracks())));
+    const draw = () => (theme.value, shown.value, revision.value, span.value, plot.setData(columns(tracks())));
     const make = () => {
       plot = new uPlot(options(frame.current.clientWidth, limits, stale, runs.value.length), null, frame.current);
       stop = effect(() => void draw());
@@ -94,16 +96,37 @@ function Canvas({ label, tracks, stale, limits }) {
   return <div class="plot" ref={frame} role="img" aria-label={label} style={{ height: `${HEIGHT}px` }} />;
 }
 
-/** A threshold as the plot's head says it: what it is for, and how long it has to hold. */
-function Threshold({ of }) {
-  const one = run.value.element(of);
-  const more = [one.dwell && `dwell ${figure(one.dwell)} s`, one.hysteresis && `hysteresis ${figure(one.hysteresis)}`].filter(Boolean);
+/** Thresholds that are the same, as one: what they are for, and how long each has to hold. */
+function grouped(thresholds) {
+  const groups = new Map();
+  for (const key of thresholds) {
+    const { operator, value, dwell, hysteresis, on } = run.value.element(key) ?? {};
+    if (!operator) continue;
+    const id = [operator, value, dwell, hysteresis].join(" ");
+    const group = groups.get(id) ?? { id, operator, value, dwell, hysteresis, keys: [], on: [] };
+    group.keys.push(key);
+    group.on.push(...on);
+    groups.set(id, group);
+  }
+  return [...groups.values()].sort((a, b) => b.value - a.value);
+}
+
+function Threshold({ operator, value, dwell, hysteresis, keys, on }) {
+  const more = [dwell && `dwell ${figure(dwell)} s`, hysteresis && `hysteresis ${figure(hysteresis)}`].filter(Boolean);
+  const names = on.map((each) => run.value.name(each));
+  const rest = names.length > NAMED ? ` and ${names.length - NAMED} more` : "";
   return (
-    <li>
-      <Standing of={of} quiet /> {pretty(one.operator)} {figure(one.value)}{" "}
-      <span class="muted">{[one.on.map((each) => run.value.name(each)).join(", "), ...more].join(" · ")}</span>
+    <li title={names.join(", ")}>
+      <Standing of={keys[0]} quiet /> {pretty(operator)} {figure(value)}{" "}
+      <span class="muted">{[names.slice(0, NAMED).join(", ") + rest, ...more].join(" · ")}</span>
     </li>
   );
+}
+
+/** What a curve reads where the pointer is. */
+function Read({ of, track }) {
+  if (hovered.value === null) return null;
+  return <small class="reads">{figure(run.value.of(track, of).at(hovered.value))} at {clock(hovered.value)}</small>;
 }
 
 export function AttributePlot({ of, element: { name, unit, max_age, thresholds, ...element } }) {
@@ -117,8 +140,9 @@ export function AttributePlot({ of, element: { name, unit, max_age, thresholds, 
       <p>
         <Name of={of} /> <b>{words}</b> {isStale ? <span class="tag bad">stale</span> : null}
         {max_age !== null && <small>stale after {figure(max_age)} s</small>}
+        <Read of={of} track="value" />
       </p>
-      <ul>{thresholds.map((one) => <Threshold key={one} of={one} />)}</ul>
+      <ul>{grouped(thresholds).map((one) => <Threshold key={one.id} {...one} />)}</ul>
       <Canvas label={`${name} over time, ${words} now`} tracks={tracks} stale={stale} limits={limits} />
     </div>
   );
@@ -129,7 +153,7 @@ export function SignalPlot({ name }) {
   const tracks = () => runs.value.map((one) => one.of("signal", name));
   return (
     <div class="measured">
-      <p><span class="name">{name}</span> <b>{value}</b></p>
+      <p><span class="name">{name}</span> <b>{value}</b> <Read of={name} track="signal" /></p>
       <Canvas label={`${name} over time, ${value} now`} tracks={tracks} stale={() => []} limits={[]} />
     </div>
   );

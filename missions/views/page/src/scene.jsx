@@ -84,14 +84,25 @@ function Thing({ name, shape, spots }) {
   return spots.map(([x, y]) => <rect key={x} class="thing spot" x={x - 4} y={y - 4} width="8" height="8"><title>{name}</title></rect>);
 }
 
-function Decided({ id, one, place }) {
-  const spot = placeAt(run.value, place, one.t);
-  if (!spot) return null;
-  return (
-    <circle class={`decided ${chosen.value === id ? "is-chosen" : ""}`} cx={spot[0]} cy={spot[1]} r="5" onClick={() => choose(id)}>
-      <title>{`${clock(one.t)}: ${one.cause}`}</title>
-    </circle>
-  );
+/** Where the adaptations were decided; those of the same place stand beside one another. */
+function Decided({ place }) {
+  const taken = [];
+  const spread = ([x, y]) => {
+    const around = Array.from({ length: 24 }, (_, turn) => [11 * Math.ceil(turn / 8), turn * 0.8]);
+    const spots = around.map(([far, angle]) => [x + far * Math.cos(angle), y + far * Math.sin(angle)]);
+    const spot = spots.find(([left, top]) => taken.every(([x2, y2]) => Math.hypot(left - x2, top - y2) > 10)) ?? [x, y];
+    taken.push(spot);
+    return spot;
+  };
+  return adaptations.value.map(([id, one]) => {
+    const spot = placeAt(run.value, place, one.t);
+    const [x, y] = spot ? spread(spot) : [];
+    return spot && (
+      <circle key={id} class={`decided ${chosen.value === id ? "is-chosen" : ""}`} cx={x} cy={y} r="5" onClick={() => choose(id)}>
+        <title>{`${clock(one.t)}: ${one.cause}`}</title>
+      </circle>
+    );
+  });
 }
 
 function Above({ size }) {
@@ -119,9 +130,11 @@ function Above({ size }) {
         </g>
       ))}
       {labels.map(({ text, x, y }) => <text key={text} x={x} y={y} class="label">{text}</text>)}
-      {adaptations.value.map(([key, one]) => <Decided key={key} id={key} one={one} place={place} />)}
+      <Decided place={place} />
       {runs.value.map((one, side) => <Robot key={side} one={one} place={place} other={side !== shown.value} />)}
       <Steps place={place} />
+      <text class="label" x={size[0] - 6} y={size[1] - 6} text-anchor="end">east x [m] →</text>
+      <text class="label" x={6} y={14}>↑ north y [m]</text>
       <g class="bar" transform={`translate(${MARGIN / 2} ${size[1] - 12})`}>
         <path d={`M0 -4 V0 H${wide} V-4`} /><text x={wide + 5} y="2">{figure(bar)} m</text>
       </g>

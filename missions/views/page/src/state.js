@@ -18,6 +18,26 @@ export const end = computed(() => (revision.value, Math.max(...runs.value.map((o
 export const part = (t) => (t - start.value) / (end.value - start.value);
 export const percent = (t) => `${(100 * part(t)).toFixed(3)}%`;
 
+/** The part of the time that "Over time" shows: [from, until] where it is zoomed, else all of the run. */
+export const zoomed = signal(null);
+export const span = computed(() => zoomed.value ?? [start.value, end.value]);
+export const place = (t) => `${((100 * (t - span.value[0])) / (span.value[1] - span.value[0])).toFixed(3)}%`;
+
+/** Where the panels stand, in order; which one fills the page; which of those that share a place is shown. */
+export const PANELS = ["adaptations", "scene", "tree", "side", "timelines", "knowledge"];
+export const order = signal(PANELS);
+export const enlarged = signal(null);
+export const tab = signal("whatif");
+
+/** Let a panel and the next one change places. */
+export function swap(id) {
+  const [list, here] = [[...order.value], order.value.indexOf(id)];
+  const next = (here + 1) % list.length;
+  [list[here], list[next]] = [list[next], list[here]];
+  order.value = list;
+}
+export const enlarge = (id) => (enlarged.value = enlarged.value === id ? null : id);
+
 /** What a key of a track is at the instant shown; a view that reads it is drawn anew only when that changes. */
 export const at = (track, key) => (revision.value, run.value.of(track, key).at(time.value));
 export const useAt = (track, key) => useComputed(() => at(track, key)).value;
@@ -29,6 +49,7 @@ const timely = (one) => ({ ...one, t: counted(one.t), chain: one.chain.map((step
 /** The adaptations in order of time, as [key, adaptation], those still to come among them. */
 export const adaptations = computed(() => {
   revision.value;
+  if (!run.value) return [];
   return run.value.last("adaptation").map(([key, one]) => [key, timely(one)]).sort(([, a], [, b]) => a.t - b.t);
 });
 export const adaptation = computed(() => adaptations.value.find(([key]) => key === chosen.value)?.[1]);

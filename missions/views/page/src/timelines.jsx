@@ -1,11 +1,15 @@
 // Everything over time on one axis: what was measured, done, chosen, planned; the line of the instant; the chosen chain.
+import { useSignal } from "@preact/signals";
 import { useEffect, useMemo, useRef } from "preact/hooks";
-import { clock } from "./format.js";
+import { clock, withUnit } from "./format.js";
 import { Panel, reveal, stepsBy } from "./parts.jsx";
-import { AttributePlot, SignalPlot } from "./plots.jsx";
+import { AttributePlot, hovered, SignalPlot } from "./plots.jsx";
 import { actionNames, hueOf } from "./scene.jsx";
-import { chosen, elements, end, part, percent, revision, run, runs, seek, start, time } from "./state.js";
+import { chosen, elements, part, place, revision, run, runs, seek, span, time, zoomed } from "./state.js";
 
+const ROUND = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 36000]; // steps of the axis [s]
+const TICKS = 8; // of the axis, at most
+const LEAST = 0.01; // part of the axis that has to be dragged over for a zoom
 const SAME = 0.05; // part of the axis on which the marks of a chain are one
 
 /** A bar {from, until [s], text, words, hue}; one that is still open goes to the end of its run. */
@@ -43,8 +47,10 @@ function lanes() {
   return titles.map((title) => [title, all.map((one) => one.get(title) ?? [])]).filter(([, sides]) => sides.some(({ length }) => length));
 }
 
+const between = (from, until) => ({ left: place(from), width: `calc(${place(until)} - ${place(from)})` });
+
 const Bar = ({ from, until, text, words, hue }) => (
-  <li class={from === until ? "point" : ""} style={{ left: percent(from), width: percent(start.value + until - from), background: hue }}
+  <li class={from === until ? "point" : ""} style={{ ...between(from, until), background: hue }}
     title={`${clock(from)} – ${clock(until)} ${text} ${words}`}>
     {text || <span class="unseen">{words || "on"}</span>}
   </li>
@@ -64,7 +70,7 @@ const Lane = ({ title, sides }) => (
 /** The lanes are drawn anew when there is more to draw, not at each instant. */
 function Lanes() {
   const known = revision.value;
-  return useMemo(() => lanes().map(([title, sides]) => <Lane key={title} title={title} sides={sides} />), [known, runs.value]);
+  return useMemo(() => lanes().map(([title, sides]) => <Lane key={title} title={title} sides={sides} />), [known, runs.value, span.value]);
 }
 
 /** The line of the instant, and those of the chosen chain, over all that has the axis. */
@@ -73,26 +79,86 @@ function Lines() {
   const near = ({ t }) => (last = part(t) - last > SAME ? part(t) : last);
   return (
     <div class="lines" aria-hidden="true">
-      {stepsBy(near).map(([place, { t }, words]) => <i key={place} class="step-line" style={{ left: percent(t) }}><b>{words}</b></i>)}
-      <i class="instant-line" style={{ left: percent(time.value) }} />
+      {stepsBy(near).map(([along, { t }, words]) => <i key={along} class="step-line" style={{ left: place(t) }}><b>{words}</b></i>)}
+      <i class="instant-line" style={{ left: place(time.value) }} />
     </div>
   );
 }
 
+/** The axis of time: a tick at each round number, and its name. */
+function Ruler() {
+  const [from, until] = span.value;
+  const step = ROUND.find((one) => (until - from) / one <= TICKS) ?? (until - from) / TICKS;
+  const first = Math.ceil(from / step);
+  const ticks = Array.from({ length: Math.floor(until / step) - first + 1 }, (_, index) => (first + index) * step);
+  return (
+    <div class="ruler" aria-hidden="true">
+      <ol>{ticks.map((t) => <li key={t} style={{ left: place(t) }}>{from > 1e8 ? clock(t).slice(0, 8) : Number(t.toFixed(6))}</li>)}</ol>
+      <span>{from > 1e8 ? "time of day" : "time [s]"}</span>
+    </div>
+  );
+}
+
+/** What is drawn in the time shown, as text with a row for each instant at which a value came. */
+function asText(attributes) {
+  const columns = [
+    ...attributes.map(([key, { name, unit }]) => [withUnit(name, unit && `[${unit}]`), run.value.of("value", key)]),
+    ...run.value.keys("signal").map((name) => [name, run.value.of("signal", name)]),
+  ];
+  const [from, until] = span.value;
+  const times = [...new Set(columns.flatMap(([, { times: all }]) => all.filter((t) => t >= from && t <= until)))].sort((a, b) => a - b);
+  const quoted = (name) => `"${name.replaceAll('"', '""')}"`;
+  const rows = times.map((t) => [t, ...columns.map(([, track]) => track.at(t) ?? "")].join(","));
+  return [["time [s]", ...columns.map(([name]) => name)].map(quoted).join(","), ...rows, ""].join("\n");
+}
+
+function download(text) {
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(new Blob([text], { type: "text/csv" }));
+  link.download = `${run.value.header.title || "run"}.csv`;
+  link.click();
+  URL.revokeObjectURL(link.href);
+}
+
 export function Timelines() {
-  const [axis, body] = [useRef(null), useRef(null)];
+  const [axis, body, grip] = [useRef(null), useRef(null), useRef(null)];
+  const marked = useSignal(null); // what is dragged over, [from, until]
   useEffect(() => reveal(body.current, body.current.querySelector(".in-chain")), [chosen.value]);
   revision.value;
   const attributes = elements.value.filter(([key, one]) => one.kind === "attribute" && run.value.of("value", key).times.length);
-  const go = (event) => {
+  const timeAt = ({ clientX }) => {
     const { left, width } = axis.current.getBoundingClientRect();
-    const place = (event.clientX - left) / width;
-    if (event.buttons && place >= 0 && place <= 1 && !event.target.closest("button")) seek(start.value + place * (end.value - start.value));
+    const along = (clientX - left) / width;
+    return along >= 0 && along <= 1 ? span.value[0] + along * (span.value[1] - span.value[0]) : null;
   };
+  const onPointerDown = (event) => (grip.current = event.target.closest("button") ? null : timeAt(event));
+  const onPointerMove = (event) => {
+    const t = timeAt(event);
+    hovered.value = t;
+    if (event.buttons && grip.current !== null && t !== null) marked.value = [grip.current, t].sort((a, b) => a - b);
+  };
+  const onPointerUp = () => {
+    const [from, until] = marked.value ?? [];
+    if (until - from > (span.value[1] - span.value[0]) * LEAST) zoomed.value = [from, until];
+    else if (grip.current !== null) seek(grip.current);
+    grip.current = marked.value = null;
+  };
+  const aside = (
+    <>
+      <small>{runs.value.length > 1 ? "the other run dashed" : "click to go there, drag to zoom"}</small>
+      {zoomed.value && <button onClick={() => (zoomed.value = null)}>All</button>}
+      <button title="download what is shown" onClick={() => download(asText(attributes))}>CSV</button>
+    </>
+  );
   return (
-    <Panel id="timelines" title="Over time" aside={<small>{runs.value.length > 1 ? "the other run dashed" : "press to go there"}</small>}>
-      <div class="body stack" ref={body} tabIndex={0} role="group" aria-label="time lines" onPointerDown={go} onPointerMove={go}>
-        <div class="over" ref={axis}><Lines /></div>
+    <Panel id="timelines" title="Over time" aside={aside}>
+      <div class="body stack" ref={body} tabIndex={0} role="group" aria-label="time lines" onPointerDown={onPointerDown}
+        onPointerMove={onPointerMove} onPointerUp={onPointerUp} onPointerLeave={() => (hovered.value = null)}>
+        <Ruler />
+        <div class="over" ref={axis}>
+          <Lines />
+          {marked.value && <i class="marked" style={between(...marked.value)} />}
+        </div>
         {attributes.map(([key, one]) => <AttributePlot key={key} of={key} element={one} />)}
         {run.value.keys("signal").map((name) => <SignalPlot key={name} name={name} />)}
         <Lanes />

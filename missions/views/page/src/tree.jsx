@@ -104,6 +104,18 @@ function Plan() {
   );
 }
 
+/** What the marks mean: statuses of nodes and elements, and kinds of nodes. */
+const Legend = () => (
+  <details class="key">
+    <summary>Legend</summary>
+    <ul>
+      {["R", "S", "F", "", "feasible", "unfeasible", "unsolved"].map((status) => <li key={status}><Mark status={status} /></li>)}
+      <li><small>faint: from an earlier tick</small></li>
+      {Object.entries(KINDS).map(([kind, sign]) => <li key={kind}><span class="kind" aria-hidden="true">{sign}</span> {kind}</li>)}
+    </ul>
+  </details>
+);
+
 export function Tree() {
   const isDrawn = useSignal(false);
   const aside = (
@@ -120,6 +132,7 @@ export function Tree() {
       {nodes.value.length > 0 ? <View /> : <p class="body muted">No tree at this instant.</p>}
       <Plan />
       <Chosen />
+      <Legend />
     </Panel>
   );
 }

@@ -1,17 +1,20 @@
-// What if a measurement were another: of the cases stored with a report for an instant, or asked of the base while it runs.
+// What if a measurement were another, or a component failed: of the cases stored with a report, or asked of the base while it runs.
+// It only supposes: nothing here changes a fact of the robot.
 import { signal } from "@preact/signals";
 import { useEffect } from "preact/hooks";
 import { clock, extent, figure, withUnit } from "./format.js";
-import { answer, ask, connection, may, order } from "./live.js";
+import { answer, ask, connection } from "./live.js";
 import { Mark, Panel } from "./parts.jsx";
 import { at, elements, revision, run, time } from "./state.js";
 
 const STEPS = 200; // of a slider
 const OWN = new Set(["action", "function", "component", "function design", "configuration"]); // whose statuses are told
-const moved = signal({}); // values by attribute; in a report one at a time
+const moved = signal({}); // values by attribute
+const turned = signal({}); // "failed" or "recovered" by component; in a report, one thing at a time
 const isLive = () => connection.value !== "none";
 const nameOf = (element) => (element === null ? "nothing" : run.value.name(element));
 const limitsOf = ({ thresholds }) => thresholds.map((one) => run.value.element(one).value);
+const reset = () => (moved.value = turned.value = {});
 
 /** The cases that were stored at the latest instant up to the one shown. */
 function stored() {
@@ -30,20 +33,28 @@ function rangeOf(key, element) {
 function Measurement({ of, element, hint }) {
   const [low, high] = rangeOf(of, element);
   const value = moved.value[of] ?? at("value", of);
-  const move = ({ target }) => (moved.value = { ...(isLive() && moved.value), [of]: target.valueAsNumber });
+  const move = ({ target }) => {
+    if (!isLive()) reset();
+    moved.value = { ...moved.value, [of]: target.valueAsNumber };
+  };
   return (
     <label class={of in moved.value ? "moved" : ""}>
       <span><span class="name">{element.name}</span> <b>{withUnit(figure(value, limitsOf(element)), element.unit)}</b></span>
       <input type="range" min={low} max={high} step={(high - low) / STEPS} value={value} onInput={move} />
       {hint && <small>{hint}</small>}
-      {may.value.includes("inject") && of in moved.value && (
-        <span class="tools">
-          <button onClick={() => order("inject", { measure: { [element.name]: value } })}>Measure this from now on</button>
-          <button onClick={() => order("inject", { release: [element.name] })}>Release</button>
-        </span>
-      )}
     </label>
   );
+}
+
+/** A component that is supposed to fail, or to recover if it has failed. */
+function Component({ of, verb }) {
+  const isOn = of in turned.value;
+  const turn = () => {
+    const { [of]: before, ...others } = turned.value;
+    if (!isLive()) reset();
+    turned.value = before ? others : { ...(isLive() ? others : {}), [of]: verb };
+  };
+  return <button class="name" aria-pressed={isOn} onClick={turn}>{run.value.name(of)} {verb}</button>;
 }
 
 function interval({ low, high }) {
@@ -65,67 +76,66 @@ function Outcome({ feasible, status, chosen }) {
       {switched.map(([key, part]) => <dd key={key} class="name">{nameOf(key)}: {nameOf(chosenNow(key))} → {nameOf(part)}</dd>)}
       {others.length > 0 && <dt>other statuses</dt>}
       {others.map(([key, to]) => <dd key={key}><span class="name">{nameOf(key)}</span> <Mark status={to} /></dd>)}
-      {switched.length + others.length === 0 && <dd>Nothing would be other than it is.</dd>}
+      {switched.length + others.length === 0 && <dd>Nothing would change.</dd>}
     </dl>
   );
 }
 
 function Stored() {
-  const found = stored();
-  if (!found) return <p class="muted">No cases are stored up to this instant.</p>;
+  const latest = stored();
+  if (!latest) return <p class="muted">No cases are stored up to this instant.</p>;
   const [[key, value] = []] = Object.entries(moved.value);
+  const [component] = Object.keys(turned.value);
   const fits = ({ attribute, low, high }) => String(attribute) === key && (low ?? -Infinity) <= value && value < (high ?? Infinity);
-  const fitting = found.cases.find(fits);
-  const offered = new Set(found.cases.map(({ attribute }) => attribute));
-  const told = (key) => found.cases.filter(({ attribute }) => attribute === key).map(interval).join(" · ");
+  const fitting = latest.cases.find((one) => (component ? String(one.component) === component : fits(one)));
+  const of = (field) => [...new Set(latest.cases.map((one) => one[field]).filter((one) => one !== undefined))];
+  const told = (attribute) => latest.cases.filter((one) => one.attribute === attribute).map(interval).join(" · ");
   return (
     <>
-      {[...offered].map((one) => <Measurement key={one} of={one} element={run.value.element(one)} hint={told(one)} />)}
-      {fitting && <p>If <span class="name">{nameOf(key)}</span> were {interval(fitting)}{fitting.now && ", as it is"}:</p>}
+      {of("attribute").map((one) => <Measurement key={one} of={one} element={run.value.element(one)} hint={told(one)} />)}
+      <div class="tools">
+        {latest.cases.filter(({ verb }) => verb).map((one) => <Component key={one.component} of={String(one.component)} verb={one.verb} />)}
+      </div>
+      {fitting && (
+        <p>
+          If <span class="name">{nameOf(component ?? key)}</span>{" "}
+          {component ? `had ${fitting.verb}` : `were ${interval(fitting)}`}{fitting.now && ", as it is"}:
+        </p>
+      )}
       {fitting && <Outcome {...fitting} />}
-      <p class="muted">Of the cases stored for {clock(found.t)}: one measurement another, all else as it was then.</p>
+      <p class="muted">Cases stored at {clock(latest.t)}: one thing is different, the rest is as it was then.</p>
     </>
   );
 }
 
-/** A component that is made to fail, or to recover. */
-function Break({ what, components }) {
-  const press = ({ target }) => {
-    order("inject", { [what]: target.value });
-    target.value = "";
-  };
-  return (
-    <label>
-      have {what === "fail" ? "fail" : "recovered"}{" "}
-      <select onChange={press}>
-        <option value="">no component</option>
-        {components.map(([key, { name }]) => <option key={key}>{name}</option>)}
-      </select>
-    </label>
-  );
-}
+/** What a component is supposed to do: to recover if it has failed. */
+const other = (key) => (at("status", key) === "failure" ? "recovered" : "failed");
 
 function Asked() {
   const of = (kind) => elements.value.filter(([, one]) => one.kind === kind);
   const measured = Object.fromEntries(Object.entries(moved.value).map(([key, value]) => [nameOf(key), value]));
+  const names = (verb) => Object.keys(turned.value).filter((key) => turned.value[key] === verb).map(nameOf);
   const attributes = of("attribute").filter(([key]) => at("value", key) !== undefined);
-  const isMoved = Object.keys(measured).length > 0;
-  useEffect(() => void (isMoved && ask(measured)), [JSON.stringify(measured), Math.floor(revision.value / 10)]);
+  const asked = { measured, failed: names("failed"), recovered: names("recovered") };
+  const isAsked = Object.keys({ ...moved.value, ...turned.value }).length > 0;
+  useEffect(() => void (isAsked && ask(asked)), [JSON.stringify(asked), Math.floor(revision.value / 10)]);
   return (
     <>
       {attributes.map(([key, one]) => <Measurement key={key} of={key} element={one} />)}
-      {may.value.includes("inject") && ["fail", "recover"].map((what) => <Break key={what} what={what} components={of("component")} />)}
-      {isMoved && answer.value?.error && <p class="bad">{answer.value.error}</p>}
-      {isMoved && answer.value?.whatif && <Outcome {...answer.value.whatif} />}
-      <p class="muted">Asked of the knowledge base as it is now; its facts stay as they are.</p>
+      <div class="tools">
+        {of("component").map(([key]) => <Component key={key} of={key} verb={turned.value[key] ?? other(key)} />)}
+      </div>
+      {isAsked && answer.value?.error && <p class="bad">{answer.value.error}</p>}
+      {isAsked && answer.value?.whatif && <Outcome {...answer.value.whatif} />}
+      <p class="muted">Only supposed: the facts of the robot stay as they are.</p>
     </>
   );
 }
 
 export function WhatIf() {
-  const reset = <button onClick={() => (moved.value = {})} disabled={!Object.keys(moved.value).length}>Reset</button>;
+  const isMoved = Object.keys({ ...moved.value, ...turned.value }).length > 0;
   return (
-    <Panel id="whatif" title="What if" aside={reset}>
+    <Panel id="whatif" title="What if" aside={<button onClick={reset} disabled={!isMoved}>Reset</button>}>
       <div class="body" tabIndex={0} role="group" aria-label="what if">{isLive() ? <Asked /> : <Stored />}</div>
     </Panel>
   );
