@@ -19,10 +19,10 @@ from kb.files import ModelFileError
 from kb.forecast import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ManagedSystem, Operation
-from kb.manager import ConfigurationManager, Executor, Monitor, Planner, PriorityPlanner
+from kb.manager import ConfigurationManager, Executor, Monitor, Planner
 from kb.model import Model
-from kb.planners import Choice, Criterion, Obsolete, Optimum
-from kb.planners.optimal import OptimalPlanner
+from kb.optimal import OptimalPlanner
+from kb.planning import Choice, Criterion, Obsolete, Optimum, PriorityPlanner
 from kb.processes import ProcessComponents, Program
 from kb.questions import Situation
 from kb.records import (

@@ -7,7 +7,6 @@ interrupted, the next caller does it again. Both steps can be repeated any numbe
 
 import math
 from base64 import b64decode, b64encode
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from itertools import starmap
@@ -33,7 +32,7 @@ from kb.measurements import Judged, Measurements
 from kb.model import Model, amendment
 from kb.network import Network, Node, Ref
 from kb.owl import Serials
-from kb.planners import planned, reselect
+from kb.planning import apply_selection, decide
 from kb.records import (
     Attempt,
     Memory,
@@ -485,24 +484,24 @@ class Knowledge:
         chosen = [network.designs[name] for name in designs.values()]
         given = [network.configurations[name] for name in configurations.values()]
         why = why_selected(state, [*chosen, *given], event.time, reason, self.records.ended)
-        selection = reselect(state, chosen, given)
-        flips = Counter(selection.reselected)
-        changed = [node for node, times in flips.items() if times % 2]
-        effects = tuple((node.kind, node.name, state.selected[node.index]) for node in changed)
+        selection = decide(state, [*chosen, *given])
+        changes = apply_selection(state, selection)
+        flips = selection.flips
+        effects = tuple((node.kind, node.name, state.selected[node.index]) for node in flips)
         before = len(state.kept or ())
         for node in dict.fromkeys([*flips, *chosen, *given]):
             state.give_reason("selected", node, reason if state.selected[node.index] else "")
             state.give_reason("unselected", node.wholes[0])
         if selection:
             number = next(reversed(self.records.plans), 0) + 1
-            plan = planned(state, selection, why, event.time, event.cause, number)
+            plan = selection.plan(state, why, event.time, event.cause, number)
             put = self.records.put, "plans", number, plan
             return self._put(
-                event, (), put, changes=selection.changes, effects=effects, plan=plan, matters=False
+                event, (), put, changes=changes, effects=effects, plan=plan, matters=False
             )
         if not effects and len(state.kept or ()) == before:
             return None
-        return self._put(event, changes=selection.changes, effects=effects, matters=bool(effects))
+        return self._put(event, changes=changes, effects=effects, matters=bool(effects))
 
     def _finish_plan(self, event: Event, number: int, result: str) -> Event:
         put = self.records.end_plan, self.records.plans[number], result, event.time

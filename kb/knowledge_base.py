@@ -22,7 +22,7 @@ from kb.knowledge import Knowledge, Reading
 from kb.model import Model, amend
 from kb.network import Node
 from kb.owl.world import Answer, World
-from kb.planners import by_whole, planned, reselect
+from kb.planning import by_owner, decide
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.records import (
     RESULTS,
@@ -37,7 +37,7 @@ from kb.records import (
     VetoAnswer,
     check_result,
 )
-from kb.state import Overlay, State
+from kb.state import State
 from kb.status import Status
 from kb.store import HELD_OVER_FORKS, KEPT, Store
 
@@ -497,12 +497,12 @@ class KnowledgeBase:
             if known.state.status[node.index] is Status.UNFEASIBLE:
                 raise Unselectable(f"{node} cannot be selected: {why(known.state, node, now)}")
         if dry_run:
-            layer = Overlay(known.state)
-            reasons = why_selected(layer, [*chosen, *given], now, reason, known.records.ended)
-            selection = reselect(layer, chosen, given)
-            return planned(layer, selection, reasons, now) if selection else None
+            state = known.state
+            reasons = why_selected(state, [*chosen, *given], now, reason, known.records.ended)
+            selection = decide(state, [*chosen, *given])
+            return selection.plan(state, reasons, now) if selection else None
         cause = known.cause_of_choice([*chosen, *given]) if cause is None else cause
-        event = known.apply(now, "select", (by_whole(chosen), by_whole(given), reason), cause)
+        event = known.apply(now, "select", (by_owner(chosen), by_owner(given), reason), cause)
         return None if event is None else event.plan
 
     @_telling

@@ -13,7 +13,7 @@ from kb.exceptions import InvalidValue, ProtocolError, UnknownName, Unselectable
 from kb.execution import StagedExecutor
 from kb.knowledge_base import KnowledgeBase
 from kb.managed_system import ActivityMonitor, ManagedSystem, check_methods, words_of, wrong_answer
-from kb.planners import Choice, choice_by_priority
+from kb.planning import PriorityPlanner
 from kb.records import ReconfigurationPlan
 
 _log = logging.getLogger(__name__)
@@ -43,20 +43,6 @@ class Executor(Protocol):
 
     def execute(self, kb: KnowledgeBase) -> None:
         """Do what is possible of `kb.pending_plan` without waiting; end the plan with `kb.finish_plan`."""
-
-
-class PriorityPlanner:
-    """Chooses what is not unfeasible with the lowest priority number; no priority comes last, ties go by name."""
-
-    def choose(self, kb: KnowledgeBase) -> Choice | None:
-        """Choose a design for each adaptable function, then a configuration for each component adaptable with these."""
-        with kb.reading() as state:
-            return choice_by_priority(state)
-
-    def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select by priority and return the plan; None if there is nothing to choose."""
-        choice = self.choose(kb)
-        return None if choice is None else kb.select(*choice)
 
 
 Veto = Callable[[ReconfigurationPlan], bool | str | None]

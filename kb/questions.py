@@ -16,8 +16,8 @@ from kb.forecast import Forecast, feasible_until, suppose_forecast
 from kb.knowledge import Reading
 from kb.measurements import verdict
 from kb.network import Network, Node, Ref
-from kb.planners import Choice, Obsolete, by_whole, firsts_by_priority, reselect
-from kb.planners import obsolete as all_obsolete
+from kb.planning import Choice, Obsolete, apply_selection, by_owner, decide, firsts_by_priority
+from kb.planning import obsolete as all_obsolete
 from kb.state import Overlay, State, propagate
 from kb.status import Status
 from kb.views import ElementView, Readable
@@ -70,7 +70,7 @@ def best_configuration(base: Readable, action: str) -> Choice | None:
         designs = firsts_by_priority(state, node.parts)
         components = dict.fromkeys(part for design in designs for part in design.parts)
         return Choice(
-            dict(by_whole(designs)), dict(by_whole(firsts_by_priority(state, components)))
+            dict(by_owner(designs)), dict(by_owner(firsts_by_priority(state, components)))
         )
 
 
@@ -91,7 +91,8 @@ def adaptable_components(
     names = listed("designs", designs.values() if isinstance(designs, Mapping) else designs)
     with base.reading() as state:
         supposed = Overlay(state)
-        reselect(supposed, [state.network.designs[name] for name in names], ())
+        designs_chosen = [state.network.designs[name] for name in names]
+        apply_selection(supposed, decide(supposed, designs_chosen))
         return _adaptable(supposed, "component")
 
 

@@ -17,8 +17,7 @@ from py_trees.composites import Selector
 from kb import KnowledgeBase, Status
 from kb.elements import finite_number
 from kb.exceptions import InvalidValue
-from kb.manager import PriorityPlanner
-from kb.planners import Choice
+from kb.planning import Choice, PriorityPlanner
 from kb.status import OPERATORS
 from kb.views import ConstraintView
 from rosa_bt.composites import feasible_then_act

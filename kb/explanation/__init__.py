@@ -13,7 +13,7 @@ from kb.elements import Action, Attribute, exact, table
 from kb.explanation.requirements import Remedy, remedies
 from kb.measurements import turning_point
 from kb.network import Node
-from kb.planners import choice_by_priority, ranked
+from kb.planning import choice_by_priority, ranked
 from kb.state import Reason, State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 

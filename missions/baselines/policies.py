@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from kb import KnowledgeBase, Model, ReconfigurationPlan, Status
 from kb.diagnostics import COMPONENT_REPORTS, COMPONENT_VALUES
-from kb.planners import by_priority
+from kb.planning import by_priority
 from kb.views import ConfigurationView, DesignView
 from missions.engine.managers import ManagerBase, manager_name
 from missions.engine.mission import MISSION_STATUS, Message, Mission, MissionError, World, built

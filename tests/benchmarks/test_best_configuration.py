@@ -11,9 +11,8 @@ import pytest
 from estimated import power, robot, small_robot
 from figures import table
 
-from kb.planners import Criterion
-from kb.planners.optimal import OptimalPlanner
-from kb.planners.solver import Problem
+from kb.optimal import OptimalPlanner, Problem
+from kb.planning import Criterion
 
 sys.path.append(str(Path(__file__).parents[1] / "kb"))  # the twin is the oracle of the tests there
 

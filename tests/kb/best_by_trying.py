@@ -3,7 +3,7 @@
 from fractions import Fraction
 from itertools import product
 
-from kb.planners import by_priority, reselect
+from kb.planning import apply_selection, by_priority, decide
 from kb.state import Overlay
 from kb.status import Status
 
@@ -33,7 +33,9 @@ def every_choice(state):
     for ranks in product(*(range(len(ranked(state, node))) for node in free)):
         designs = [ranked(state, node)[rank] for node, rank in zip(free, ranks, strict=True)]
         needed = [part for design in (*designs, *kept) for part in design.parts]
-        needed += [part for part in served if state.asserted_required[part.index]]
+        given_up = decide(state, designs).deactivate
+        asserted = [part for part in served if state.asserted_required[part.index]]
+        needed += [part for part in asserted if part.name not in given_up]
         components = [
             node for node in network.components.values() if node in needed and ranked(state, node)
         ]
@@ -47,7 +49,8 @@ def every_choice(state):
 def outcome(state, designs, configurations, criterion):
     """Return what a choice is worth, and the load of each budget, once it is carried out."""
     after = Overlay(state)
-    selection = reselect(after, designs, configurations)
+    selection = decide(after, [*designs, *configurations])
+    apply_selection(after, selection)
     network = state.network
     for names, active in ((selection.activate, True), (selection.deactivate, False)):
         for name in names:

@@ -19,7 +19,7 @@ from kb.facts import (
     SelectedFact,
     StatusFact,
 )
-from kb.planners import by_priority
+from kb.planning import by_priority
 
 VALUES = (-0.5, 0.0, 0.25, 0.5, 0.75, 1.0, 1.5)
 """On, between and beyond the bounds that random models use."""

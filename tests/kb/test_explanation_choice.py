@@ -7,7 +7,7 @@ from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, PriorityPlanner, Status
 from kb.explanation import explain_choice
-from kb.planners import by_priority
+from kb.planning import by_priority
 from kb.views import FunctionView
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

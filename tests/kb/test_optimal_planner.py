@@ -20,9 +20,8 @@ from kb import (
     StagedExecutor,
     UnknownName,
 )
-from kb.planners import Criterion, summed_weights
-from kb.planners.optimal import OptimalPlanner
-from kb.planners.solver import Problem
+from kb.optimal import OptimalPlanner, Problem
+from kb.planning import Criterion, summed_weights
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 ATTRIBUTES = ("x0", "x1")
@@ -444,7 +443,7 @@ def test_nobody_waits_while_the_answer_is_looked_for_and_the_model_may_change(mo
             model.remove("coarse")
             return super().solve(effort)
 
-    monkeypatch.setattr(planner._solver, "Problem", Slow)
+    monkeypatch.setattr("kb.optimal.Problem", Slow)
     assert carried_out(kb, planner) is not None
     assert solved == [False]
     assert "coarse" not in selected(kb)

@@ -10,7 +10,7 @@ from models import Clock
 from test_optimal_planner import COSTS, at_work, carried_out, criteria, robots, selected
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from kb.planners.optimal import OptimalPlanner
+from kb.optimal import OptimalPlanner
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 BEST = "of all choices this is the best for accuracy"

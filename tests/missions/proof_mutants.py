@@ -11,7 +11,7 @@ from py_trees.composites import Parallel, Selector, Sequence
 from py_trees.decorators import Decorator, Inverter, OneShot, RunningIsFailure, SuccessIsFailure
 
 from kb import Model
-from kb.manager import PriorityPlanner
+from kb.planning import PriorityPlanner
 from missions.proof import Leaf, always, eventually, leads_to, never
 from rosa_bt import (
     ForAction,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from running import run_mission
 
 from kb import ConfigurationManager, KnowledgeBase, Model
-from kb.manager import PriorityPlanner
+from kb.planning import PriorityPlanner
 from missions.engine.adaptations import AdaptationLog
 
 

@@ -1,0 +1,337 @@
+"""Choices of designs and configurations: by priority, what makes one better, and what follows from a choice."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import NamedTuple, Protocol
+
+from kb.elements import ComponentKind, Configuration, FunctionDesign, finite_number
+from kb.events import StatusChange
+from kb.exceptions import InvalidValue
+from kb.network import Network, Node
+from kb.records import ReconfigurationPlan
+from kb.state import Overlay, State, propagate
+from kb.status import Status
+from kb.views import ConfigurationView, DesignView, Readable
+
+
+class Choice(NamedTuple):
+    """The chosen design of each function and configuration of each component, by name; and the reason."""
+
+    designs: Mapping[str, str]
+    configurations: Mapping[str, str]
+    reason: str = ""
+
+    def __repr__(self) -> str:
+        choice = f"designs={dict(self.designs)}, configurations={dict(self.configurations)}"
+        reason = f", reason={self.reason!r}" if self.reason else ""
+        return f"Choice({choice}{reason})"
+
+
+@dataclass(frozen=True, slots=True)
+class Criterion:
+    """What makes one choice better than another, and the budgets that no choice may exceed.
+
+    Attributes:
+        weights: how much a unit of each attribute is worth, by name; less than 0 if less of it is better.
+        switching_cost: the cost of activating or deactivating a component or changing its configuration,
+            the same for all or by name of the component; in the unit of value times weight.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by attribute.
+    """
+
+    weights: Mapping[str, float]
+    switching_cost: float | Mapping[str, float] = 0.0
+    budgets: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        costs = self.switching_cost
+        for number in (*self.weights.values(), *self.budgets.values()):
+            finite_number(number)
+        for cost in costs.values() if isinstance(costs, Mapping) else (costs,):
+            if finite_number(cost) < 0.0:
+                raise InvalidValue(f"a switching cost is 0 or more, not {cost!r}")
+
+    def cost_of(self, component: str) -> float:
+        """Return what it costs to switch a component."""
+        if isinstance(self.switching_cost, Mapping):
+            return self.switching_cost.get(component, 0.0)
+        return self.switching_cost
+
+    def check(self, network: Network) -> None:
+        """Raise `UnknownName` if a named attribute or component is not in the model."""
+        for name in (*self.weights, *self.budgets):
+            network.attributes[name]
+        if isinstance(self.switching_cost, Mapping):
+            for name in self.switching_cost:
+                network.components[name]
+
+    @property
+    def goal(self) -> str:
+        """The weights in words, e.g. "accuracy - 0.03 power"; empty if there are none."""
+        weights = {name: weight for name, weight in self.weights.items() if weight}
+        if list(weights.values()) == [-1.0]:
+            return f"little {next(iter(weights))}"
+        words = ""
+        for name, weight in weights.items():
+            sign = "-" if weight < 0.0 else ""
+            if words:
+                sign = " - " if weight < 0.0 else " + "
+            factor = "" if abs(weight) == 1.0 else f"{number(abs(weight))} "
+            words += f"{sign}{factor}{name}"
+        return words
+
+    @property
+    def limits(self) -> str:
+        """The budgets in words, e.g. "power 40"; empty if there are none."""
+        return " and ".join(f"{name} {number(limit)}" for name, limit in self.budgets.items())
+
+
+@dataclass(frozen=True, slots=True)
+class Optimum:
+    """The best joint choice, or the best one that was found within the effort.
+
+    Attributes:
+        choice: what to select; None if no choice keeps within the budgets, or none was found.
+        value: the worth of the choice by its criterion, without switching costs; None without a choice.
+        switching: the switching costs; value + switching is what is estimated; None without a choice.
+        bound: an upper bound of the value of any choice; None without a choice.
+        resolution: choices whose values differ by no more than this count as equally good; 0 if exact.
+        is_proven: no choice is better by more than the resolution, and no equal one comes first in order.
+        reason: how sure that is, or why there is no choice, in words.
+    """
+
+    choice: Choice | None = None
+    value: float | None = None
+    switching: float | None = None
+    bound: float | None = None
+    resolution: float = 0.0
+    is_proven: bool = False
+    reason: str = ""
+
+    @property
+    def gap(self) -> float | None:
+        """How much better another choice can be at most; None without a choice."""
+        return None if self.value is None or self.bound is None else self.bound - self.value
+
+    @property
+    def worth(self) -> str:
+        """The worth of the choice in words, with and without switching costs; empty without a choice."""
+        if self.value is None or self.switching is None:
+            return ""
+        worth = number(self.value)
+        if not self.switching:
+            return worth
+        estimated = number(self.value + self.switching)
+        return f"{worth} ({estimated} less {number(self.switching)} for switching)"
+
+
+def number(value: float) -> str:
+    """Write a number with at most 12 significant digits."""
+    return f"{value:.12g}"
+
+
+def summed_weights(preferences: Iterable[str | Mapping[str, float] | None]) -> dict[str, float]:
+    """Return the sum of all weights by attribute; a preference for one attribute has the weight 1."""
+    weights: dict[str, float] = {}
+    for preference in preferences:
+        weighed = {preference: 1.0} if isinstance(preference, str) else preference or {}
+        for attribute, weight in weighed.items():
+            weights[attribute] = weights.get(attribute, 0.0) + weight
+    return {name: weight for name, weight in weights.items() if weight}
+
+
+# -------------------------------------------------------------------- by priority
+
+
+def by_priority(
+    candidate: FunctionDesign | Configuration | DesignView | ConfigurationView,
+) -> tuple[bool, float, str]:
+    """Return a key for sorting: the lowest priority number first, no priority last, ties by name."""
+    return candidate.priority is None, candidate.priority or 0, candidate.name
+
+
+def ranked(state: State, owner: Node) -> list[Node]:
+    """Return the parts of a function or component that are not unfeasible, sorted by priority."""
+    possible = [part for part in owner.parts if state.status[part.index] is not Status.UNFEASIBLE]
+    possible.sort(key=lambda part: by_priority(part.element))
+    return possible
+
+
+def firsts_by_priority(state: State, owners: Iterable[Node]) -> list[Node]:
+    """Return the first of `ranked` for each function or component that has any."""
+    firsts = []
+    for owner in owners:
+        firsts += ranked(state, owner)[:1]
+    return firsts
+
+
+def choice_by_priority(state: State) -> Choice | None:
+    """Choose by priority for each adaptable function, then for each component that is adaptable with these designs.
+
+    Returns None if there is nothing to do; an empty choice means that only what is obsolete is given up.
+    """
+    adaptable = state.adaptable.nodes()
+    functions = [node for node in adaptable if node.kind == "function"]
+    designs = firsts_by_priority(state, functions)
+    selection = decide(state, designs)
+    if selection.flips:
+        following = Overlay(state)
+        apply_selection(following, selection)
+        adaptable = following.adaptable.nodes()
+    given_up = selection.deactivate
+    components = [
+        node for node in adaptable if node.kind == "component" and node.name not in given_up
+    ]
+    configurations = firsts_by_priority(state, components)
+    if not (designs or configurations or state.obsolete):
+        return None
+    return Choice(by_owner(designs), by_owner(configurations))
+
+
+class Selecting(Readable, Protocol):
+    """A knowledge base, as far as a planner needs it."""
+
+    def select(
+        self,
+        designs: Mapping[str, str] | None = None,
+        configurations: Mapping[str, str] | None = None,
+        reason: str = "",
+    ) -> ReconfigurationPlan | None: ...
+
+
+class PriorityPlanner:
+    """Chooses what is not unfeasible with the lowest priority number; no priority comes last, ties go by name."""
+
+    def choose(self, kb: Selecting) -> Choice | None:
+        """Choose a design for each adaptable function, then a configuration for each component adaptable with these."""
+        with kb.reading() as state:
+            return choice_by_priority(state)
+
+    def plan(self, kb: Selecting) -> ReconfigurationPlan | None:
+        """Select by priority and return the plan; None if there is nothing to choose."""
+        choice = self.choose(kb)
+        return None if choice is None else kb.select(*choice)
+
+
+# -------------------------------------------------------------------- what follows from a choice
+
+
+class Obsolete(NamedTuple):
+    """Names of active components and selected designs and configurations that nothing required needs any more."""
+
+    components: tuple[str, ...]
+    designs: tuple[str, ...]
+    configurations: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return any(self)
+
+
+class Selection(NamedTuple):
+    """What a choice changes.
+
+    Attributes:
+        flips: the designs and configurations that are selected and were not, or the other way round.
+        activate, deactivate, parameters: what the managed system has to do then, by name.
+    """
+
+    flips: tuple[Node, ...]
+    activate: tuple[str, ...]
+    deactivate: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+    def __bool__(self) -> bool:
+        return bool(self.activate or self.deactivate or self.parameters)
+
+    def plan(
+        self, state: State, reason: str, time: float, cause: int | None = None, number: int = 0
+    ) -> ReconfigurationPlan:
+        """Return the plan that carries it out."""
+        components = state.network.components
+        plain = frozenset(
+            name
+            for name in (*self.activate, *self.deactivate)
+            if components[name].element.kind is ComponentKind.PLAIN
+        )
+        steps = (self.activate, self.deactivate, self.parameters)
+        return ReconfigurationPlan(*steps, reason, time, plain=plain, cause=cause, number=number)
+
+
+def obsolete(state: State) -> Obsolete:
+    """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
+    nodes = state.obsolete.nodes()
+    kinds = "component", "function design", "configuration"
+    return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
+
+
+def decide(state: State, chosen: Sequence[Node]) -> Selection:
+    """Decide what a choice of designs and configurations changes; what is obsolete is given up. Nothing changes yet."""
+    unneeded = state.obsolete.nodes()
+    flips = _flips(state, chosen)
+    flips += [node for node in unneeded if node.kind != "component" and node not in flips]
+    flipped = set(flips)
+
+    def is_used(design: Node) -> bool:
+        is_selected = state.selected[design.index] != (design in flipped)
+        return is_selected and state.required[design.wholes[0].index]
+
+    owners = {node.wholes[0] for node in chosen}
+    replaced = [
+        node
+        for node in flips
+        if node.kind == "function design"
+        and state.selected[node.index]
+        and node.wholes[0] in owners
+    ]
+    stopped = [
+        part for design in replaced for part in design.parts if not any(map(is_used, part.wholes))
+    ]
+    stopped += [node for node in unneeded if node.kind == "component"]
+    waiting = {design for component in state.lacking.nodes() for design in component.wholes}
+    waiting.update(node for node in flips if node.kind == "function design")
+    started = [
+        part
+        for design in sorted(filter(is_used, waiting), key=lambda design: design.index)
+        for part in design.parts
+    ]
+    return Selection(
+        flips=tuple(flips),
+        activate=_names(part for part in started if not state.active[part.index]),
+        deactivate=_names(part for part in stopped if state.active[part.index]),
+        parameters=_names(
+            node
+            for node in flips
+            if node.kind == "configuration" and not state.selected[node.index]
+        ),
+    )
+
+
+def apply_selection(state: State, selection: Selection) -> tuple[StatusChange, ...]:
+    """Select and unselect, and return the statuses that changed."""
+    for node in selection.flips:
+        state.put(state.selected, node.index, not state.selected[node.index])
+    return tuple(propagate(state, selection.flips))
+
+
+def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
+    """Return the names of what is chosen by what it is chosen for."""
+    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
+
+
+def _flips(state: State, chosen: Sequence[Node]) -> list[Node]:
+    """Return the parts of the owners whose selection changes; what would be obsolete is not selected."""
+    flips = []
+    for node in chosen:
+        owner = node.wholes[0]
+        is_needed = (
+            state.required[owner.index] if owner.kind == "function" else state.served[owner.index]
+        )
+        for part in owner.parts:
+            is_wanted = part is node and bool(is_needed)
+            if bool(state.selected[part.index]) != is_wanted:
+                flips.append(part)
+    return flips
+
+
+def _names(nodes: Iterable[Node]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(node.name for node in nodes))
