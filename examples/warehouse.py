@@ -29,7 +29,7 @@ from missions.engine.mission import (
 from missions.engine.recording import failed, measured, sensed
 from missions.engine.settings import Constants, declared, setting
 from rosa_bt import RosaAction, do_until_unfeasible, feasible_then_act
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 # ---------------------------------------------------------------- what it is made of and can do
 

@@ -2,6 +2,7 @@
 
 import sys
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated, Any, Final
 
 import typer
@@ -69,12 +70,19 @@ class Commands(TyperGroup):
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:  # noqa: ANN401  # typer's own click is private
         name, _, rest = super().resolve_command(ctx, args)
         module, _, attribute = COMMANDS[str(name)][0].partition(":")
-        found = getattr(import_module(f"missions.commands.{module}".rstrip(".")), attribute)
-        if not isinstance(found, typer.Typer):
-            of = typer.Typer(add_completion=False)
-            of.command(name)(found)
-            found = of
-        return name, get_command(found), rest
+        command = getattr(import_module(f"missions.commands.{module}".rstrip(".")), attribute)
+        if isinstance(command, typer.Typer):
+            command.rich_markup_mode = None  # as [s] in a help text is a unit
+        else:
+            group = typer.Typer(add_completion=False, rich_markup_mode=None)
+            group.command(name)(command)
+            command = group
+        for option, value in pairwise(rest):
+            if option == "--set" and "=" not in value:
+                from missions.engine.mission import MissionError
+
+                raise MissionError(f"--set takes NAME=VALUE, not {value!r}")
+        return name, get_command(command), rest
 
 
 app = typer.Typer(
@@ -82,6 +90,7 @@ app = typer.Typer(
     cls=Commands,
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 for _name, (_, _help) in COMMANDS.items():

@@ -1,14 +1,15 @@
 """Behaviours of py_trees that ask a knowledge base which actions are feasible, and request the actions that they do."""
 
-from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction, forget_progress
+from rosa_bt.behaviours import HasStatus, IsActionFeasible, Measurement, RosaAction
 from rosa_bt.composites import (
-    ForAction,
     do_until_unfeasible,
     feasible_then_act,
     first_feasible,
     switch_safely,
 )
+from rosa_bt.decorators import Delay, ForAction, Retry, Timeout, Timer, UntilSuccess
 from rosa_bt.exceptions import (
+    ClockError,
     ExportError,
     RegistryError,
     RosaBtError,
@@ -16,14 +17,17 @@ from rosa_bt.exceptions import (
     TreeChangeError,
     XmlError,
 )
+from rosa_bt.requests import forget_progress
+from rosa_bt.runner import TreeRunner
 from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
-from rosa_bt.trees import TreeRunner
 from rosa_bt.worth import Decision, Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner
 from rosa_bt.xml import BehaviourRegistry, export_xml, load_xml
 
 __all__ = [
     "BehaviourRegistry",
+    "ClockError",
     "Decision",
+    "Delay",
     "Errand",
     "ExportError",
     "ForAction",
@@ -33,13 +37,17 @@ __all__ = [
     "Lookahead",
     "Measurement",
     "RegistryError",
+    "Retry",
     "RosaAction",
     "RosaBtError",
+    "Timeout",
+    "Timer",
     "Trace",
     "TraceError",
     "TraceVisitor",
     "TreeChangeError",
     "TreeRunner",
+    "UntilSuccess",
     "WhatNext",
     "Worth",
     "WorthPlanner",

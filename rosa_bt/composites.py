@@ -1,6 +1,5 @@
-"""What missions that adapt need beside py_trees: two decorators, two composites, and subtrees made in one call."""
+"""The idioms of missions that adapt: two composites, and subtrees that are made in one call."""
 
-import math
 from collections.abc import Generator, Iterator, Mapping, MutableMapping, Sequence
 from typing import Any
 
@@ -9,125 +8,34 @@ from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 from py_trees.decorators import Decorator
 
-from kb import KnowledgeBase, UnknownName
-from rosa_bt.behaviours import (
-    ActionBehaviour,
-    ActionRequest,
-    Careful,
-    IsActionFeasible,
-    RosaAction,
-    halt,
-)
-from rosa_bt.exceptions import TreeChangeError, in_words
+from kb import UnknownName
+from rosa_bt.behaviours import ActionBehaviour, IsActionFeasible, RosaAction
+from rosa_bt.decorators import ForAction
+from rosa_bt.exceptions import TreeChangeError
+from rosa_bt.requests import Requester, is_parallel
 
 
-class ForAction(Careful, Decorator):
-    """Ticks any behaviour only while a ROSA action is feasible, and requests the action while the behaviour runs.
+def failed_as_unfeasible(task: Behaviour) -> bool:
+    """Tell whether a task failed because an action in it is unfeasible, or no longer in the model.
 
-    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this fails with the reason.
-    Otherwise the action is requested when the child starts, and released once, however the child ends: the result is
-    "completed" after SUCCESS, "failed" after FAILURE or an exception (its text is the feedback), else "abandoned".
-
-    Args:
-        action: name of the ROSA action.
-        child: a leaf or a whole subtree.
-        preference: name of the attribute to favour when a configuration is chosen, or None.
-        wait: tick the child only when the robot is configured for the action; RUNNING until then.
-        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE, with what is missing.
-
-    Raises:
-        kb.UnknownName: no such action; the message lists the nearest ones.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        kb: KnowledgeBase,
-        action: str,
-        child: Behaviour,
-        *,
-        preference: str | None = None,
-        wait: bool = False,
-        timeout: float = math.inf,
-    ) -> None:
-        super().__init__(name, child)
-        kb.is_feasible(action)  # an unknown action is found here, not in the middle of a mission
-        self.kb = kb
-        self.action = action
-        self.preference = preference
-        self.wait, self.timeout = wait, timeout
-        self._request = ActionRequest(kb, timeout if wait else None)
-
-    def advance(self) -> Generator[Behaviour, None, Status]:
-        new_status = self._request.admit(self)
-        if new_status is Status.SUCCESS:
-            yield from self.decorated.tick()
-            new_status = self.update()
-        return new_status
-
-    def update(self) -> Status:
-        self.feedback_message = self.decorated.feedback_message
-        return self.decorated.status
-
-    def stop(self, new_status: Status) -> None:
-        """Stop the child if it is running, and release the request, also if the child raises.
-
-        The status changes last: after an interrupt in here, a second call does the rest.
-        """
-        try:
-            self.terminate(new_status)
-            if new_status is Status.INVALID or self.decorated.status is Status.RUNNING:
-                self.decorated.stop(Status.INVALID)
-        except Exception as error:
-            self.feedback_message = f"{in_words(error)} (at the end)"
-        finally:
-            halt(self.decorated)
-            self._request.close(new_status, self.feedback_message)
-        self.status = new_status
-
-
-class UntilSuccess(Decorator):
-    """RUNNING until the child succeeds; a child that fails is ticked once more in the same tick.
-
-    Without this second attempt there would be a tick after which no action is required: the robot would be
-    deconfigured between two actions, and configured again a moment later.
-    """
-
-    def tick(self) -> Iterator[Behaviour]:
-        yield from self.decorated.tick()
-        if self.decorated.status is Status.FAILURE:
-            yield from self.decorated.tick()
-        new_status = self.update()
-        if new_status is not Status.RUNNING:
-            self.stop(new_status)
-        self.status = new_status
-        yield self
-
-    def update(self) -> Status:
-        return Status.RUNNING if self.decorated.status is Status.FAILURE else self.decorated.status
-
-
-def gave_way(task: Behaviour) -> bool:
-    """Tell whether a failed task failed because an action in it is unfeasible, or no longer in the model.
-
-    The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all children that failed.
+    The child that failed last decides, e.g. the failed step of a sequence; of a parallel, all
+    children that failed.
     """
     failed = [child for child in task.children if child.status is Status.FAILURE]
     if isinstance(task, ActionBehaviour | ForAction):
         is_unfeasible = task.action not in task.kb.actions or not task.kb.is_feasible(task.action)
-        is_unfeasible |= getattr(task, "ends_too_soon", False)
+        is_unfeasible |= isinstance(task, IsActionFeasible) and task.ends_too_soon
         if is_unfeasible or not failed:
             return is_unfeasible
-    is_side_by_side = getattr(task, "is_side_by_side", isinstance(task, composites.Parallel))
-    deciding = failed if is_side_by_side else failed[-1:]
-    return bool(deciding) and all(map(gave_way, deciding))
+    deciding = failed if is_parallel(task) else failed[-1:]
+    return bool(deciding) and all(map(failed_as_unfeasible, deciding))
 
 
-class _Parts(composites.Composite):
+class _RoleComposite(composites.Composite):
     """A composite whose children have different roles; base class."""
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        """Do the work of one tick: yield the nodes that are visited before this one, and return the status."""
+        """Do the work of one tick: yield the nodes that are visited before, return the status."""
         raise NotImplementedError
 
     def tick(self) -> Iterator[Behaviour]:
@@ -142,13 +50,13 @@ class _Parts(composites.Composite):
         yield self
 
 
-class DoUntilUnfeasible(_Parts):
+class DoUntilUnfeasible(_RoleComposite):
     """Does a task; while the task is unfeasible, does something else; then goes on with the task.
 
-    The switch, in both directions, takes place within one tick. So an action is required after every tick, and the
-    robot is not deconfigured and configured again in between. This succeeds when the task does, and fails when the task
-    fails for a reason other than an unfeasible action; otherwise it is RUNNING. `meanwhile` starts again if it fails,
-    or succeeds, before the task is feasible.
+    The switch, in both directions, takes place within one tick. So an action is required after every
+    tick, and the robot is not deconfigured and configured again in between. This succeeds when the
+    task does, and fails when the task fails for a reason other than an unfeasible action; otherwise
+    it is RUNNING. `meanwhile` starts again if it fails, or succeeds, before the task is feasible.
 
     Args:
         task: a behaviour or subtree that fails when its action becomes unfeasible.
@@ -173,10 +81,10 @@ class DoUntilUnfeasible(_Parts):
         return Status.RUNNING if is_instead else task.status
 
     def _do(self, task: Behaviour, meanwhile: Behaviour) -> Iterator[Behaviour]:
-        """Tick the task and, if it gives way, `meanwhile`; if that succeeds at once, tick both once more."""
+        """Tick the task or `meanwhile`; if `meanwhile` succeeds at once, tick both once more."""
         for _ in range(2):
             yield from task.tick()
-            if task.status is not Status.FAILURE or not gave_way(task):
+            if task.status is not Status.FAILURE or not failed_as_unfeasible(task):
                 self.current_child = task
                 if meanwhile.status is not Status.INVALID:
                     meanwhile.stop(Status.INVALID)
@@ -187,22 +95,23 @@ class DoUntilUnfeasible(_Parts):
                 return
 
 
-Posture = MutableMapping[str, Any]
-"""Holds, under a key, the action that was done last; shared by the behaviours that switch between actions."""
+LastAction = MutableMapping[str, Any]
+"""Holds, under a key, the action that was done last; shared by the behaviours of all actions."""
 
 
-class SafeSwitch(_Parts):
-    """Does an action, and before it the transition from the action that was done last, if there is one.
+class SafeSwitch(_RoleComposite):
+    """Does an action, and before it the transition from the action that was done last, if any.
 
-    The transition finishes before the action is requested. If it fails, this fails, and the action does not start. If
-    it is interrupted, it starts again at the next start, unless the robot has gone back to the other action.
+    The transition finishes before the action is requested. If it fails, this fails, and the action
+    does not start. If it is interrupted, it starts again at the next start, unless the robot has gone
+    back to the other action.
 
     Args:
         task: the behaviour that does the action.
         transitions: what to do first, by name of the action that was done last.
-        posture: holds the action that was done last; shared with the behaviours of the other actions.
+        last_action: holds the action that was done last.
         action: name of the action, if the task is neither a leaf with an action nor a `ForAction`.
-        key: the key in `posture`.
+        key: the key in `last_action`.
     """
 
     def __init__(
@@ -210,81 +119,50 @@ class SafeSwitch(_Parts):
         name: str,
         task: Behaviour,
         transitions: Mapping[str, Behaviour],
-        posture: Posture,
+        last_action: LastAction,
         action: str | None = None,
-        key: str = "posture",
+        key: str = "last_action",
     ) -> None:
         super().__init__(name, [*transitions.values(), task])
         self.action = task.action if isinstance(task, ActionBehaviour | ForAction) else str(action)
-        self.posture, self.key = posture, key
+        self.last_action = last_action
+        self.key = key
         self.after = tuple(transitions)
 
     def advance(self) -> Generator[Behaviour, None, Status]:
-        before, child = self.posture.get(self.key), self.children[-1]
+        before = self.last_action.get(self.key)
+        task = self.children[-1]
         if before in self.after:
-            child = self.current_child = self.children[self.after.index(before)]
-            yield from child.tick()
-            said = child.feedback_message
-            self.feedback_message = f"switching from {before}{f': {said}' if said else ''}"
-            if child.status is Status.SUCCESS:
-                self.posture[self.key], child = self.action, self.children[-1]
-        if child is self.children[-1]:
-            self.current_child = child
-            yield from child.tick()
-            self.feedback_message = child.feedback_message
-            if child.status is not Status.FAILURE:
-                self.posture[self.key] = self.action
-        return child.status
+            transition = self.current_child = self.children[self.after.index(before)]
+            yield from transition.tick()
+            feedback = f"switching from {before}: {transition.feedback_message}"
+            self.feedback_message = feedback.removesuffix(": ")
+            if transition.status is not Status.SUCCESS:
+                return transition.status
+            self.last_action[self.key] = self.action
+        self.current_child = task
+        yield from task.tick()
+        self.feedback_message = task.feedback_message
+        if task.status is not Status.FAILURE:
+            self.last_action[self.key] = self.action
+        return task.status
 
 
 def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
     """Return a subtree that does an action only while it is feasible, which each tick asks.
 
     Args:
-        task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself, and in a subtree its
-            leaves do.
+        task: the action. Any other behaviour is returned as it is: a `ForAction` asks by itself, and
+            in a subtree its leaves do.
         during: how long the action takes [s]; see `IsActionFeasible`.
     """
     if not isinstance(task, RosaAction):
         if not during:
             return task
-        raise TreeChangeError(
-            f"{task.name!r} is not a RosaAction; give `during` to the actions in it instead"
-        )
+        advice = "give `during` to the actions in it instead"
+        raise TreeChangeError(f"{task.name!r} is not a RosaAction; {advice}")
     condition = IsActionFeasible(f"{task.name} feasible?", task.kb, task.action, during=during)
     return composites.Sequence(f"{task.name} if feasible", memory=False, children=[condition, task])
-
-
-def unguarded(root: Behaviour) -> list[RosaAction]:
-    """Return the actions of a tree that go on when they become unfeasible, and that no node above them stops then.
-
-    A node stops its action if it is a `ForAction`, or a sequence without memory with an `IsActionFeasible` before it.
-    """
-    actions = [
-        one for one in root.iterate() if isinstance(one, RosaAction) and one.even_if_unfeasible
-    ]
-    return [one for one in actions if not _is_guarded(one)]
-
-
-def _is_guarded(action: RosaAction) -> bool:
-    node: Behaviour = action
-    while (parent := node.parent) is not None:
-        before: Sequence[Behaviour] = ()
-        is_sequence = isinstance(parent, composites.Sequence) and not parent.memory
-        if is_sequence or getattr(parent, "is_reactive_sequence", False):
-            before = parent.children[: parent.children.index(node)]
-        asked = [
-            one.action
-            for child in before
-            for one in child.iterate()
-            if isinstance(one, IsActionFeasible)
-        ]
-        if action.action in asked or (
-            isinstance(parent, ForAction) and parent.action == action.action
-        ):
-            return True
-        node = parent
-    return False
 
 
 def first_feasible(
@@ -295,13 +173,12 @@ def first_feasible(
     Args:
         name: of the selector.
         tasks: the actions, the most preferred first.
-        memory: go on with the action that has started as long as it is feasible; otherwise a more preferred action
-            takes over in the tick in which it becomes feasible.
-        during: how long each action takes [s]; for an action of another duration, pass `feasible_then_act(...)`.
+        memory: go on with the action that has started as long as it is feasible; otherwise a more
+            preferred action takes over in the tick in which it becomes feasible.
+        during: how long each action takes [s]; for another duration, pass `feasible_then_act(...)`.
     """
-    return composites.Selector(
-        name, memory=memory, children=[feasible_then_act(task, during) for task in tasks]
-    )
+    children = [feasible_then_act(task, during) for task in tasks]
+    return composites.Selector(name, memory=memory, children=children)
 
 
 def do_until_unfeasible(
@@ -312,63 +189,124 @@ def do_until_unfeasible(
     name: str | None = None,
     during: float = 0.0,
 ) -> DoUntilUnfeasible:
-    """Return a composite that does a task, and something else while the task is unfeasible; then the task goes on.
+    """Return a composite that does a task, and something else while the task is unfeasible.
 
     Args:
         task: an action, or a subtree that fails when its action becomes unfeasible.
         meanwhile: an action or a subtree to do while the task is unfeasible.
         memory: finish `meanwhile` first, even if the task becomes feasible earlier.
         name: of the composite.
-        during: how long the task takes [s], if it is an action; it starts only if it will stay feasible for that long.
+        during: how long the task takes [s], if it is an action; it starts only if it will stay
+            feasible for that long.
     """
     name = name or f"{task.name}, or else {meanwhile.name}"
-    return DoUntilUnfeasible(
-        name, feasible_then_act(task, during), feasible_then_act(meanwhile), memory=memory
-    )
+    doing, instead = feasible_then_act(task, during), feasible_then_act(meanwhile)
+    return DoUntilUnfeasible(name, doing, instead, memory=memory)
+
+
+def _ancestors(node: Behaviour) -> Iterator[Behaviour]:
+    parent = node.parent
+    while parent is not None:
+        yield parent
+        parent = parent.parent
+
+
+def unguarded(root: Behaviour) -> list[RosaAction]:
+    """Return the actions that go on when they become unfeasible, and that nothing above stops then.
+
+    A node stops its action if it is a `ForAction`, or a sequence without memory with an
+    `IsActionFeasible` before it.
+    """
+    actions = [node for node in root.iterate() if isinstance(node, RosaAction)]
+    return [task for task in actions if task.even_if_unfeasible and not _is_guarded(task)]
+
+
+def _is_guarded(action: RosaAction) -> bool:
+    node: Behaviour = action
+    for parent in _ancestors(action):
+        if isinstance(parent, ForAction) and parent.action == action.action:
+            return True
+        is_sequence = isinstance(parent, composites.Sequence) and not parent.memory
+        if is_sequence or getattr(parent, "is_reactive_sequence", False):
+            for before in parent.children[: parent.children.index(node)]:
+                for condition in before.iterate():
+                    if (
+                        isinstance(condition, IsActionFeasible)
+                        and condition.action == action.action
+                    ):
+                        return True
+        node = parent
+    return False
 
 
 def switch_safely(root: Behaviour, transitions: Mapping[tuple[str, str], Behaviour]) -> Behaviour:
-    """Add transitions to a tree: behaviours that run between two actions, on whatever way the tree gets there.
+    """Add transitions to a tree: behaviours that run between two actions, however the tree gets there.
 
     Args:
-        root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are wrapped in place.
-        transitions: the behaviours, by a pair of names: the action that was done last, and the action to start.
+        root: of a tree that is not running; its actions (`RosaAction`, `ForAction`) are wrapped.
+        transitions: the behaviours, by a pair of names: the action that was done last, and the
+            action to start.
 
     Returns:
         The root of the changed tree.
 
     Raises:
         kb.UnknownName: the tree has no action with this name.
-        TreeChangeError: several behaviours do an action that needs a transition, or a parent is of an unknown kind.
+        TreeChangeError: one of these actions is inside another one or below a parallel, where no
+            action is the last one; several behaviours do an action that needs a transition; or a
+            parent is of an unknown kind. The tree is not changed then.
     """
-    tasks = [one for one in root.iterate() if isinstance(one, RosaAction | ForAction)]
-    posture: Posture = {}
-    for action in dict.fromkeys(action for pair in transitions for action in pair):
-        doing = [task for task in tasks if task.action == action]
-        if not doing:
-            raise UnknownName("action of the tree", action, sorted({task.action for task in tasks}))
-        needed = {before: step for (before, after), step in transitions.items() if after == action}
-        if needed and len(doing) > 1:
-            raise TreeChangeError(
-                f"{len(doing)} behaviours do {action!r}, and a transition has one place; make one subtree of them"
-            )
-        for task in doing:
-            root = _switched(root, task, needed, posture)
+    tasks = [node for node in root.iterate() if isinstance(node, RosaAction | ForAction)]
+    names = sorted({task.action for task in tasks})
+    steps_by_action: dict[str, dict[str, Behaviour]] = {}
+    for (before, after), step in transitions.items():
+        for action in (before, after):
+            if action not in names:
+                raise UnknownName("action of the tree", action, names)
+            steps_by_action.setdefault(action, {})
+        steps_by_action[after][before] = step
+    tasks = [task for task in tasks if task.action in steps_by_action]
+    for task in tasks:
+        _check_switch(task, tasks, bool(steps_by_action[task.action]))
+    last_action: LastAction = {}
+    for task in tasks:
+        root = _switched(root, task, steps_by_action[task.action], last_action)
     return root
 
 
-def _switched(
-    root: Behaviour, task: RosaAction | ForAction, needed: Mapping[str, Behaviour], posture: Posture
-) -> Behaviour:
+def _check_switch(
+    task: RosaAction | ForAction, tasks: Sequence[RosaAction | ForAction], needs_step: bool
+) -> None:
+    """Raise if no transition to this action can be added."""
+    same = sum(other.action == task.action for other in tasks)
+    if needs_step and same > 1:
+        raise TreeChangeError(
+            f"{same} behaviours do {task.action!r}, and a transition has one place; "
+            "make one subtree of them"
+        )
     parent = task.parent
     if parent is not None and not isinstance(parent, composites.Composite | Decorator):
         raise TreeChangeError(
             f"{parent.name!r} is neither a composite nor a decorator; it cannot hold a transition"
         )
+    for node in _ancestors(task):
+        if is_parallel(node) or isinstance(node, Requester):
+            reason = "its actions run at the same time, so none of them is done last"
+            raise TreeChangeError(
+                f"{task.name!r} is below {node.name!r}: {reason}; put the transition into the tree"
+            )
+
+
+def _switched(
+    root: Behaviour,
+    task: RosaAction | ForAction,
+    steps: Mapping[str, Behaviour],
+    last_action: LastAction,
+) -> Behaviour:
+    parent = task.parent
     task.parent = None
-    switch = SafeSwitch(
-        f"switch to {task.action}" if needed else f"note {task.action}", task, needed, posture
-    )
+    name = f"switch to {task.action}" if steps else f"note {task.action}"
+    switch = SafeSwitch(name, task, steps, last_action)
     if parent is None:
         return switch
     parent.children[parent.children.index(task)] = switch

@@ -15,7 +15,8 @@ from py_trees.composites import Sequence as SequenceNode
 from py_trees.decorators import Decorator
 
 from rosa_bt.behaviours import ActionBehaviour
-from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction
 from rosa_bt.exceptions import in_words
 
 _MARKS: Final = {Status.SUCCESS: "o", Status.FAILURE: "x", Status.RUNNING: "*", Status.INVALID: "-"}

@@ -1,12 +1,17 @@
-"""The errors of this package, and how messages are made: they say what was given, what exists and what to do."""
+"""The errors of this package, how messages are made, and how an exception of a behaviour is reported."""
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from pathlib import Path
 from sys import stdlib_module_names
 from traceback import walk_tb
 from typing import Final
+from weakref import WeakKeyDictionary, WeakMethod, WeakSet
 
+from py_trees.behaviour import Behaviour
+
+_log = logging.getLogger(__name__)
 _OURS: Final = ("kb", "rosa_bt", "rosa_pddl", "missions", "py_trees")
 
 
@@ -15,7 +20,11 @@ class RosaBtError(Exception):
 
 
 class TreeChangeError(RosaBtError):
-    """A tree cannot be changed in this way."""
+    """A tree cannot be changed in this way, or cannot be run in this way."""
+
+
+class ClockError(RosaBtError, ValueError):
+    """A clock was set back, and the runner is to refuse that."""
 
 
 class TraceError(RosaBtError):
@@ -37,30 +46,60 @@ class ExportError(RosaBtError, ValueError):
     """A behaviour has no exact counterpart in BehaviorTree.CPP."""
 
 
-def hint(name: str, known: Iterable[str], what: str) -> str:
-    """Return the end of a message about an unknown name: similar names, and the names that exist."""
-    names = sorted(known)
-    if not names:
+def hint(name: str, names: Iterable[str], what: str) -> str:
+    """Return the end of a message about an unknown name: similar names, and those that exist."""
+    existing = sorted(names)
+    if not existing:
         return f"there are no {what}"
-    near = get_close_matches(name, names, n=3)
-    shown = ", ".join(names[:20]) + (", ..." if len(names) > 20 else "")
-    guess = f"did you mean {' or '.join(repr(one) for one in near)}? " if near else ""
+    similar = get_close_matches(name, existing, n=3)
+    shown = ", ".join(existing[:20]) + (", ..." if len(existing) > 20 else "")
+    guess = f"did you mean {' or '.join(map(repr, similar))}? " if similar else ""
     return f"{guess}{what}: {shown}"
 
 
 def in_words(error: Exception) -> str:
-    """Return an exception as text, with the last line of the user's code in its traceback, if there is one."""
+    """Return an exception as text, with the last line of the user's code in its traceback."""
     return f"{type(error).__name__}: {error}{line_in_words(error)}"
 
 
 def line_in_words(error: Exception, *ours: str) -> str:
-    """Return the last line of the user's code in a traceback, as `; tree.py, line 3`, or nothing if there is none."""
+    """Return the last line of the user's code in a traceback, as `; tree.py, line 3`, or nothing."""
     own = (*_OURS, *ours, *stdlib_module_names)
-    frames = [
-        one
-        for one in walk_tb(error.__traceback__)
-        if str(one[0].f_globals.get("__name__")).split(".")[0] not in own
-    ]
-    return "".join(
-        f"; {Path(one.f_code.co_filename).name}, line {line}" for one, line in frames[-1:]
-    )
+    place = ""
+    for frame, line in walk_tb(error.__traceback__):
+        module = str(frame.f_globals.get("__name__"))
+        if module.split(".")[0] not in own:
+            place = f"; {Path(frame.f_code.co_filename).name}, line {line}"
+    return place
+
+
+ErrorHandler = Callable[[Behaviour, Exception], None]
+"""Called with a behaviour and the exception that it has raised."""
+_logged: WeakSet[Behaviour] = WeakSet()
+_handlers: WeakKeyDictionary[Behaviour, WeakMethod[ErrorHandler]] = WeakKeyDictionary()
+
+
+def on_error(root: Behaviour, handler: ErrorHandler) -> None:
+    """Call a method with every exception that a behaviour of this tree raises."""
+    _handlers[root] = WeakMethod(handler)
+
+
+def root_of(behaviour: Behaviour) -> Behaviour:
+    """Return the root of the tree of a behaviour."""
+    root = behaviour
+    while root.parent is not None:
+        root = root.parent
+    return root
+
+
+def report(behaviour: Behaviour, error: Exception, note: str = "") -> None:
+    """Make an exception the feedback of its behaviour, and tell the tree; log the first traceback."""
+    behaviour.feedback_message = in_words(error) + note
+    if behaviour not in _logged:
+        _logged.add(behaviour)
+        kind = type(behaviour).__name__
+        _log.error("%s %r: %s", kind, behaviour.name, behaviour.feedback_message, exc_info=error)
+    reference = _handlers.get(root_of(behaviour))
+    handler = None if reference is None else reference()
+    if handler is not None:
+        handler(behaviour, error)

@@ -23,7 +23,7 @@ from kb import Event, InvalidValue, KnowledgeBase, Model, StatusChange
 from kb import Status as ElementStatus
 from rosa_bt.behaviours import KbBehaviour, halt
 from rosa_bt.exceptions import TraceError
-from rosa_bt.trees import TreeRunner
+from rosa_bt.runner import TreeRunner
 
 _VERSION: Final = 3
 _KEPT: Final = 10_000
@@ -176,7 +176,7 @@ class TraceVisitor(VisitorBase):
 
     def run(self, behaviour: Behaviour) -> None:
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
-        known = behaviour.known if isinstance(behaviour, KbBehaviour) else None
+        known = behaviour.last_event if isinstance(behaviour, KbBehaviour) else None
         self._known.append(self._kb.log.last if known is None else known)
 
     def finalise(self) -> None:

@@ -34,7 +34,7 @@ from missions.agv.joint import (
 from missions.agv.model import FOLLOW, NAVIGATE, NAVIGATOR, Building, heading, headings
 from missions.engine.mission import Percepts
 from rosa_bt import RosaAction, feasible_then_act
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import Outcome, PlanRecord, Step
 from rosa_pddl.domain import FEASIBLE
 from rosa_pddl.generation import ActionSchema, DeclaredProblem

@@ -93,6 +93,7 @@ def bridge(
                     partial(make_tree, kb, percepts),
                 )
             runner = TreeRunner(root, clock=time.time, period=_TICK_S)
+            runner.setup()
             end = math.inf if seconds is None else time.monotonic() + seconds
             try:
                 while time.monotonic() < end:

@@ -17,10 +17,10 @@ from missions.engine.recording import failed, measured, recovered
 from missions.engine.runner import MissionRun
 
 FORMS: Final = {
-    "fail": "COMPONENT@SECONDS",
-    "recover": "COMPONENT@SECONDS",
-    "measure": "ATTRIBUTE=VALUE@SECONDS",
-    "release": "ATTRIBUTE@SECONDS",
+    "fail": "COMPONENT@S",
+    "recover": "COMPONENT@S",
+    "measure": "ATTRIBUTE=VALUE@S",
+    "release": "ATTRIBUTE@S",
 }
 """How a fault is written after its verb, such as `fail boom@60`."""
 

@@ -423,6 +423,16 @@ MISSIONS: Final = {name: f"missions.{name}:MISSION" for name in SUMMARIES}
 """The registered missions, by name: where each is defined."""
 
 
+def _advice(kind: str, name: str) -> str:
+    """Return what to write instead of a name that is no registered one; empty if nothing is like it."""
+    if name.endswith(".toml"):
+        return f"a file of settings is given as --config {name}; "
+    is_module = name.isidentifier() and (
+        Path(name, "__init__.py").exists() or Path(f"{name}.py").exists()
+    )
+    return f"did you mean {name}:{kind.upper()}? " if is_module else ""
+
+
 def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # noqa: ANN401  # whoever asks checks it
     """Import a thing of some kind, such as "mission", by a registered name or as "module:NAME".
 
@@ -432,7 +442,7 @@ def load(kind: str, name: str, homes: Mapping[str, str], known: str) -> Any:  # 
         MissionError: the name is unknown, or the import fails.
     """
     if name not in homes and ":" not in name[1:]:
-        raise MissionError(f"unknown {kind} {name!r}; there are {known}")
+        raise MissionError(f"unknown {kind} {name!r}; {_advice(kind, name)}there are {known}")
     module, _, attribute = homes.get(name, name).partition(":")
     try:
         found = import_module(module)

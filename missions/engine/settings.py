@@ -121,7 +121,7 @@ class RunSettings(Constants):
     """How a mission is run."""
 
     duration_s: float = setting(
-        300.0, "s", "time limit of the mission", "as SUAVE, time-constrained mission", 0.001
+        300.0, "s", "time limit of the mission", "own choice: five minutes", 0.001
     )
     tick_period_s: float = setting(
         0.1, "s", "from a tick of the task layer to the next", "ROSA's tree: 100 ms", 0.001

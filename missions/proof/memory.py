@@ -34,7 +34,8 @@ from kb.state import FACTS
 from kb.views import Views
 from missions.engine.mission import MissionError
 from missions.proof.tape import Asked, settled
-from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_pddl import Domain, Planner
 from rosa_pddl.belief import FeasibilityEvents
 from rosa_pddl.executor import RunningStep

@@ -26,7 +26,7 @@ from missions.experiments.workers import end_with
 from missions.proof.memory import Memory, said
 from missions.proof.rig import Change, Predicate, Rig, Setup, nodes, stage_of
 from missions.proof.tape import Answer
-from rosa_bt.behaviours import kept
+from rosa_bt.requests import requests_of
 
 CAN_COPY: Final = sys.platform.startswith("linux")
 """Whether this process can be forked. The functions that build a tree often cannot be sent to another process."""
@@ -122,8 +122,12 @@ class Rounds:
         self.rig = rig = Rig(setup)
         self.is_slow, self._predicates, self.faults = setup.slow, predicates, rig.begin()
         self._known = Memory([rig.kb, rig.planner], parameters=bool(setup.planner or predicates))
+        requests = requests_of(rig.tape.kb)
+        for action in rig.tape.kb.actions:
+            requests.requesters.setdefault(action, {})
+        tables = [requests.requesters, requests.halting, requests.progress]
         self._tree = Memory(
-            [rig.root, Blackboard.storage, *kept(rig.tape.kb)],
+            [rig.root, Blackboard.storage, *tables],
             apart=[rig.kb, rig.planner, rig.choices],
         )
         self._facts: dict[int, Known] = {}

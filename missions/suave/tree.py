@@ -18,7 +18,7 @@ from py_trees.composites import Selector, Sequence
 from kb import KnowledgeBase
 from missions.engine.mission import Condition, Percepts
 from rosa_bt import RosaAction, feasible_then_act
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 _OBJECTS: Final = {"pipeline": "pipeline", "bluerov": "robot"}

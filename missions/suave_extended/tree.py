@@ -15,7 +15,7 @@ from kb import KnowledgeBase
 from missions.engine.mission import Percepts
 from missions.suave.tree import search_and_inspect
 from rosa_bt import RosaAction, do_until_unfeasible
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema
 
 

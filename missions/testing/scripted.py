@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Mapping
+from types import MethodType
 from typing import Final
 
 from py_trees.behaviour import Behaviour
@@ -82,6 +83,7 @@ def replace_work(
     }
     if isinstance(leaf, RosaAction):
         own |= {"save_progress": lambda: None, "restore_progress": lambda progress: None}
+        own["halting"] = MethodType(RosaAction.halting, leaf)
     vars(leaf).update(own)
 
 

@@ -33,7 +33,7 @@ from rosa_bt import (
     first_feasible,
     switch_safely,
 )
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 from rosa_pddl.generation import ActionSchema, DeclaredProblem
 
 SAMPLES: Final = tuple(f"sample_{number}" for number in range(1, MOST_SAMPLES + 1))

@@ -2,10 +2,9 @@
 
 import time
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -14,6 +13,7 @@ from rich.progress import (
     TextColumn,
     TimeRemainingColumn,
 )
+from rich.text import Text
 
 from kb import DiagnosticProblem
 from missions.engine.adaptations import Adaptation
@@ -24,7 +24,19 @@ from missions.views.output import figure_in_words
 if TYPE_CHECKING:
     from rosa_pddl import PlanRecord
 
-COLOURS = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
+COLOURS: Final = {"parameter": "cyan", "structural": "yellow", "task": "magenta"}
+_INDENT: Final = 11
+"""Width of the time at the start of a line [characters]."""
+
+
+def print_line(console: Console, head: str, *parts: str | tuple[str, str]) -> None:
+    """Print a line; on a terminal it is wrapped, and its next lines are indented."""
+    text = Text.assemble(*parts)
+    is_wrapped = not console.soft_wrap
+    lines = text.wrap(console, max(console.width - _INDENT, 20)) if is_wrapped else [text]
+    for line in lines:
+        console.print(Text.assemble((f"{head:<{_INDENT}}", "dim"), line))
+        head = ""
 
 
 def _progress(console: Console, *columns: ProgressColumn) -> Progress:
@@ -33,93 +45,87 @@ def _progress(console: Console, *columns: ProgressColumn) -> Progress:
 
 
 class Narrator(Listener):
-    """Prints what happens, above a bar of `duration_s` simulated seconds, shown while `progress` is open."""
+    """Prints what happens, above a bar of `duration_s` simulated seconds while `progress` is open."""
 
     def __init__(self, console: Console, duration_s: float) -> None:
-        begin, end = (
-            TextColumn("{task.completed:5.1f} s"),
-            TextColumn("{task.total:.0f} s  {task.description}"),
-        )
-        self._console, self.progress = console, _progress(console, begin, BarColumn(), end)
-        self._known_problems: set[tuple[str, str]] = set()
+        begin = TextColumn("{task.completed:5.1f} s")
+        end = TextColumn("{task.total:.0f} s  {task.description}")
+        self._console = console
+        self.progress = _progress(console, begin, BarColumn(), end)
+        self._printed_problems: set[tuple[str, str]] = set()
         self._bar = self.progress.add_task("", total=duration_s)
 
     def action(self, text: str, time_s: float) -> None:
-        short = (
-            text.partition(" because ")[0] if " is unfeasible because " in text else text
-        )  # the adaptation says why
-        _say(self._console, time_s, escape(short))
+        if " is unfeasible because " in text:  # the adaptation says why
+            text = text.partition(" because ")[0]
+        self._print(time_s, text)
 
     def adaptation(self, adaptation: Adaptation) -> None:
         _print_adaptation(self._console, adaptation)
 
     def plan(self, plan: "PlanRecord", time_s: float) -> None:
-        steps = ", then ".join(step.action or step.schema for step in plan.steps)
-        found = steps if plan.outcome.is_solved else f"none, {plan.outcome} ({plan.engine})"
-        _say(self._console, time_s, f"[bold green]plan[/] ({escape(plan.reason)}): {escape(found)}")
+        result = f"none, {plan.outcome} ({plan.engine})"
+        if plan.outcome.is_solved:
+            result = ", then ".join(step.action or step.schema for step in plan.steps)
+        self._print(time_s, ("plan", "bold green"), f" ({plan.reason}): {result}")
 
     def problem(self, problem: DiagnosticProblem, time_s: float) -> None:
-        if (problem.key, problem.reason) not in self._known_problems:
-            self._known_problems.add((problem.key, problem.reason))
-            _say(
-                self._console, time_s, f"[bold red]diagnostics not used[/]: {escape(str(problem))}"
-            )
+        key = (problem.key, problem.reason)
+        if key not in self._printed_problems:
+            self._printed_problems.add(key)
+            self._print(time_s, ("diagnostics not used", "bold red"), f": {problem}")
 
     def tick(self, run: MissionRun) -> None:
         if self.progress.disable:
             return
-        doing = ", ".join(one.action for one in run.actions if one.end is None) or "deciding"
-        measured = run.measured.items()
-        seen = ", ".join(f"{name} {value:.2f}" for name, value in measured if value is not None)
-        self.progress.update(
-            self._bar, completed=run.world.now, description=f"{doing}  [dim]{seen}[/]"
-        )
+        open_actions = [action.action for action in run.actions if action.end is None]
+        values = [
+            f"{name} {value:.2f}" for name, value in run.measured.items() if value is not None
+        ]
+        words = f"{', '.join(open_actions) or 'deciding'}  [dim]{', '.join(values)}[/]"
+        self.progress.update(self._bar, completed=run.world.now, description=words)
+
+    def _print(self, time_s: float, *parts: str | tuple[str, str]) -> None:
+        print_line(self._console, f"{time_s:7.1f} s", *parts)
 
 
 class CampaignProgress:
-    """Shows how far a campaign is, its rate and the time left, and each run that crashes.
+    """Shows the progress of a campaign, its rate and the time left, and each run that crashes.
 
     The bar is shown while `progress` is open.
     """
 
     def __init__(self, console: Console) -> None:
         self.count = self.total = self.new = self.crashed = 0
-        rate, left = (
-            TextColumn("{task.fields[rate]:.2f} a second,"),
-            TextColumn("left  [dim]{task.description}[/]"),
-        )
+        rate = TextColumn("{task.fields[rate]:.2f} a second,")
+        left = TextColumn("left  {task.description}", markup=False)
+        columns = (BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left)
         self._console = console
-        self.progress = _progress(
-            console, BarColumn(), MofNCompleteColumn(), rate, TimeRemainingColumn(), left
-        )
+        self.progress = _progress(console, *columns)
         self._started = time.perf_counter()
         self._bar = self.progress.add_task("", total=None, rate=0.0)
 
     def begin(self, done: int, total: int) -> None:
         self._started = time.perf_counter()
-        self.count, self.total = done, total
+        self.count = done
+        self.total = total
         self.progress.update(self._bar, completed=done, total=total)
 
     def done(self, record: Mapping[str, Any]) -> None:
         """Move the bar; without a terminal, print a line for each tenth of the campaign."""
-        self.count, self.new = self.count + 1, self.new + 1
+        before = self.count * 10 // self.total
+        self.count += 1
+        self.new += 1
         if record["outcome"] == "crashed":
             self.crashed += 1
-            self._print(
-                "bold red", f"{record['run']} crashed: {record['error']}; again: {record['rerun']}"
-            )
+            words = f"{record['run']} crashed: {record['error']}; repeat it: {record['rerun']}"
+            self._print("bold red", words)
         rate = self.new / max(time.perf_counter() - self._started, 1e-9)
-        self.progress.update(
-            self._bar, completed=self.count, rate=rate, description=escape(record["run"])
-        )
-        if (
-            self.progress.disable
-            and self.count * 10 // self.total > (self.count - 1) * 10 // self.total
-        ):
+        self.progress.update(self._bar, completed=self.count, rate=rate, description=record["run"])
+        if self.progress.disable and self.count * 10 // self.total > before:
             left = (self.total - self.count) / rate
-            self._print(
-                "dim", f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left"
-            )
+            words = f"{self.count}/{self.total} runs, {rate:.2f} a second, {left:.0f} s left"
+            self._print("dim", words)
 
     def note(self, text: str) -> None:
         self._print("yellow", text)
@@ -131,34 +137,30 @@ class CampaignProgress:
 def print_result(
     console: Console, run: MissionRun, verdict: Verdict, wall_s: float, *, with_adaptations: bool
 ) -> None:
-    """Print the figures and the verdict of a run that has ended, and its adaptations if asked for."""
+    """Print the figures and the verdict of a run that has ended, and its adaptations on request."""
     for adaptation in run.adaptations if with_adaptations else ():
         _print_adaptation(console, adaptation)
     figures = {**run.results(), "simulated_s": run.world.now, "computed in_s": wall_s}
     shown = [figure_in_words(name, value, run.model) for name, value in figures.items()]
-    for words, unit, value in [*shown, ("times real time", "", f"{run.world.now / wall_s:.1f}")]:
-        console.print(f"{words + (f' [{unit}]' if unit else ''):<32}{value:>8}", markup=False)
+    shown.append(("times real time", "", f"{run.world.now / wall_s:.1f}"))
+    for words, unit, value in shown:
+        label = f"{words} [{unit}]" if unit else words
+        console.print(f"{label:<32}{value:>8}", markup=False)
     if run.problems:
         _, first = run.problems[0]
         text = f"{len(run.problems)} parts of diagnostics were not used, the first: {first}"
-        console.print(f"[yellow]{escape(text)}[/]")
+        console.print(text, style="yellow", markup=False)
     for finding in run.findings:
-        console.print(f"[yellow]{escape(finding)}[/]")
+        console.print(finding, style="yellow", markup=False)
     colour = "green" if verdict.success else "red"
-    console.print(f"[bold {colour}]{verdict.outcome}[/]: {escape(verdict.reason)}")
+    console.print(Text.assemble((verdict.outcome, f"bold {colour}"), f": {verdict.reason}"))
     if verdict.detail:
-        console.print(escape(verdict.detail))
+        console.print(verdict.detail, markup=False)
 
 
 def _print_adaptation(console: Console, adaptation: Adaptation) -> None:
     reaction = adaptation.reaction_s
-    soon = (
-        f"in force {reaction:.2f} s after the news" if reaction is not None else "not carried out"
-    )
-    kind = f"[bold {COLOURS[adaptation.kind]}]{adaptation.kind} adaptation[/]"
-    _say(console, adaptation.at_s, f"{kind}: {escape(adaptation.change)}")
-    console.print(f"{'':11}why: {escape(adaptation.why)}; {soon}")
-
-
-def _say(console: Console, time_s: float, text: str) -> None:
-    console.print(f"[dim]{time_s:7.1f} s[/]  {text}")
+    soon = "not carried out" if reaction is None else f"in force {reaction:.2f} s after the news"
+    kind = (f"{adaptation.kind} adaptation", f"bold {COLOURS[adaptation.kind]}")
+    print_line(console, f"{adaptation.at_s:7.1f} s", kind, f": {adaptation.change}")
+    print_line(console, "", f"why: {adaptation.why}; {soon}")

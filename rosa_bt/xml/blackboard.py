@@ -182,8 +182,9 @@ class Blackboard(MutableMapping[str, Any]):
         autoremap: bool = False,
         enums: Mapping[str, int] | None = None,
     ) -> None:
-        self.clock: Final = clock
         self.parent: Final = parent
+        self.root: Final[Blackboard] = self if parent is None else parent.root
+        self._clock = clock
         self.enums: Final[Mapping[str, int]] = (
             parent.enums if parent is not None else dict(enums or {})
         )
@@ -194,13 +195,18 @@ class Blackboard(MutableMapping[str, Any]):
         for key, text in (constants or {}).items():
             self[key] = _constant(text)
 
+    def clock(self) -> float:
+        """Return the time by the clock of the whole tree [s]."""
+        return self.root._clock()
+
+    def follow(self, clock: Clock) -> None:
+        """Take another clock for the whole tree."""
+        self.root._clock = clock
+
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of a blackboard, and the name of the key in it."""
         if key.startswith("@"):
-            root = self
-            while root.parent is not None:
-                root = root.parent
-            return root.place(key[1:])
+            return self.root.place(key[1:])
         if self.parent is None or key in self._constants:
             return self._entries, key
         if key in self._remapping:
@@ -347,7 +353,6 @@ class Ports:
         self, declared: Declared, written: Mapping[str, str], blackboard: Blackboard
     ) -> None:
         self.blackboard: Final = blackboard
-        self.clock: Final = blackboard.clock
         self._declared = declared
         self.keys: Final[dict[str, str]] = {}
         self.literals: Final[dict[str, Any]] = {}

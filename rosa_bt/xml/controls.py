@@ -423,7 +423,7 @@ class Timed(OneChild):
 
     def is_over(self) -> bool:
         """Start the time if it is not started, and tell whether it is over."""
-        now = self.ports.clock()
+        now = self.ports.blackboard.clock()
         if self._since is None:
             self._since = now
         return bool(now - self._since >= self.ports.get(*self.PORTS) / 1000 - 1e-9)
@@ -554,14 +554,16 @@ class RateController(_Anew, Timed):
 
     def initialise(self) -> None:
         super().initialise()
-        self._since = self.ports.clock()
+        self._since = self.ports.blackboard.clock()
 
     def decide(self) -> Ticking:
         if self._since is not None and not self._is_due and self.child.status is not RUNNING:
-            self._is_due = (self.ports.clock() - self._since) * self.ports.get("hz") >= 1 - 1e-9
+            self._is_due = (self.ports.blackboard.clock() - self._since) * self.ports.get(
+                "hz"
+            ) >= 1 - 1e-9
         verdict = yield from super().decide()
         if verdict is SUCCESS:
-            self._since = self.ports.clock()
+            self._since = self.ports.blackboard.clock()
         return verdict
 
 

@@ -334,10 +334,12 @@ class Sleep(XmlLeaf):
     PORTS: ClassVar = {"msec": PortInformation(int)}
 
     def initialise(self) -> None:
-        self._since = self.ports.clock()
+        self._since = self.ports.blackboard.clock()
 
     def update(self) -> Status:
-        is_over = self.ports.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
+        is_over = (
+            self.ports.blackboard.clock() - self._since >= self.ports.get("msec") / 1000 - 1e-9
+        )
         return Status.SUCCESS if is_over else Status.RUNNING
 
 

@@ -17,8 +17,9 @@ from py_trees.behaviour import Behaviour
 from py_trees.behaviours import StatusQueue
 from py_trees.common import Status
 
+from rosa_bt.decorators import Clock, ClockFollower
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
-from rosa_bt.xml.blackboard import BOOLS, Blackboard, Clock, Ports, key_of
+from rosa_bt.xml.blackboard import BOOLS, Blackboard, Ports, key_of
 from rosa_bt.xml.controls import NODES
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
@@ -296,7 +297,7 @@ def _strictly(text: str | bytes, file: str) -> Element:
         raise XmlError(where(), f"it cannot be decoded: {error}") from None
 
 
-class SubTree(Branch):
+class SubTree(Branch, ClockFollower):
     """A tree of a file: below another tree, or as the root that is ticked.
 
     Attributes:
@@ -309,7 +310,12 @@ class SubTree(Branch):
         self, name: str, slot: Slot, board: Blackboard, tree: str, models: tuple[Element, ...]
     ) -> None:
         super().__init__(name, [slot], Ports({}, {}, board))
+        self.has_own_clock = False
         self.blackboard, self.tree, self.models = board, tree, models
+
+    def follow(self, clock: Clock) -> None:
+        if not self.has_own_clock:
+            self.blackboard.follow(clock)
 
 
 Substitute = Status | Iterable[Status] | Callable[[str], Behaviour]
@@ -358,6 +364,7 @@ def load_xml(
     )
     builder = _Builder(document, registry, substitutes or {})
     made = builder.tree(document.main(tree), document.root, None, board)
+    made.has_own_clock = clock is not None
     for pattern in builder.unused:
         raise document.root.error(
             f"no leaf matches {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}"

@@ -10,7 +10,8 @@ from py_trees.behaviour import Behaviour
 from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Measurement
-from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
 from rosa_bt.xml.controls import NODES
@@ -141,7 +142,7 @@ def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> d
 
 def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) -> None:
     """Raise now, not during a mission, if the action is missing, given twice, or not in the model."""
-    said = leaf.given
+    said = leaf.named_action
     if said is not None and rest.get("action", said) != said:
         raise PortError(
             f"the constructor says already that 'action' is {said!r}, so {rest['action']!r} would never be read; "
@@ -172,7 +173,7 @@ def _safe_switch(
             f"it has {len(children)} children; it takes one for each action in `after`, and the task"
         )
     return SafeSwitch(
-        name, task, dict(zip(after, steps, strict=True)), blackboard, action, "@posture"
+        name, task, dict(zip(after, steps, strict=True)), blackboard, action, "@last_action"
     )
 
 

@@ -15,8 +15,9 @@ from py_trees.behaviours import Failure, Success
 from py_trees.composites import Composite, Selector, Sequence
 from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIsFailure
 
-from rosa_bt.behaviours import ActionBehaviour
-from rosa_bt.composites import DoUntilUnfeasible, ForAction, SafeSwitch, UntilSuccess
+from rosa_bt.behaviours import ActionBehaviour, RosaAction
+from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
+from rosa_bt.decorators import ForAction, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.blackboard import ports_of
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
@@ -46,18 +47,20 @@ _NAMES: Final = (
     "wait",
     "timeout",
     "even_if_unfeasible",
+    "exclusive",
+    "halting_timeout",
     "during",
     "memory",
     "after",
 )
 """Parameters of our behaviours that are written as attributes; the behaviours have attributes of these names."""
-_UNSAID: Final = (None, False, inf)
+_UNSAID: Final = (None, False, inf, RosaAction.halting_timeout)
 
 
 def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
     """Return the arguments of a behaviour of ours beside its name, as far as `maker` takes them."""
     names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
-    if isinstance(node, ActionBehaviour) and node.given is not None:
+    if isinstance(node, ActionBehaviour) and node.named_action is not None:
         taken = {*inspect.signature(maker).parameters, *node.input_ports()}
         names = ("action", *(name for name in _NAMES[1:] if name in taken))
     said = {name: getattr(node, name, None) for name in names}
@@ -182,7 +185,7 @@ class _Writer:
             raise ExportError(
                 f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name"
             )
-        if isinstance(leaf, ActionBehaviour) and leaf.given is None:
+        if isinstance(leaf, ActionBehaviour) and leaf.named_action is None:
             raise ExportError(f"{leaf.name!r} names no action; make it with one")
         maker = kind if self._registry is None else self._registry.entries[tag].factory
         if maker is kind:

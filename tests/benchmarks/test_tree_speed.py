@@ -16,7 +16,8 @@ from missions.engine.mission import Percepts
 from missions.suave_extended.model import suave_extended_model
 from missions.suave_extended.tree import suave_extended_tree
 from rosa_bt import IsActionFeasible, TraceVisitor, TreeRunner
-from rosa_bt.composites import DoUntilUnfeasible, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible
+from rosa_bt.decorators import UntilSuccess
 
 pytestmark = pytest.mark.benchmark(group="trees")
 

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
-    "kb": {"kb", "numpy", "lark", "ortools", "owlready2", "pyoxigraph"},
+    "kb": {"kb", "lark", "ortools", "owlready2", "pyoxigraph"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees", "lark"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
@@ -75,7 +75,6 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/planners/solver.py",
     "kb/owl/files.py",
     "kb/owl/queries.py",
     "kb/typeql/syntax.py",

@@ -24,7 +24,7 @@ from rosa_bt import (
     first_feasible,
     switch_safely,
 )
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 
 def rover_model(

@@ -17,7 +17,7 @@ from missions.proof.exploration import Exploration
 from missions.proof.rig import Rig, Setup
 from missions.proof.verification import check
 from rosa_bt import ForAction, IsActionFeasible, do_until_unfeasible, feasible_then_act
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 FEW = {"failing": ("part_0", "part_1")}
 

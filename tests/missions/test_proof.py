@@ -48,7 +48,7 @@ from missions.suave_extended import MISSION
 from missions.suave_extended.tree import Recharge
 from missions.uav import MISSION as UAV
 from rosa_bt import do_until_unfeasible
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 from rosa_pddl import PlanExecutor
 
 NAMED = {case.name: case for case in (*MUTANTS, *CORRECT)}

@@ -7,7 +7,7 @@ from py_trees.decorators import SuccessIsFailure
 
 from kb import KnowledgeBase, Model
 from rosa_bt import RosaAction, TreeRunner
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 
 def statuses(*queue):

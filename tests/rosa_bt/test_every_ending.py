@@ -20,7 +20,7 @@ from rosa_bt import (
     do_until_unfeasible,
     feasible_then_act,
 )
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 STEPS = ["running", "running", "success", "failure", "raise", "nonsense"]
 RAISING = ["nowhere", "nowhere", "nowhere", "initialise", "terminate", "tick", "save"]

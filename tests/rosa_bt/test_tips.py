@@ -10,7 +10,8 @@ from xml_leaves import wrapped
 
 from kb import KnowledgeBase, Model
 from rosa_bt import BehaviourRegistry, ForAction, TreeRunner, load_xml, switch_safely
-from rosa_bt.composites import DoUntilUnfeasible, UntilSuccess
+from rosa_bt.composites import DoUntilUnfeasible
+from rosa_bt.decorators import UntilSuccess
 from rosa_bt.xml.controls import NODES
 
 

@@ -4,7 +4,6 @@ import re
 
 import pytest
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Running
 from py_trees.common import ParallelPolicy, Status
 from py_trees.composites import Parallel, Sequence
 from py_trees.trees import BehaviourTree
@@ -211,27 +210,3 @@ def test_another_runner_may_take_a_tree_over_and_either_may_be_shut_down_first()
 def test_runner_needs_a_behaviour_to_run():
     with pytest.raises(TypeError, match="root node must be an instance of"):
         TreeRunner("root", clock=lambda: 0.0)
-
-
-def test_tick_that_is_due_now_is_not_put_off_because_of_how_its_time_is_rounded():
-    runner = TreeRunner(Running("run"), clock=lambda: 0.0, period=0.3)
-    assert 3 * 0.3 < 0.9
-    runner.put_off(0.9)
-    assert runner.due == 3 * 0.3
-
-
-@pytest.mark.parametrize("period", [0.1, 0.07, 1.0])
-def test_ticks_that_are_put_off_come_again_at_the_instants_of_their_period(period):
-    now, ticked = [0.0], []
-    runner = TreeRunner(Running("run"), clock=lambda: now[0], period=period)
-    runner.tree.add_post_tick_handler(lambda tree: ticked.append(now[0]))
-    runner.update()
-    for until in (3.4 * period, 7 * period, 7.01 * period, 10**7 * period):  # far ones as quickly
-        before = runner.put_off(until)
-        assert before < until <= runner.due < until + period * (1 + 1e-9)
-        assert runner.due == round(runner.due / period) * period
-    now[0] = runner.due
-    assert runner.update()
-    assert ticked == [0.0, 10**7 * period]
-    runner.put_off(0.0)
-    assert runner.due == (10**7 + 1) * period  # what was done is not done again

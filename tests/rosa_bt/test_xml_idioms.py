@@ -24,7 +24,7 @@ from rosa_bt import (
     load_xml,
     switch_safely,
 )
-from rosa_bt.composites import UntilSuccess
+from rosa_bt.decorators import UntilSuccess
 
 ACTIONS = ("scan", "drive", "charge")
 

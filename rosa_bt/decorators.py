@@ -1,0 +1,274 @@
+"""Decorators: an action around any behaviour, trying again at once, and times by the runner's clock.
+
+`Timeout`, `Timer`, `Delay` and `Retry` count by the clock of the `TreeRunner` that ticks their tree; in
+a tree without one, by the monotonic clock of this computer.
+"""
+
+import math
+import time
+from collections.abc import Callable, Generator, Iterator
+
+import py_trees.decorators
+import py_trees.timers
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+from py_trees.decorators import Decorator
+
+from kb import KnowledgeBase
+from rosa_bt.behaviours import GuardedBehaviour, halt
+from rosa_bt.exceptions import TreeChangeError, report
+from rosa_bt.requests import ActionRequest, Requester
+
+Clock = Callable[[], float]
+"""Gives the time [s]."""
+ROUNDING_S = 1e-9
+"""A time is over if less than this is left of it [s]."""
+
+
+class ForAction(GuardedBehaviour, Requester, Decorator):
+    """Ticks any behaviour only while a ROSA action is feasible, and requests the action meanwhile.
+
+    Each tick asks whether the action is feasible. If it is not, the child is stopped, and this fails
+    with the reason. Otherwise the action is requested when the child starts, and released once,
+    however the child ends: the result is "completed" after SUCCESS, "failed" after FAILURE or an
+    exception (its text is the feedback), else "abandoned".
+
+    Args:
+        action: name of the ROSA action.
+        child: a leaf or a whole subtree.
+        preference: name of the attribute to favour when a configuration is chosen, or None.
+        wait: tick the child only when the robot is configured for the action; RUNNING until then.
+        timeout: how long to wait [s], by the clock of the knowledge base; then FAILURE.
+        exclusive: begin only when every interrupted action has halted.
+
+    Raises:
+        kb.UnknownName: no such action; the message lists the nearest ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kb: KnowledgeBase,
+        action: str,
+        child: Behaviour,
+        *,
+        preference: str | None = None,
+        wait: bool = False,
+        timeout: float = math.inf,
+        exclusive: bool = False,
+    ) -> None:
+        super().__init__(name, child)
+        kb.is_feasible(action)  # raises now, not during a mission, if it is unknown
+        self.kb = kb
+        self.action = action
+        self.preference = preference
+        self.wait = wait
+        self.timeout = timeout
+        self.exclusive = exclusive
+        self._request = ActionRequest(self, kb, timeout if wait else None)
+
+    def advance(self) -> Generator[Behaviour, None, Status]:
+        new_status = self._request.admit()
+        if new_status is Status.SUCCESS:
+            yield from self.decorated.tick()
+            new_status = self.update()
+        return new_status
+
+    def update(self) -> Status:
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+    def stop(self, new_status: Status) -> None:
+        """Stop the child if it is running, and release the request, also if the child raises.
+
+        The status changes last: after an interrupt in here, a second call does the rest.
+        """
+        try:
+            self.terminate(new_status)
+            if new_status is Status.INVALID or self.decorated.status is Status.RUNNING:
+                self.decorated.stop(Status.INVALID)
+        except Exception as error:
+            report(self, error, " (at the end)")
+        finally:
+            halt(self.decorated)
+            self._request.close(new_status, self.feedback_message)
+        self.status = new_status
+
+
+class UntilSuccess(Decorator):
+    """RUNNING until the child succeeds; a child that fails is ticked once more in the same tick.
+
+    Without this second attempt there would be a tick after which no action is required: the robot
+    would be deconfigured between two actions, and configured again a moment later.
+    """
+
+    def tick(self) -> Iterator[Behaviour]:
+        yield from self.decorated.tick()
+        if self.decorated.status is Status.FAILURE:
+            yield from self.decorated.tick()
+        new_status = self.update()
+        if new_status is not Status.RUNNING:
+            self.stop(new_status)
+        self.status = new_status
+        yield self
+
+    def update(self) -> Status:
+        return Status.RUNNING if self.decorated.status is Status.FAILURE else self.decorated.status
+
+
+class ClockFollower(Behaviour):
+    """A behaviour that counts by the clock of its runner; base class."""
+
+    _clock: Clock = time.monotonic
+
+    def follow(self, clock: Clock) -> None:
+        """Count by this clock from now on; a `TreeRunner` calls it."""
+        self._clock = clock
+
+
+class Timed(ClockFollower):
+    """Has a start, from which it counts; base class."""
+
+    _since = -math.inf
+
+    def initialise(self) -> None:
+        self._since = self._clock()
+
+    def is_over(self, duration: float) -> bool:
+        """Tell whether a duration [s] has passed since the start."""
+        return self._clock() - self._since >= duration - ROUNDING_S
+
+
+class Timer(Timed, py_trees.timers.Timer):
+    """RUNNING for a duration [s], then SUCCESS."""
+
+    def update(self) -> Status:
+        is_over = self.is_over(self.duration)
+        self.feedback_message = "" if is_over else f"takes {self.duration:g} s"
+        return Status.SUCCESS if is_over else Status.RUNNING
+
+
+class Timeout(Timed, py_trees.decorators.Timeout):
+    """Stops the child, and fails, if it is RUNNING after a duration [s]."""
+
+    def tick(self) -> Iterator[Behaviour]:
+        is_late = self.status is Status.RUNNING and self.is_over(self.duration)
+        if is_late and self.decorated.status is Status.RUNNING:
+            self.feedback_message = f"{self.decorated.name} takes more than {self.duration:g} s"
+            self.stop(Status.FAILURE)
+            yield self
+        else:
+            yield from super().tick()
+
+    def update(self) -> Status:
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+
+class Delay(Timed, Decorator):
+    """RUNNING for a duration [s]; then ticks the child."""
+
+    def __init__(self, name: str, child: Behaviour, duration: float) -> None:
+        super().__init__(name, child)
+        self.duration = duration
+
+    def tick(self) -> Iterator[Behaviour]:
+        if self.status is not Status.RUNNING:
+            self.initialise()
+        if self.is_over(self.duration):
+            self.status = Status.RUNNING  # it has started
+            yield from super().tick()
+        else:
+            self.feedback_message = f"{self.decorated.name} begins after {self.duration:g} s"
+            self.status = Status.RUNNING
+            yield self
+
+    def update(self) -> Status:
+        self.feedback_message = self.decorated.feedback_message
+        return self.decorated.status
+
+
+class Retry(Timed, py_trees.decorators.Retry):
+    """Ticks the child again after a failure, with a pause [s] before; FAILURE after `num_failures`."""
+
+    def __init__(self, name: str, child: Behaviour, num_failures: int, pause: float = 0.0) -> None:
+        super().__init__(name, child, num_failures)
+        self.num_failures = num_failures
+        self.pause = pause
+
+    def initialise(self) -> None:
+        py_trees.decorators.Retry.initialise(self)
+
+    def tick(self) -> Iterator[Behaviour]:
+        has_failed = self.status is Status.RUNNING and self.decorated.status is Status.FAILURE
+        if has_failed and not self.is_over(self.pause):
+            yield self
+        else:
+            yield from super().tick()
+
+    def update(self) -> Status:
+        new_status = super().update()
+        if self.decorated.status is Status.FAILURE:
+            self._since = self._clock()
+        return new_status
+
+
+def follow_clock(behaviour: Behaviour, clock: Clock) -> None:
+    """Let a behaviour count by a clock; py_trees' own `Timeout` and `Timer`, too.
+
+    Raises:
+        TreeChangeError: a subclass of them counts by the clock of the computer.
+    """
+    if isinstance(behaviour, ClockFollower):
+        behaviour.follow(clock)
+    elif isinstance(behaviour, py_trees.timers.Timer):
+        _check_hooks(behaviour, py_trees.timers.Timer)
+        _follow_timer(behaviour, clock)
+    elif isinstance(behaviour, py_trees.decorators.Timeout):
+        _check_hooks(behaviour, py_trees.decorators.Timeout)
+        _follow_timeout(behaviour, clock)
+
+
+def _check_hooks(behaviour: Behaviour, base: type[Behaviour]) -> None:
+    kind = type(behaviour)
+    if (kind.initialise, kind.update) != (base.initialise, base.update):
+        raise TreeChangeError(
+            f"{kind.__name__} {behaviour.name!r} counts by the clock of this computer, and the runner"
+            f" by another one; derive it from rosa_bt.decorators.{base.__name__}"
+        )
+
+
+def _follow_timer(timer: py_trees.timers.Timer, clock: Clock) -> None:
+    def initialise() -> None:
+        timer.finish_time = clock() + timer.duration
+        timer.feedback_message = f"configured to fire in '{timer.duration}' seconds"
+
+    def update() -> Status:
+        if clock() > timer.finish_time:
+            timer.feedback_message = f"timer ran out [{timer.duration}]"
+            return Status.SUCCESS
+        timer.feedback_message = "still running"
+        return Status.RUNNING
+
+    vars(timer).update(initialise=initialise, update=update)
+
+
+def _follow_timeout(timeout: py_trees.decorators.Timeout, clock: Clock) -> None:
+    def initialise() -> None:
+        timeout.finish_time = clock() + timeout.duration
+        timeout.feedback_message = ""
+
+    def update() -> Status:
+        child = timeout.decorated
+        left = timeout.finish_time - clock()
+        if child.status is not Status.RUNNING:
+            timeout.feedback_message = "child finished before timeout triggered"
+            return child.status
+        if left >= 0:
+            timeout.feedback_message = f"time still ticking ... [remaining: {left}s]"
+            return Status.RUNNING
+        timeout.feedback_message = "timed out"
+        child.stop(Status.INVALID)
+        return Status.FAILURE
+
+    vars(timeout).update(initialise=initialise, update=update)
