@@ -267,7 +267,7 @@ def test_a_configuration_that_left_the_model_is_forgotten():
     kb, clock, _, manager = in_quarantine(hold=math.inf)
     kb.model.remove(kb.model.configurations["day"])
     turn(manager, clock, 3)
-    assert manager._executor._quarantine.components == {}
+    assert manager._executor._quarantine.held == {}
 
 
 def test_a_configuration_that_was_in_quarantine_is_set_again_before_it_counts_as_in_force():
