@@ -66,54 +66,6 @@ def test_a_slow_system_is_waited_for_over_turns_and_parameters_end_before_activa
     assert kb.components["camera"].is_active
 
 
-def test_an_operation_that_never_ends_is_never_waited_for():
-    kb, clock, managed, manager = start(script={"activate camera": [math.inf]})
-    kb.request_action("explore")
-    assert len(turn(manager, clock, 50)) == 1
-    assert managed.log.count("activate camera") == 1
-    assert kb.pending_plan is kb.latest_plan
-    assert not kb.components["camera"].is_active
-
-
-@pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
-def test_a_command_that_fails_twice_and_then_succeeds_completes_the_plan(failure):
-    kb, clock, managed, manager = start(script={"activate camera": [failure, failure, None]})
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert [plan.result for plan in kb.plans] == ["completed"]
-    assert managed.log.count("activate camera") == 3
-    assert kb.components["camera"].status is Status.SOLVED
-
-
-@pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
-def test_a_start_that_fails_for_good_fails_the_plan_and_the_next_best_design_is_chosen(failure):
-    kb, clock, managed, manager = start(script={"activate camera": [failure]})
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert [plan.result for plan in kb.plans] == ["failed", "completed"]
-    assert kb.components["camera"].status is Status.FAILURE
-    assert kb.designs["by lidar"].status is Status.SOLVED
-    assert kb.actions["explore"].status is Status.SOLVED
-    assert managed.running == {"lidar"}
-
-
-@pytest.mark.parametrize("failure", [Broken("no"), (0.0, Broken("no")), (3.0, Broken("no"))])
-def test_parameters_that_fail_for_good_rule_out_their_configuration_and_at_last_the_component(
-    failure,
-):
-    kb, clock, managed, manager = start(script={"configure camera": [failure]})
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert [(plan.parameters, plan.result) for plan in kb.plans] == [
-        (("day",), "failed"),
-        (("night",), "failed"),
-        ((), "completed"),
-    ]
-    assert kb.components["camera"].status is Status.UNFEASIBLE
-    assert kb.actions["explore"].status is Status.SOLVED
-    assert managed.running == {"lidar"}
-
-
 def test_when_every_design_fails_the_action_is_unfeasible_and_the_loop_rests():
     kb, clock, managed, manager = start(
         script={"activate camera": [Broken("no")], "activate lidar": [(1.0, Broken("no"))]}
@@ -167,15 +119,6 @@ def test_a_component_that_crashed_and_is_started_again_gets_the_configuration_ch
     assert plan.activate == ("camera",)
     assert managed.log == ["configure camera {'exposure': 0.01}", "activate camera"]
     assert managed.started_with == {"camera": {"exposure": 0.01}}
-
-
-def test_a_configuration_chosen_in_an_earlier_plan_is_given_before_the_start():
-    kb, clock, managed, manager = start(planner=DesignsOnly())
-    kb.assert_selected(kb.configurations["night"], True)
-    kb.request_action("explore")
-    (plan,) = turn(manager, clock, 3)
-    assert plan.parameters == ()
-    assert managed.log == ["configure camera {'exposure': 0.2}", "activate camera"]
 
 
 def test_plain_components_are_booked_and_never_commanded():
@@ -249,30 +192,6 @@ def test_the_better_choice_is_taken_again_only_where_the_model_says_always_impro
     turn(manager, clock, 3)
     assert managed.running == ({"part of good"} if always_improve else {"part of poor"})
     assert come_to_rest(manager, kb, clock) == []
-
-
-@pytest.mark.parametrize("always_improve", [True, False])
-def test_the_better_configuration_is_taken_again_only_where_the_model_says_always_improve(
-    always_improve,
-):
-    kb, clock, managed, manager = start(rover(always_improve=always_improve))
-    kb.measure("light", 0.1)
-    kb.request_action("explore")
-    turn(manager, clock, 3)
-    assert managed.parameters == {"camera": {"exposure": 0.2}}
-    kb.measure("light", 0.9)
-    turn(manager, clock, 3)
-    assert managed.parameters == {"camera": {"exposure": 0.01 if always_improve else 0.2}}
-    assert come_to_rest(manager, kb, clock) == []
-
-
-def test_unfeasible_design_is_never_selected_by_the_planner():
-    kb, clock, managed, manager = start()
-    kb.component_failed("lamp")
-    kb.request_action("explore")
-    turn(manager, clock, 3)
-    assert managed.running == {"lidar"}
-    assert not kb.designs["by camera"].is_selected
 
 
 def test_no_new_plan_is_made_before_the_pending_one_has_ended():
@@ -355,15 +274,6 @@ def test_a_component_that_cannot_start_is_not_started_again_and_again(always_imp
     assert managed.log.count("activate broken") <= 6
 
 
-def test_a_component_that_cannot_be_stopped_is_not_stopped_again_and_again():
-    kb, clock, managed, manager = start(script={"deactivate camera": [Broken("stuck")]})
-    kb.request_action("explore")
-    come_to_rest(manager, kb, clock)
-    kb.cancel_action("explore")
-    come_to_rest(manager, kb, clock)
-    assert managed.log.count("deactivate camera") <= 6
-
-
 # stages can be replaced
 
 
@@ -389,14 +299,6 @@ class LastByName:
             if kb.selectable_configurations(name)
         }
         return kb.select(designs, configurations) if designs or configurations else None
-
-
-class DesignsOnly:
-    """A planner that leaves configurations as they are."""
-
-    def plan(self, kb):
-        designs = {name: min(kb.selectable_designs(name)) for name in kb.adaptable_functions()}
-        return kb.select(designs) if designs else None
 
 
 class DryRun:
@@ -440,14 +342,6 @@ def test_an_executor_of_ones_own_replaces_the_stock_one():
     assert managed.log == []
     assert executor.plans == list(kb.plans)
     assert kb.actions["explore"].status is Status.SOLVED
-
-
-def test_a_planner_stands_alone():
-    kb, _ = base(rover())
-    kb.request_action("explore")
-    plan = PriorityPlanner().plan(kb)
-    assert plan is kb.pending_plan
-    assert plan.parameters == ("day",)
 
 
 def test_a_new_executor_takes_up_a_plan_that_the_old_one_left():

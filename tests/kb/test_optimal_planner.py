@@ -17,11 +17,10 @@ from kb import (
     KnowledgeBase,
     Model,
     PriorityPlanner,
-    StagedExecutor,
     UnknownName,
 )
 from kb.optimal import OptimalPlanner, Problem
-from kb.planning import Criterion, summed_weights
+from kb.planning import Criterion
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 ATTRIBUTES = ("x0", "x1")
@@ -145,12 +144,6 @@ def test_of_many_equally_good_choices_it_is_the_first(seed):
         designs,
         configurations,
     )
-
-
-@SLOW
-@given(robots(), criteria())
-def test_same_question_has_the_same_answer(kb, criterion):
-    assert Problem(state_of(kb), criterion).solve() == Problem(state_of(kb), criterion).solve()
 
 
 @SLOW
@@ -306,48 +299,12 @@ def test_choice_keeps_within_the_budget(model):
     assert selected(kb) == ["by camera", "fine"]
 
 
-def test_without_a_preference_a_budget_still_holds(model):
-    kb, _ = at_work(model, OptimalPlanner(budgets={"power": 40.0}), None)
-    assert selected(kb) == ["by camera", "coarse"]
-
-
 def test_budget_that_nothing_fits_is_said_and_nothing_is_planned(model):
     kb, plan = at_work(model, planner := OptimalPlanner(budgets={"power": 9.5}))
     assert plan is None
     assert kb.plans == ()
     assert planner.latest.choice is planner.latest.gap is None
     assert planner.latest.reason == "power would be 10 at least, more than 9.5"
-
-
-def test_budgets_that_only_together_nothing_fits_are_named(model):
-    model.designs["by camera"].estimate("accuracy", 4.0)
-    _, plan = at_work(model, planner := OptimalPlanner(budgets={"power": 20.0, "accuracy": 4.0}))
-    assert plan is None
-    assert planner.latest.reason == "no choice keeps within power 20 and accuracy 4"
-
-
-def test_what_gives_some_of_a_budget_is_configured_before_what_uses_it():
-    model, clock = Model("rover"), Clock(0.0)
-    power = model.quality_attribute("power")
-    light, panel = (model.component(name, kind="process") for name in ("light", "panel"))
-    for component, levels in ((light, (1.0, 3.0)), (panel, (0.0, -2.0))):
-        for level in levels:
-            component.configuration(f"{component.name} {level:g}", {"level": level}).estimate(
-                power, level
-            )
-    model.function("see").design("by light", [light, panel])
-    model.action("look", requires=["see"])
-    kb, managed = KnowledgeBase(model, clock=clock), Scripted(clock)
-    executor = StagedExecutor(managed, budgets={"power": 1.0})
-    kb.request_action("look")
-    for chosen in (
-        {"light": "light 1", "panel": "panel 0"},
-        {"light": "light 3", "panel": "panel -2"},
-    ):
-        plan = kb.select({"see": "by light"}, chosen)
-        executor.execute(kb)
-        assert plan.result == "completed"
-    assert managed.log[-2:] == ["configure panel {'level': -2.0}", "configure light {'level': 3.0}"]
 
 
 def test_gain_smaller_than_what_switching_costs_does_not_switch(model):
@@ -392,44 +349,6 @@ def test_solved_robot_is_chosen_for_again_when_something_else_is_preferred(model
     assert selected(kb) == ["by both", "fine"]
 
 
-def test_another_action_with_another_preference_alone_makes_it_choose_again(model):
-    model.action("film", requires=["see"])
-    kb, _ = at_work(content(model), planner := OptimalPlanner(), {"power": -1.0})
-    kb.request_action("film", {"accuracy": 100.0})
-    carried_out(kb, planner)
-    assert selected(kb) == ["by both", "fine"]
-    kb.cancel_action("film")
-    carried_out(kb, planner)
-    assert selected(kb) == ["by camera", "coarse"]
-
-
-def test_preference_that_is_given_up_leaves_what_works(model):
-    kb, _ = at_work(content(model), planner := OptimalPlanner())
-    kb.cancel_action("explore")
-    kb.request_action("explore")
-    assert planner.plan(kb) is None
-    assert selected(kb) == ["by both", "fine"]
-
-
-def test_robots_that_one_planner_plans_for_in_turn_are_each_chosen_for_as_if_alone(model):
-    planner = OptimalPlanner()
-    (one, _), (other, _) = (at_work(content(model), planner) for _ in range(2))
-    one.cancel_action("explore")
-    one.request_action("explore", {"power": -1.0})
-    assert planner.plan(other) is None
-    carried_out(one, planner)
-    assert selected(one) == ["by camera", "coarse"]
-    assert selected(other) == ["by both", "fine"]
-
-
-def test_that_nothing_fits_is_noted_once_for_each_robot_that_one_planner_plans_for_in_turn(model):
-    planner = OptimalPlanner(budgets={"power": 9.5})
-    robots = [at_work(model, planner)[0] for _ in range(2)]
-    for kb in robots * 2:
-        assert planner.plan(kb) is None
-    assert [[event.verb for event in kb.log].count("note_no_choice") for kb in robots] == [1, 1]
-
-
 def test_nobody_waits_while_the_answer_is_looked_for_and_the_model_may_change(model, monkeypatch):
     kb, planner, solved = KnowledgeBase(model, clock=Clock()), OptimalPlanner(), []
     kb.request_action("explore", "accuracy")
@@ -463,14 +382,6 @@ def test_dry_run_does_not_use_up_the_change_of_a_preference(model):
         made.parameters,
         made.reason,
     )
-
-
-def test_unfeasible_design_is_not_part_of_the_best_choice(model):
-    kb, _ = at_work(model, planner := OptimalPlanner())
-    kb.measure("light", 0.1)
-    plan = carried_out(kb, planner)
-    assert selected(kb) == ["by camera", "fine"]
-    assert plan.deactivate == ("lidar",)
 
 
 def intricate(size=8):
@@ -517,16 +428,6 @@ def test_without_any_effort_the_choice_is_by_priority():
     assert {name for name in selected(kb) if name.startswith("design")} == {
         f"design 0 of function {one}" for one in range(8)
     }
-
-
-def test_with_too_little_effort_to_keep_within_a_budget_nothing_is_planned():
-    kb, planner = intricate(), OptimalPlanner(budgets={"power": 30.0}, effort=1e-9)
-    assert planner.plan(kb) is None
-    assert (
-        planner.latest.reason
-        == "no choice that keeps within power 30 was found with an effort of 1e-09"
-    )
-    assert OptimalPlanner(budgets={"power": 30.0}).plan(kb) is not None
 
 
 def test_numbers_too_far_apart_to_be_exact_are_rounded_and_it_is_said(model):
@@ -583,10 +484,6 @@ def test_what_is_not_in_the_model_is_an_error_that_names_what_is(model):
 def test_setting_without_a_meaning_is_refused(settings):
     with pytest.raises(InvalidValue):
         OptimalPlanner(**settings)
-
-
-def test_preferences_add_up():
-    assert summed_weights(["a", None, {"a": -0.5, "b": 2.0}]) == {"a": 0.5, "b": 2.0}
 
 
 class Meter:
@@ -741,17 +638,3 @@ def test_running_components_are_set_to_use_less_before_others_use_more(first, th
         favour(*robot, order)
         assert [meter.uses[f"part {number}"] for number in order] == [9.0, 4.0, 1.0]
     assert meter.most == 14.0
-
-
-def test_no_running_component_is_set_to_use_more_if_another_could_not_be_set_to_use_less():
-    class Jammed(Meter):
-        def set_parameters(self, component, parameters):
-            if parameters["power"] < self.uses.get(component, 0.0):
-                raise RuntimeError("jammed")
-            super().set_parameters(component, parameters)
-
-    meter = Jammed()
-    robot = three_running(meter)
-    for order in ((0, 1, 2), (2, 1, 0)):
-        favour(*robot, order)
-    assert (meter.uses["part 0"], meter.most) == (9.0, 14.0)
