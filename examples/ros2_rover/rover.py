@@ -1,11 +1,15 @@
 """A rover in ROS 2: what it is made of, what it can do, and the tree that decides what it does."""
 
+from itertools import cycle
+
 from py_trees.behaviour import Behaviour
-from py_trees.behaviours import Running
 
 from kb import KnowledgeBase, Model
 from missions.engine.mission import Percepts
-from rosa_bt import ForAction, first_feasible
+from missions.wires.actions import RosAction
+from rosa_bt import first_feasible
+
+NAVIGATE = "nav2_msgs/action/NavigateToPose"
 
 
 def model() -> Model:
@@ -22,7 +26,7 @@ def model() -> Model:
     lidar = rover.component("lidar", kind="lifecycle")
     navigator = rover.component("navigator", kind="lifecycle")
 
-    see = rover.function("see")
+    see = rover.function("see", always_improve=True)
     see.design("with_camera", [camera], priority=1)
     see.design("with_lidar", [lidar], priority=2)
     drive = rover.function("drive")
@@ -33,9 +37,18 @@ def model() -> Model:
     return rover
 
 
+def pose(x: float, y: float) -> dict[str, object]:
+    """Return a goal of Nav2: a place on the map [m]."""
+    place = {"position": {"x": x, "y": y}, "orientation": {"w": 1.0}}
+    return {"pose": {"header": {"frame_id": "map"}, "pose": place}}
+
+
 def tree(kb: KnowledgeBase, percepts: Percepts) -> Behaviour:
-    """Return the tree: patrol as long as that can be done, or else return to the dock."""
-    names = ("patrol", "return_to_dock")
-    return first_feasible(
-        "what to do", [ForAction(name, kb, name, Running(name)) for name in names]
+    """Return the tree: patrol from place to place as long as that can be done, or else return to the dock."""
+    places = cycle([pose(4.0, 0.0), pose(4.0, 3.0), pose(0.0, 3.0)])
+    server = "/navigate_to_pose"
+    patrol = RosAction(
+        "patrol", kb, "patrol", server, NAVIGATE, lambda: next(places), wait=True, timeout=30.0
     )
+    dock = RosAction("dock", kb, "return_to_dock", server, NAVIGATE, pose(0.0, 0.0), wait=True)
+    return first_feasible("what to do", [patrol, dock])

@@ -82,7 +82,8 @@ class Modes:
         UnknownName: no such function.
     """
 
-    BOOKKEEPING = "_revision _all _found"
+    def __getstate__(self) -> None:
+        """Return nothing: what is kept here follows from the knowledge base."""
 
     def __init__(self, kb: KnowledgeBase, function: str) -> None:
         self._kb, self._function = kb, kb.functions[function].name

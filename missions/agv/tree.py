@@ -59,6 +59,9 @@ class Route:
         self._believed: tuple[object, ...] = ()
         self._answer: Answer | None = None
 
+    def __getstate__(self) -> None:
+        """Return nothing: the plan that is kept here follows from the facts."""
+
     @property
     def at(self) -> str:
         """The place where the robot is; within a corridor, the place that it came from."""

@@ -20,8 +20,7 @@ from missions.engine.mission import Mission, MissionError, Percepts, built, find
 from missions.engine.question import Answer, answer, ask, certified
 from missions.engine.task_layer import declarations_of, mission_domain
 from missions.proof.exploration import Exploration
-from missions.proof.story import as_test
-from missions.proof.verification import prove, setup_of
+from missions.proof.verification import as_test, prove, setup_of
 from missions.views.output import as_json, open_files
 from missions.views.plan import (
     as_data,
@@ -370,7 +369,6 @@ def _written(option: str, found: Answer) -> str:
 
 def verify(
     mission: Annotated[str, typer.Argument(help="A mission, or module:NAME.")],
-    task: Annotated[str, typer.Option(help="What decides: bt or pddl.")] = "bt",
     failures: Annotated[
         int, typer.Option(min=0, help="How many components may have failed at once.")
     ] = 1,
@@ -382,14 +380,11 @@ def verify(
     exclusive: Annotated[
         list[str] | None, typer.Option(metavar="A,B", help="Actions that exclude each other.")
     ] = None,
+    suggest: Annotated[
+        bool, typer.Option("--suggest", help="Look for what mends a broken tree.")
+    ] = False,
     most: Annotated[int, typer.Option(help="Stop at this number of situations.")] = 100_000,
     seconds: Annotated[float, typer.Option(help="Stop after this time [s].")] = 60.0,
-    cores: Annotated[
-        int | None, typer.Option(min=1, help="How many processes explore; default: all cores.")
-    ] = None,
-    resume: Annotated[
-        Path | None, typer.Option(help="Go on from this file if it exists; write it at the end.")
-    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write what was found.")] = None,
     report: Annotated[
         Path | None, typer.Option(help="Write a page: the first story, or the way to the goal.")
@@ -398,28 +393,21 @@ def verify(
         Path | None, typer.Option(help="Write the first story as a test for pytest.")
     ] = None,
 ) -> None:
-    """Say what holds in everything that can happen; exit with 0 if all does, 1 if not, 3 if open: not finished."""
+    """Verify a mission's tree. Exit 0: all properties hold; 1: one is violated; 3: not finished."""
     options: dict[str, Any] = {"failures": failures, "at_once": at_once, "slow": slow}
-    setup = setup_of(find_mission(mission), task, **options)
-    groups = [[*map(str.strip, one.split(","))] for one in exclusive or ()]
-    files = open_files({"json": json, "report": report, "test": test, "resume": resume})
+    setup = setup_of(find_mission(mission), **options)
+    groups = [[*map(str.strip, group.split(","))] for group in exclusive or ()]
+    files = open_files({"json": json, "report": report, "test": test})
 
-    def explore(found: Exploration) -> None:
-        if resume is not None and resume.exists():
-            try:
-                found.go_on_from(resume.read_bytes())
-            except (MissionError, OSError) as error:
-                advice = "begin anew with another file, or with none"
-                raise MissionError(f"cannot go on from {resume}: {error}; {advice}") from error
-        with _interruptible(found):
-            found.explore(most, seconds, cores)
-        if resume is not None:
-            files["resume"].finish(found.as_bytes())
+    def explore(explored: Exploration) -> None:
+        with _interruptible(explored):
+            explored.explore(most, seconds)
 
-    proof = prove(setup, explore, reaction=reaction, exclusive=groups)
+    proof = prove(setup, explore, reaction=reaction, exclusive=groups, suggest=suggest)
     typer.echo(f"{mission}: {proof}")
     rows = [
-        (" and ".join(one.facts), one.reaches, ", ".join(one.actions)) for one in proof.consequences
+        (" and ".join(each.facts), each.reaches, ", ".join(each.actions))
+        for each in proof.consequences
     ]
     rows[:0] = [("if for good", "it reaches", "and does meanwhile")] if rows else []
     wide, long = (max((len(row[column]) for row in rows), default=0) for column in (0, 1))
@@ -430,19 +418,18 @@ def verify(
     if report is not None:
         proof.report(report)
     shown = proof.shown
-    if "test" in files and shown is not None and shown.trail is not None:
-        made = f"setup_of(find_mission({mission!r}), {task!r}, {', '.join(f'{k}={v}' for k, v in options.items())})"
-        files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown.name, shown.what, shown.trail))
+    if "test" in files and shown is not None:
+        arguments = ", ".join(f"{name}={value}" for name, value in options.items())
+        made = f"setup_of(find_mission({mission!r}), {arguments})"
+        files["test"].finish(as_test(f"{_IMPORTS}\n{made}", shown))
     elif "test" in files:
         why = "no story shows what is broken" if proof.broken else "nothing is broken"
         typer.echo(f"{why}: no test is written")
     if proof.broken:
         raise typer.Exit(FAILED)
-    if not proof.found.is_finished:
+    if not proof.explored.is_finished:
         fewer = ", or look for fewer failures at once with --failures" if failures else ""
-        typer.echo(
-            f"not finished, and nothing is broken so far: raise --seconds or --most, go on with --resume{fewer}"
-        )
+        typer.echo(f"not finished, and nothing is broken so far: raise --seconds or --most{fewer}")
         raise typer.Exit(UNFINISHED)
 
 

@@ -15,9 +15,10 @@ from kb import Event, KnowledgeBaseError
 from kb.files import draft
 from kb.model import differences
 from missions.commands import FAILED, open_console
-from missions.engine.mission import MISSIONS, MissionError, Verdict
+from missions.engine.mission import MISSION_STATUS, MISSIONS, MissionError, Verdict
 from missions.engine.recording import line_of, read_recording
 from missions.engine.runner import MissionRun
+from missions.testing.decisions import Decisions
 from missions.testing.decisions import replay as decide
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
@@ -104,6 +105,10 @@ def replay(
         console.print(
             f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}"
         )
+    silence = _silence(bag, decisions, asked)
+    if silence:
+        console.print(f"{recording} {silence}", markup=False)
+        raise typer.Exit(FAILED)
     if not bag.events:
         return
     lines = unified_diff(
@@ -161,6 +166,20 @@ def convert(recording: Path, output: Path) -> None:
             write_in_chunks(part, messages(recording, bag))
         part.replace(output)
     _print_notes(open_console(), bag)
+
+
+def _silence(bag: Bag, decisions: Decisions, mission: str) -> str:
+    """Return why a replay heard nothing, in words; empty if it heard something."""
+    messages = [message for message in bag.messages if message["status"]]
+    if not messages:
+        return f"has no message of diagnostics, which is what {mission} hears"
+    texts = {str(status["message"]).casefold() for one in messages for status in one["status"]}
+    is_heard = any(moment.what == "heard" for moment in decisions.timeline)
+    if is_heard or MISSION_STATUS in texts:
+        return ""
+    plural = "s" if len(messages) > 1 else ""
+    count = f"{len(messages)} message{plural}"
+    return f"was not understood: nothing in its {count} of diagnostics says anything to {mission}"
 
 
 def _print_notes(console: Console, bag: Bag) -> None:

@@ -2,8 +2,9 @@
 
 import logging
 import math
+import signal
 import time
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,12 +20,14 @@ from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
 from missions.commands import ROBOT, assignments, open_console, tree_builder
 from missions.engine.mission import MissionError, Percepts, built, find_robot
 from missions.wires.assistant import Assistant, mcp_server, serve_http
-from missions.wires.bridge import Bridge, BridgeSettings
+from missions.wires.bridge import Bridge, BridgeSettings, SimulatedClock
 from missions.wires.node import Node
-from missions.wires.rosbridge import Rosbridge, RosbridgeServer
+from missions.wires.rclpy import RclpyNode
+from missions.wires.rosbridge import Rosbridge
 from rosa_bt import TreeRunner
 
 _TICK_S: Final = 0.1
+_HALT_S: Final = 10.0
 
 
 def bridge(
@@ -42,18 +45,11 @@ def bridge(
         list[str] | None,
         typer.Option(metavar="NAME=/TOPIC.FIELD", help="The field that measures an attribute."),
     ] = None,
-    serve: Annotated[
-        int | None, typer.Option(metavar="PORT", help="Serve rosbridge instead of connecting.")
-    ] = None,
-    dds: Annotated[bool, typer.Option("--dds", help="By DDS instead, without a bridge.")] = False,
     rclpy: Annotated[
         bool, typer.Option("--rclpy", help="By rclpy instead, where ROS 2 is installed.")
     ] = False,
-    host: Annotated[
-        str, typer.Option(help="Where to serve, elsewhere with a token; DDS: interface.")
-    ] = "127.0.0.1",
     token: Annotated[
-        str, typer.Option(envvar="ROSA_TOKEN", help="Given to the other side, or asked of it.")
+        str, typer.Option(envvar="ROSA_TOKEN", help="Given to the robot's rosbridge.")
     ] = "",
     answer: Annotated[
         bool, typer.Option("--answer", help="Leave deciding to others, by ROSA's services.")
@@ -79,32 +75,46 @@ def bridge(
         if event.kind is not EventKind.RECORD and (event.verb != "measure" or event.changes):
             console.print(event.text, markup=False, soft_wrap=True)
 
-    with closing(KnowledgeBase(model, store=store, clock=time.time)) as kb:
+    with ExitStack() as stack:
+        ended_as_before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        stack.callback(signal.signal, signal.SIGTERM, ended_as_before)
+        node = _node(settings, token, rclpy=rclpy)
+        stack.callback(node.close)
+        clock = SimulatedClock(node) if settings.use_sim_time else None
+        kb = KnowledgeBase(model, store=store, clock=clock or time.time)
+        stack.callback(kb.close)
         kb.subscribe(say)
-        node = _node(settings, serve, host, token, dds=dds, rclpy=rclpy)
-        with closing(Bridge(kb, node, settings, percepts)) as connected:
-            node.watch(lambda _, text: console.print(text, markup=False))
-            manager = ConfigurationManager(kb, connected.managed)
-            root: Behaviour = Running("others decide")
-            if make_tree is not None and not answer:
-                root = built(
-                    f"the tree of {tree or robot}",
-                    Behaviour,  # type: ignore[type-abstract]  # only for isinstance
-                    partial(make_tree, kb, percepts),
-                )
-            runner = TreeRunner(root, clock=time.time, period=_TICK_S)
-            runner.setup()
-            end = math.inf if seconds is None else time.monotonic() + seconds
-            try:
-                while time.monotonic() < end:
-                    if connected.is_connected:
-                        manager.update()
-                        runner.update()
-                    time.sleep(_TICK_S / 2)
-            except KeyboardInterrupt:
-                console.print("stopped by hand")
-            finally:
-                runner.shutdown()
+        connected = Bridge(kb, node, settings, percepts, clock and clock.stamp_time)
+        stack.callback(connected.close)
+        node.watch(lambda _, text: console.print(text, markup=False))
+        manager = ConfigurationManager(kb, connected.managed)
+        root: Behaviour = Running("others decide")
+        if make_tree is not None and not answer:
+            make, what = partial(make_tree, kb, percepts), f"the tree of {tree or robot}"
+            root = built(what, Behaviour, make)  # type: ignore[type-abstract]  # only asked about
+        runner = TreeRunner(root, clock=clock or time.time, period=_TICK_S)
+        runner.setup()
+        end = math.inf if seconds is None else time.monotonic() + seconds
+        try:
+            while time.monotonic() < end:
+                if connected.is_connected and (clock is None or clock.has_begun):
+                    manager.update()
+                    runner.update()
+                time.sleep(_TICK_S / 2)
+        except KeyboardInterrupt:  # also by SIGTERM, as a service manager sends it
+            console.print("stopped by hand")
+        finally:
+            _halt(runner)
+
+
+def _halt(runner: TreeRunner) -> None:
+    """Interrupt the tree, let its actions halt, e.g. cancel their goals, and shut it down."""
+    runner.stop()
+    end = time.monotonic() + _HALT_S
+    while runner.is_halting and time.monotonic() < end:
+        runner.update()
+        time.sleep(_TICK_S / 2)
+    runner.shutdown()
 
 
 def _settings(config: Path | None, url: str | None, attributes: list[str]) -> BridgeSettings:
@@ -113,22 +123,8 @@ def _settings(config: Path | None, url: str | None, attributes: list[str]) -> Br
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 
-def _node(
-    settings: BridgeSettings, serve: int | None, host: str, token: str, *, dds: bool, rclpy: bool
-) -> Node:
-    if dds + rclpy + (serve is not None) > 1:
-        raise MissionError(
-            "a robot is reached by one wire: --serve, --dds, --rclpy, or none of them for its rosbridge"
-        )
-    if dds:
-        from missions.wires.dds import DdsNode
-
-        return DdsNode(host=host)
-    if rclpy:
-        from missions.wires.ros import RclpyNode
-
-        return RclpyNode()
-    return Rosbridge(settings.url, token) if serve is None else RosbridgeServer(serve, host, token)
+def _node(settings: BridgeSettings, token: str, *, rclpy: bool) -> Node:
+    return RclpyNode() if rclpy else Rosbridge(settings.url, token)
 
 
 def mcp(

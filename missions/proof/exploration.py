@@ -1,43 +1,64 @@
-"""The graph of all situations that a tree, its knowledge base and the manager can get into, found by running them."""
+"""The graph of all situations that a tree, its knowledge base and the manager can get into, found by running them.
 
-import gc
-import gzip
-import io
-import json
-import os
-import pickle
+In a round some facts change, the manager takes its turns, the tree is ticked and each leaf answers, and the manager
+takes its turns again.
+"""
+
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from pathlib import Path
-from typing import Any, Final
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
-from missions.engine.mission import MissionError
-from missions.proof.rig import Change, Predicate, Rig, Setup
-from missions.proof.rounds import (
-    CAN_COPY,
-    Changed,
-    Doing,
-    Known,
-    Onward,
-    Rounds,
-    Seen,
-    Situation,
-    Step,
-    Ticked,
-    Way,
-    Workers,
-    megabytes,
-)
+from py_trees.blackboard import Blackboard
+from py_trees.common import Status
+from py_trees.composites import Sequence as SequenceNode
 
-_AT_A_TIME: Final = 32
-"""How many situations each process explores between two looks at the clock."""
+from missions.proof.environment import Change, Facts, Value
+from missions.proof.memory import Memory, attributes_of
+from missions.proof.rig import Answer, Predicate, Rig, Setup, Step
 
-_ALONE_S: Final = 1.0
-"""For how long one process explores alone; most missions are finished by then [s]."""
 
-_PARTS: Final = (Situation, Step, Change, Changed, Ticked, Seen, Known, Doing, frozenset)
+class Situation(NamedTuple):
+    """A state of the tree, by number, the facts, and what was brought about; before or after a tick."""
+
+    tree: int
+    facts: Facts
+    deeds: frozenset[str]
+
+
+class Known(NamedTuple):
+    """What properties look at in a state of the knowledge base; `occurring` is what is selected or required."""
+
+    required: tuple[str, ...]
+    unfeasible: tuple[str, ...]
+    feasible: frozenset[str]
+    occurring: frozenset[tuple[str, str]]
+
+
+class Doing(NamedTuple):
+    """What properties look at in a state of the tree; the stage is where its sequences with memory have got to."""
+
+    status: Status
+    running: frozenset[str]
+    stage: tuple[str, ...]
+    is_over: bool
+
+
+class Round(NamedTuple):
+    """A round: what happens in it, the facts just before its tick, and the number of the situation after it."""
+
+    step: Step
+    before: Known
+    after: int
+    is_caused: bool
+
+    @property
+    def is_still(self) -> bool:
+        """Whether no fact changes and the manager misses no turn."""
+        return not self.step.changes and not any(self.step.late)
+
 
 Wrong = tuple[str, Sequence[Step] | None]
 """What is wrong, in words, and the rounds that lead there; None if no single story shows it."""
@@ -49,91 +70,71 @@ class Exploration:
     Args:
         setup: what is explored.
         predicates: each is evaluated in every situation.
-        goal: holds where the mission has reached its goal; by default where the root succeeds.
+        goal: holds where the mission has reached its goal; by default what the PDDL file says, or else the success of
+            the root.
 
     Attributes:
         rig: the parts of the mission; `load` puts them into a situation.
         situations: by number; 0 is the initial one, and those that fewer rounds lead to come first.
-        states: by number of the situation, the parts of it that properties look at.
-        onward: by number of the situation, all that may follow it; shorter than `situations` until it is finished.
+        rounds: by number of the situation, all that may follow it; shorter than `situations` until it is finished.
         faults: of the manager, in words, each with the fewest rounds that lead there.
         holds: by predicate, the situations in which it holds.
-        transitions: the number of changes and ticks that were found.
         seconds: how long the exploration took [s].
-        megabytes: the most memory that one process used [MB].
     """
 
     def __init__(
         self, setup: Setup, predicates: Sequence[Predicate] = (), goal: Predicate | None = None
     ) -> None:
-        predicates, self._goal = [*predicates, *filter(None, [goal])], goal
-        self._rounds = rounds = Rounds(setup, predicates)
-        self.rig = rounds.rig
-        self.faults = {fault: list[Step]() for fault in rounds.faults}
+        self.rig = rig = Rig(setup)
+        self._goal = goal
+        self._predicates = [*predicates, *([goal] if goal is not None else [])]
+        self.faults: dict[str, Sequence[Step]] = dict.fromkeys(rig.begin(), ())
+        self._apart = _kept_apart(rig)
+        self._memory = Memory([rig.root, Blackboard.storage, *self._apart])
         self.situations: list[Situation] = []
-        self.states: list[Seen] = []
-        self.onward: list[Onward] = []
-        self._steps: list[tuple[int, Step]] = []
+        self.known: list[Known] = []
+        self.doing: list[Doing] = []
+        self.rounds: list[list[Round]] = []
+        self.holds: dict[Predicate, set[int]] = {each: set() for each in self._predicates}
+        self._reached_by: list[tuple[int, Step]] = []
         self._numbers: dict[Situation, int] = {}
-        self.holds: dict[Predicate, set[int]] = {one: set() for one in predicates}
-        self._ticked: set[Situation] = set()
-        self.transitions, self.seconds, self.megabytes = 0, 0.0, 0.0
+        self._known_of: dict[Facts, Known] = {}
+        self._settled: dict[Facts, tuple[Facts, tuple[str, ...]]] = {}
+        self._ticks: dict[Situation, list[tuple[int, tuple[Answer, ...], bool, bool]]] = {}
         self._is_stopped = False
-        sources = [Path(getattr(one, "__file__", None) or "") for one in [*sys.modules.values()]]
-        self._newest = max(
-            one.stat().st_mtime_ns for one in sources if one.suffix == ".py" and one.is_file()
-        )
-        self._reach(rounds.first, rounds.seen(rounds.first), -1, Step())
+        self.seconds = 0.0
+        first = Situation(self._read_tree(), rig.read(), frozenset())
+        self._number(first, -1, Step())
 
-    def explore(
-        self, most: int = 100_000, seconds: float = 60.0, cores: int | None = None
-    ) -> "Exploration":
+    def explore(self, most: int = 100_000, seconds: float = 60.0) -> "Exploration":
         """Explore, breadth first; called again, it goes on where it stopped.
 
         Args:
             most: it stops at about this number of situations.
             seconds: it stops after about this time [s].
-            cores: how many processes share the work; by default as many as there are cores. The result is the same.
         """
-        begun, self._is_stopped = time.perf_counter(), False
-        cores = (cores or len(os.sched_getaffinity(0))) if CAN_COPY else 1
-        crew: Workers | None = None
-        collected = gc.get_threshold()
-        gc.set_threshold(
-            100_000, *collected[1:]
-        )  # what is found is kept; looking for garbage took a sixth
-        try:
-            while (
-                self.unexplored
-                and len(self.situations) < most
-                and time.perf_counter() < begun + seconds
-            ):
-                if self._is_stopped:
-                    break
-                if crew is None and cores > 1 and time.perf_counter() > begun + _ALONE_S:
-                    crew = Workers(self._rounds, cores)
-                self._round(self.unexplored[: 1 if crew is None else _AT_A_TIME * cores], crew)
-        finally:
-            gc.set_threshold(*collected)
-            self.seconds += time.perf_counter() - begun
-            if crew is not None:
-                crew.close()
-            self.megabytes = megabytes()
+        begun = time.perf_counter()
+        self._is_stopped = False
+        while not self.is_finished and len(self.situations) < most and not self._is_stopped:
+            if time.perf_counter() > begun + seconds:
+                break
+            self.rounds.append(list(self._onward(len(self.rounds))))
+        self.seconds += time.perf_counter() - begun
         return self
 
     def stop(self) -> None:
-        """Let `explore` end soon, as if its time were over; may be called from other threads and signal handlers."""
+        """Let `explore` end soon, as if its time were over; may be called from signal handlers."""
         self._is_stopped = True
-
-    @property
-    def unexplored(self) -> range:
-        """The numbers of the situations that were not explored from yet."""
-        return range(len(self.onward), len(self.situations))
 
     @property
     def is_finished(self) -> bool:
         """Whether all situations were explored from."""
-        return not self.unexplored
+        return len(self.rounds) == len(self.situations)
+
+    @property
+    def unexplored(self) -> range:
+        """The numbers of the situations that were not explored from yet."""
+        return range(len(self.rounds), len(self.situations))
 
     @property
     def every(self) -> range:
@@ -141,31 +142,57 @@ class Exploration:
         return range(len(self.situations))
 
     @property
+    def transitions(self) -> int:
+        """How many different ticks were run."""
+        return sum(map(len, self._ticks.values()))
+
+    @property
+    def ended(self) -> set[int]:
+        """The situations in which the root has succeeded."""
+        return {number for number in self.every if self.doing[number].status is Status.SUCCESS}
+
+    @property
     def goals(self) -> set[int]:
         """The situations in which the goal is reached."""
         if self._goal is not None:
-            return self.holds[self._goal]
-        return {number for number, one in enumerate(self.states) if one.doing.status == "SUCCESS"}
+            return set(self.holds[self._goal])
+        return {number for number in self.ended if not self.misses(number)}
 
-    @property
-    def occurring(self) -> set[tuple[str, str]]:
-        """Kind and name of each element that was selected or required in some state."""
-        changed = [change.facts for onward in self.onward for change, _ in onward]
-        return set().union(
-            *(one.occurring for one in (*changed, *(one.facts for one in self.states)))
+    def misses(self, number: int) -> str:
+        """Return in words why the success of the root is not that of the mission; empty if it is."""
+        if self._goal is not None:
+            return ""
+        deeds = self.situations[number].deeds
+        instead = [deed.removeprefix("instead ") for deed in deeds if deed.startswith("instead ")]
+        if instead:
+            wanted = "write do_until_unfeasible(task, meanwhile)"
+            return f"the success of {instead[0]} ends the mission; {wanted}"
+        goal = self.rig.setup.causes.goal
+        open_goals = sorted(effect for effect in goal if f"{effect} done" not in deeds)
+        return (
+            f"it ends, and nothing has brought about {', '.join(open_goals)}" if open_goals else ""
         )
 
-    def following(self, number: int, *, still: bool = False) -> Iterator[tuple[Step, Known, int]]:
-        """Yield each round that may follow, the facts before its tick, and the number of the situation after it.
+    def caused(self, start: Iterable[int] = (0,)) -> set[int]:
+        """Return what can be reached from situations if nothing succeeds before the deed that brings it about."""
+        reached = set(start)
+        pending = list(reached)
+        while pending:
+            for each in self.following(pending.pop()):
+                if each.is_caused and each.after not in reached:
+                    reached.add(each.after)
+                    pending.append(each.after)
+        return reached
 
-        If still, only rounds in which no fact changes and the manager misses no turn.
-        """
-        for change, ticks in self.onward[number] if number < len(self.onward) else ():
-            is_news = change.changes or change.is_late
-            for tick in () if still and is_news else ticks:
-                if not (still and tick.is_late):
-                    step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
-                    yield step, change.facts, self._numbers[tick.after]
+    def values(self, number: int) -> dict[str, Value]:
+        """Return what is measured in a situation, by attribute."""
+        return dict(
+            zip(self.rig.environment.values, self.situations[number].facts.values, strict=True)
+        )
+
+    def following(self, number: int) -> list[Round]:
+        """Return the rounds that may follow a situation."""
+        return self.rounds[number] if number < len(self.rounds) else []
 
     def first(self, bad: Iterable[int], what: str) -> Wrong | None:
         """Return what is wrong in these situations, with the rounds to the nearest of them; None if there is none."""
@@ -173,135 +200,178 @@ class Exploration:
         return None if number is None else (what, self.path(number))
 
     def reaching(
-        self, wanted: Collection[int], *, still: bool = False, within: Collection[int] | None = None
+        self, goals: Collection[int], *, still: bool = False, within: Collection[int] | None = None
     ) -> set[int]:
-        """Return the wanted situations, and all from which one of them can be reached."""
+        """Return the goals, and all from which one can be reached by deeds that bring about what succeeds.
+
+        If still, only rounds in which no fact changes count.
+        """
         before: defaultdict[int, list[int]] = defaultdict(list)
         for number in self.every if within is None else within:
-            for _, _, after in self.following(number, still=still):
-                if within is None or after in within:
-                    before[after].append(number)
-        reached, pending = set(wanted), list(wanted)
+            for each in self.following(number):
+                is_inside = within is None or each.after in within
+                if is_inside and each.is_caused and (each.is_still or not still):
+                    before[each.after].append(number)
+        reached = set(goals)
+        pending = list(goals)
         while pending:
-            new = [one for one in before[pending.pop()] if one not in reached]
+            new = [number for number in before[pending.pop()] if number not in reached]
             reached.update(new)
             pending += new
         return reached
 
-    def avoiding(self, number: int, wanted: Collection[int], rounds: int) -> list[Step] | None:
-        """Return so many rounds that avoid the wanted situations; None if there are no such rounds."""
-        layer: dict[int, list[Step]] = {} if number in wanted else {number: []}
+    def avoiding(self, number: int, goals: Collection[int], rounds: int) -> list[Step] | None:
+        """Return so many rounds that avoid some situations; None if there are no such rounds."""
+        layer: dict[int, list[Step]] = {} if number in goals else {number: []}
         for _ in range(rounds):
-            onward = [
-                (trail, *one) for number, trail in layer.items() for one in self.following(number)
-            ]
-            layer = {
-                after: [*trail, step]
-                for trail, step, _, after in reversed(onward)
-                if after not in wanted
-            }
+            after: dict[int, list[Step]] = {}
+            for place, trail in layer.items():
+                for each in self.following(place):
+                    if each.after not in goals:
+                        after.setdefault(each.after, [*trail, each.step])
+            layer = after
         return next(iter(layer.values()), None)
 
     def load(self, number: int) -> Rig:
         """Put the parts of the mission into a situation and return them."""
-        return self._rounds.load(self._rounds.bring(self._way(number)))
+        self._put(self.situations[number])
+        return self.rig
 
     def path(self, number: int) -> list[Step]:
         """Return the fewest rounds that lead to a situation."""
-        return [step for _, step, _ in self._way(number)]
-
-    def as_bytes(self) -> bytes:
-        """Return what was found, for `go_on_from`: which rounds lead where, without the contents of states."""
-        size = len(self.situations) + self.is_finished
-        saved = (
-            self._mark(),
-            size,
-            len(self.onward),
-            self.seconds,
-            (self._rounds.found, self._rounds.ticked),
-        )
-        return gzip.compress(pickle.dumps(saved), mtime=0)  # its checksum detects damage
-
-    def go_on_from(self, kept: bytes) -> None:
-        """Take over what an earlier exploration of the same mission found (the bytes of `as_bytes`).
-
-        First it explores for a second from the beginning and compares; a small mission is thus explored anew.
-
-        Raises:
-            MissionError: the bytes are damaged or of another mission, or the mission has changed since.
-        """
-        try:
-            mark, size, count, seconds, news = _Reader(io.BytesIO(gzip.decompress(kept))).load()
-        except Exception as error:  # gzip and pickle raise many kinds
-            raise MissionError(f"it is not a saved exploration: {error!r}") from error
-        if mark == self._mark():
-            self.explore(size, _ALONE_S, cores=1)
-        both = zip(self._rounds.found, news[0], strict=True)
-        if mark != self._mark() or any(not mine.items() <= theirs.items() for mine, theirs in both):
-            raise MissionError(
-                "it is of another mission or of other options, or the mission has changed since"
-            )
-        self.seconds = seconds
-        self._rounds.hear(news)
-        while len(self.onward) < count:
-            self._round(self.unexplored[:1], None)
-
-    def _mark(self) -> str:
-        """Return a text that differs for other missions, options and versions of the loaded modules."""
-        around, rounds = self.rig.surroundings, self._rounds
-        bounds = around.values, around.alike, around.failures, around.at_once
-        return json.dumps(
-            [self._newest, rounds.first, self.rig.letters, *bounds, rounds.is_slow, len(self.holds)]
-        )
-
-    def _way(self, number: int) -> Way:
-        found = []
+        steps = []
         while number > 0:
-            before, step = self._steps[number]
-            found.append((self.situations[before], step, self.situations[number]))
-            number = before
-        return found[::-1]
+            number, step = self._reached_by[number]
+            steps.append(step)
+        return steps[::-1]
 
-    def _round(self, batch: Sequence[int], crew: Workers | None) -> None:
-        """Explore from situations, with the help of other processes if there are any."""
-        ways = {one: self._way(one) for one in batch if not self.states[one].doing.is_over}
-        if crew is not None:
-            crew.explore([*ways.values()])
-        for one in batch:
-            self._take_in(self._rounds.onward(ways[one]) if one in ways else [])
+    def _onward(self, number: int) -> Iterator[Round]:
+        """Yield all rounds that may follow a situation; those that lead to the same are given once."""
+        if self.doing[number].is_over:
+            return
+        situation = self.situations[number]
+        seen: set[Facts] = set()
+        for changes in list(self.rig.environment.changes(situation.facts)):
+            told = self._changed(situation.facts, changes)
+            settled, faults = self._settle(told)
+            self._note(faults, number, Step(changes))
+            moments = (
+                [(settled, False), (told, True)] if self.rig.setup.slow else [(settled, False)]
+            )
+            for facts, is_late in moments:
+                if facts not in seen:
+                    seen.add(facts)
+                    before = self._know(facts)
+                    moment = Situation(situation.tree, facts, situation.deeds)
+                    for after, answers, is_caused, late in self._ticked(moment, number, changes):
+                        step = Step(changes, answers, (is_late, late))
+                        yield Round(step, before, after, is_caused)
 
-    def _take_in(self, onward: Onward) -> None:
-        """Note all that follows the first unexplored situation."""
-        number = len(self.onward)
-        for change, ticks in onward:
-            self._note(change.faults, number, Step(change.changes))
-            self.transitions += 1
-            moment = Situation(self.situations[number].tree, change.known)
-            for tick in () if moment in self._ticked else ticks:
-                step = Step(change.changes, tick.answers, (change.is_late, tick.is_late))
-                self._note(tick.faults, number, step)
-                self._reach(tick.after, tick.seen, number, step)
-                self.transitions += 1
-            self._ticked.add(moment)
-        self.onward.append(onward)
+    def _changed(self, facts: Facts, changes: Iterable[Change]) -> Facts:
+        """Return the facts after changes, before the manager knows of them."""
+        values = dict(zip(self.rig.environment.values, facts.values, strict=True))
+        failed = set(facts.failed)
+        for change in changes:
+            if not isinstance(change.to, bool):
+                values[change.name] = change.to
+            elif change.to:
+                failed.add(change.name)
+            else:
+                failed.discard(change.name)
+        return facts._replace(values=tuple(values.values()), failed=frozenset(failed))
+
+    def _ticked(
+        self, moment: Situation, number: int, changes: tuple[Change, ...]
+    ) -> list[tuple[int, tuple[Answer, ...], bool, bool]]:
+        """Return what may follow a tick in a situation: one or more for every combination of answers."""
+        if moment in self._ticks:
+            return self._ticks[moment]
+        found = []
+        scripts: list[tuple[Answer, ...]] = [()]
+        while scripts:
+            self._put(moment)
+            self.rig.tick(scripts.pop())
+            scripts += self.rig.choices.others
+            answers = tuple(self.rig.choices.taken)
+            is_caused, deeds = self.rig.is_caused, self.rig.deeds
+            tree = self._read_tree()
+            after = self.rig.read()
+            settled, faults = self._settle(after)
+            self._note(faults, number, Step(changes, answers))
+            for facts in dict.fromkeys([settled, after] if self.rig.setup.slow else [settled]):
+                late = facts != settled
+                step = Step(changes, answers, (False, late))
+                reached = self._number(Situation(tree, facts, deeds), number, step)
+                found.append((reached, answers, is_caused, late))
+        self._ticks[moment] = found
+        return found
+
+    def _read_tree(self) -> int:
+        for table in self._apart:
+            for entry in [entry for entry, value in table.items() if value == {}]:
+                del table[entry]  # an action that nobody requests is as one that nobody ever did
+        return self._memory.read()
+
+    def _put(self, situation: Situation) -> None:
+        self.rig.write(situation.facts)
+        self._memory.write(situation.tree)
+        self.rig.deeds = situation.deeds
+
+    def _settle(self, facts: Facts) -> tuple[Facts, tuple[str, ...]]:
+        """Let the manager take its turns until it rests; return the facts then, and its faults."""
+        if facts not in self._settled:
+            self.rig.write(facts)
+            faults = self.rig.settle()
+            self._settled[facts] = self.rig.read(), faults
+        return self._settled[facts]
 
     def _note(self, faults: Sequence[str], before: int, step: Step) -> None:
         for fault in faults:
-            self.faults.setdefault(fault, [*self.path(before), step])
+            if fault not in self.faults:
+                self.faults[fault] = [*self.path(before), step]
 
-    def _reach(self, situation: Situation, seen: Seen, before: int, step: Step) -> None:
+    def _number(self, situation: Situation, before: int, step: Step) -> int:
         number = self._numbers.setdefault(situation, len(self.situations))
         if number == len(self.situations):
             self.situations.append(situation)
-            self.states.append(seen)
-            self._steps.append((before, step))
-            for holds, is_so in zip(self.holds.values(), seen.holds, strict=True):
-                if is_so:
-                    holds.add(number)
+            self._reached_by.append((before, step))
+            self._put(situation)
+            self.known.append(self._know(situation.facts))
+            root = self.rig.root
+            is_over = (
+                getattr(root, "final_status", None) is not None
+            )  # a OneShot has ended for good
+            is_over |= root.status is Status.SUCCESS
+            stage = _stage(self.rig)
+            self.doing.append(Doing(root.status, self.rig.running, stage, is_over))
+            for predicate in self._predicates:
+                if predicate(self.rig):
+                    self.holds[predicate].add(number)
+        return number
+
+    def _know(self, facts: Facts) -> Known:
+        if facts not in self._known_of:
+            self.rig.write(facts)
+            kb = self.rig.kb
+            required = self.rig.required
+            occurring = facts.selected | {("action", name) for name in required}
+            feasible = frozenset(name for name in kb.actions if kb.is_feasible(name))
+            self._known_of[facts] = Known(required, self.rig.unfeasible, feasible, occurring)
+        return self._known_of[facts]
 
 
-class _Reader(pickle.Unpickler):
-    """Unpickles only the classes that an exploration consists of, so a file of a stranger cannot run code."""
+def _stage(rig: Rig) -> tuple[str, ...]:
+    """Return the current child of each running sequence with memory."""
+    running = [node for node in rig.nodes if node.status is Status.RUNNING]
+    memorising = [node for node in running if isinstance(node, SequenceNode) and node.memory]
+    return tuple(node.current_child.name for node in memorising if node.current_child is not None)
 
-    def find_class(self, module: str, name: str) -> Any:  # noqa: ANN401  # a class of those
-        return next(one for one in _PARTS if (one.__module__, one.__qualname__) == (module, name))
+
+def _kept_apart(rig: Rig) -> list[dict[object, object]]:
+    """Return what the behaviours of a knowledge base keep outside the tree: requests and progress."""
+    modules = [module for name, module in sys.modules.items() if name.startswith("rosa_bt.")]
+    every = [value for module in modules for value in vars(module).values()]
+    tables = [value for value in every if isinstance(value, WeakKeyDictionary)]
+    ledgers = [table[rig.kb] for table in tables if rig.kb in table]
+    parts = [part for ledger in ledgers for part in attributes_of(ledger).values()]
+    return [part for part in parts if isinstance(part, dict)]

@@ -1,263 +1,139 @@
-"""Verify a tree: explore it, check the properties that must hold, and say what was found.
+"""Verify a mission: explore it, check what must hold, and say what was found, with the stories that show it."""
 
-A property that is broken comes with the fewest rounds that lead there.
-"""
-
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from inspect import signature
 from itertools import combinations
 from pathlib import Path
-from typing import Any
+from pprint import pformat
+from typing import Any, Final
 
 from py_trees.behaviour import Behaviour
 
-from kb import KnowledgeBase, Model
-from missions.engine.mission import Mission, Percepts
-from missions.engine.task_layer import build_task, check_task
-from missions.proof.exploration import Exploration, Wrong
-from missions.proof.rig import Change, Predicate, Setup, nodes, planned
-from missions.proof.rounds import Step
-from missions.proof.story import Story, play
+from kb import Event, KnowledgeBase, Model
+from kb import Planner as ConfigurationPlanner
+from missions.engine.mission import Mission, MissionError
+from missions.engine.task_layer import build_task
+from missions.proof.advice import mends
+from missions.proof.causes import Senses, causes_of
+from missions.proof.environment import Change, is_debounced
+from missions.proof.exploration import Exploration
+from missions.proof.properties import Finding, Property, check, notes
+from missions.proof.rig import Leaf, Predicate, Rig, Setup, Step
+from missions.testing.scripted import LETTERS
+from rosa_bt import Trace, TraceVisitor
+
+_SHOWN: Final = ("request_action", "cancel_action")
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Whether something holds.
+class Story:
+    """What happened when the rounds of a counterexample were run.
 
     Attributes:
-        name: what should hold.
-        holds: None if it holds in all that was explored, but that was not everything.
-        what: what is wrong, in words; empty if it holds.
-        trail: the rounds that lead there; None if no single story shows it.
+        lines: in words.
+        trace: of the ticks; a round takes a second.
+        wrong: what is wrong at the end, in words, if the last situation alone shows it.
+        rig: the parts of the mission, as they are at the end.
     """
 
-    name: str
-    holds: bool | None
-    what: str = ""
-    trail: tuple[Step, ...] | None = None
+    lines: tuple[str, ...]
+    trace: Trace
+    wrong: tuple[str, ...]
+    rig: Rig
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
 
 
-@dataclass(frozen=True)
-class Property:
-    """A property of a user, made by `always`, `never`, `eventually` or `leads_to`."""
+def play(setup: Setup, trail: Sequence[Any], page: str | Path | None = None) -> Story:
+    """Run the rounds of a story with the real parts; if `page` is given, write a page of it there."""
+    rig = Rig(setup)
+    recorder = None
+    if page is not None:
+        from missions.views.recorder import Recorder
 
-    name: str
-    predicates: tuple[Predicate, ...]
-    check: Callable[[Exploration], Wrong | None]
+        recorder = Recorder(rig.kb, rig.runner)
+    lines: list[str] = []
+
+    def on_event(event: Event) -> None:
+        if event.verb in _SHOWN or event.plan:
+            lines.append(f"      {event.text}")
+
+    rig.kb.subscribe(on_event)
+    late: set[str] = set()
+    with TraceVisitor(rig.kb) as visitor:
+        faults = list(rig.begin())
+        rig.runner.tree.add_visitor(visitor)
+        for number, (changes, answers, is_late) in enumerate(trail, start=1):
+            rig.clock = float(number)
+            step = Step(tuple(Change(*change) for change in changes), answers, is_late)
+            lines.append(f"  {number}. {_in_words(step)}")
+            for change in step.changes:
+                change.apply(rig.kb)
+            faults += () if is_late[0] else rig.settle()
+            before = set(rig.unfeasible)
+            rig.tick(tuple(answers))
+            faults += () if is_late[1] else rig.settle()
+            late = before & set(rig.unfeasible)
+        trace = visitor.trace
+    if recorder is not None:
+        recorder.close()
+        recorder.report(str(page))
+    wrong = [*faults, *(f"{name} is requested while it is unfeasible" for name in sorted(late))]
+    unbalanced = sorted(rig.running ^ set(rig.required))
+    wrong += [f"{name} is requested or runs, not both" for name in unbalanced]
+    return Story(tuple(lines), trace, tuple(wrong), rig)
 
 
-def always(name: str, predicate: Predicate) -> Property:
-    """Require that a predicate holds after every tick."""
-
-    def check(found: Exploration) -> Wrong | None:
-        return found.first(set(found.every) - found.holds[predicate], "it does not hold then")
-
-    return Property(name, (predicate,), check)
+def _in_words(step: Step) -> str:
+    happens = "; ".join(map(str, step.changes)) or "nothing happens"
+    late = " (the manager is late)" if step.late[0] else ""
+    answers = ", ".join(f"{name} {LETTERS[letter].name}" for name, letter in step.answers)
+    return f"{happens}{late}; {answers or 'no leaf is asked'}"
 
 
-def never(name: str, predicate: Predicate) -> Property:
-    """Require that a predicate holds after no tick."""
-    return Property(
-        name, (predicate,), lambda found: found.first(found.holds[predicate], "it is so then")
-    )
-
-
-def eventually(name: str, predicate: Predicate) -> Property:
-    """Require that a predicate can still come to hold from every situation."""
-    return leads_to(name, lambda rig: True, predicate)
-
-
-def leads_to(name: str, first: Predicate, then: Predicate, within: int | None = None) -> Property:
-    """Require that `then` follows whenever `first` holds.
+def as_test(setup: str, finding: Finding) -> str:
+    """Return a test for pytest that plays the story of a finding, and fails as long as the story can happen.
 
     Args:
-        name: in words.
-        first: the predicate that it follows.
-        then: the predicate that has to follow.
-        within: after this many ticks at most, whatever happens; None: it only has to be possible.
+        setup: an expression that makes the `Setup`, with the imports that it needs as lines before it.
+        finding: one that has a story.
     """
+    *imports, expression = setup.splitlines()
+    trail = [(tuple(map(tuple, step.changes)), *step[1:]) for step in finding.trail or ()]
+    function = "".join(letter if letter.isalnum() else "_" for letter in finding.name.lower())
+    imported = "\n".join([*imports, "from missions.proof.verification import play"])
+    return f'''"""A story that `rosa verify` has found."""
 
-    def check(found: Exploration) -> Wrong | None:
-        met, begun = found.holds[then], sorted(found.holds[first])
-        if within is None:
-            good = found.reaching(met.union(found.unexplored))
-            return found.first(set(begun) - good, "it cannot come about any more")
-        trails = ((number, found.avoiding(number, met, within)) for number in begun)
-        late = next(((number, trail) for number, trail in trails if trail is not None), None)
-        return (
-            None
-            if late is None
-            else ("it has not come about in time", [*found.path(late[0]), *late[1]])
-        )
+{imported}
 
-    return Property(name, (first, then), check)
+SETUP = {expression}
+ROUNDS = {pformat(trail, width=100)}
 
 
-def check(
-    found: Exploration,
-    *,
-    reaction: int = 1,
-    exclusive: Iterable[Collection[str]] = (),
-    wanted: Iterable[Property] = (),
-) -> list[Finding]:
-    """Check the properties that every mission must have, then those wanted; see `verify` for the arguments."""
-    ticks = "a tick" if reaction == 1 else f"{reaction} ticks"
-    wrong: list[tuple[str, Wrong | None]] = [
-        (
-            f"nothing is requested while unfeasible for longer than {ticks}",
-            _unfeasible(found, reaction),
-        ),
-        ("every request is released once, when what does it ends", _unreleased(found)),
-        (
-            "actions that exclude each other are not required together",
-            _together(found, [*map(set, exclusive)]),
-        ),
-        (
-            "the goal is reached if all goes well",
-            None if found.goals else ("it is never reached", None),
-        ),
-        ("wherever the goal can be reached as facts are, the mission is not stuck", _stuck(found)),
-        ("while nothing happens, the mission does not waver", _wavering(found)),
-        ("every node of the tree can be reached", _unreached(found)),
-        ("every adaptation of the model can occur", _missing(found)),
-        (
-            "the manager keeps to the model and its budgets, and ends its plans",
-            _shortest(found.faults.items()),
-        ),
-        *((one.name, one.check(found)) for one in wanted),
-    ]
-    return [_finding(name, bad, is_finished=found.is_finished) for name, bad in wrong]
-
-
-def _finding(name: str, bad: Wrong | None, *, is_finished: bool) -> Finding:
-    if bad is None or (bad[1] is None and not is_finished):
-        return Finding(name, True if is_finished else None)
-    return Finding(name, False, bad[0], None if bad[1] is None else tuple(bad[1]))
-
-
-def _shortest(bad: Iterable[tuple[str, Sequence[Step]]]) -> Wrong | None:
-    return min(bad, key=lambda one: len(one[1]), default=None)
-
-
-def _unfeasible(found: Exploration, reaction: int) -> Wrong | None:
-    """Find a request that stays unfeasible during `reaction` consecutive ticks."""
-    layer: dict[tuple[str, int], list[Step]] = {}
-    for count in range(reaction):
-        following: dict[tuple[str, int], list[Step]] = {}
-        for number in found.every if not count else dict.fromkeys(number for _, number in layer):
-            for step, facts, after in found.following(number):
-                both = facts.unfeasible
-                for action in both and set(both).intersection(found.states[after].facts.unfeasible):
-                    if not count or (action, number) in layer:
-                        way = layer[action, number] if count else found.path(number)
-                        following.setdefault((action, after), [*way, step])
-        layer = following
-    return _shortest(
-        (f"{action} is still requested", trail) for (action, _), trail in layer.items()
-    )
-
-
-def _unreleased(found: Exploration) -> Wrong | None:
-    for number, (doing, known, _) in enumerate(found.states):
-        for action in sorted(doing.running ^ set(known.required)):
-            is_running = "is not requested any more, and what does it still runs"
-            is_left = "is still requested, and nothing that does it runs"
-            return found.first(
-                [number], f"{action} {is_running if action in doing.running else is_left}"
-            )
-    return None
-
-
-def _together(found: Exploration, groups: Iterable[set[str]]) -> Wrong | None:
-    for number, (_, known, _) in enumerate(found.states):
-        for both in (group.intersection(known.required) for group in groups):
-            if len(both) > 1:
-                return found.first([number], f"{' and '.join(sorted(both))} are required")
-    return None
-
-
-def _stuck(found: Exploration) -> Wrong | None:
-    """Find a situation that leads to no end while facts stay, though another of its stage with equal facts does."""
-    ended = {one for one in found.every if found.states[one].doing.is_over}
-    good = found.reaching((found.goals | ended).union(found.unexplored), still=True)
-    here = [
-        (doing.stage, known.failed, known.values, known.feasible)
-        for doing, known, _ in found.states
-    ]
-    possible = {
-        here[number] for number in found.reaching(found.goals, still=True).difference(found.goals)
-    }
-    bad = (one for one in found.every if one not in good and here[one] in possible)
-    return found.first(bad, "it is not then, but elsewhere in this stage with the same facts")
-
-
-def _wavering(found: Exploration) -> Wrong | None:
-    """Find a cycle of different requests while all conditions keep their answer and every action keeps running."""
-    for held in "FS":
-        onward: dict[int, tuple[Step, int]] = {}
-        for number in found.every:
-            for step, _, after in found.following(number, still=True):
-                if all(
-                    letter == ("R" if "R" in found.rig.letters[name] else held)
-                    for name, letter in step.answers
-                ):
-                    onward.setdefault(number, (step, after))
-        for number in onward:
-            at, trail, places = number, list[Step](), {number: 0}
-            while at in onward:
-                step, at = onward[at]
-                trail.append(step)
-                if places.setdefault(at, len(trail)) < len(trail):
-                    break
-            cycle = [one for one, place in places.items() if at in onward and place >= places[at]]
-            done = {", ".join(found.states[one].facts.required) or "nothing" for one in cycle}
-            if len(done) > 1:
-                return f"it goes to and fro between {' and '.join(sorted(done))}", [
-                    *found.path(number),
-                    *trail,
-                ]
-    return None
-
-
-def _unreached(found: Exploration) -> Wrong | None:
-    missing = [one.name for one in found.rig.root.iterate() if one not in found.rig.ticked]
-    ticked = {
-        one.name for one in found.rig.ticked
-    }  # of the steps of plans, one of each name is enough
-    names = dict.fromkeys(
-        [*missing, *(one.name for one in nodes(found.rig.root) if one.name not in ticked)]
-    )
-    return (f"never ticked: {', '.join(names)}", None) if names else None
-
-
-def _missing(found: Exploration) -> Wrong | None:
-    kb, occurring = found.rig.kb, found.occurring
-    tables: dict[str, Iterable[str]] = {"action": kb.actions}
-    if found.rig.surroundings.failures:  # without failures, what is there for them cannot occur
-        tables |= {"function design": kb.designs, "configuration": kb.configurations}
-    names = [
-        f"{kind} {name}"
-        for kind, table in tables.items()
-        for name in table
-        if (kind, name) not in occurring
-    ]
-    return (f"never: {', '.join(names)}", None) if names else None
+def test_{function}():
+    story = play(SETUP, ROUNDS)  # {finding.what}
+    assert not story.wrong, story
+'''
 
 
 @dataclass(frozen=True)
 class Consequence:
-    """What a mission still reaches while some facts stay at their worst, and nothing else has failed.
+    """What a mission still reaches if some facts are at their worst from the beginning, for good.
 
     Attributes:
         facts: the bad facts, in words.
-        reaches: "the goal", "the goal from some situations", "nothing", or "not explored" if it never occurred.
+        reaches: "the goal", "the goal as long as X lasts" if nothing that is possible then restores the quality X,
+            "the goal if it happens later", "nothing", or "not explored" if it never occurred.
         actions: the actions that are required meanwhile.
+        alike: further components of which the same holds.
     """
 
     facts: tuple[str, ...]
     reaches: str
     actions: tuple[str, ...] = ()
+    alike: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -266,98 +142,74 @@ class Proof:
 
     Attributes:
         setup: what was verified.
-        found: the exploration, which can be asked further questions.
+        explored: the situations, which can be asked further questions.
         findings: for each property, whether it holds.
         consequences: of single failures, and of pairs of those that do not end the mission alone.
+        notes: what is no mistake, but good to know.
     """
 
     setup: Setup
-    found: Exploration
+    explored: Exploration
     findings: tuple[Finding, ...]
     consequences: tuple[Consequence, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def broken(self) -> tuple[Finding, ...]:
         """The findings that do not hold."""
-        return tuple(one for one in self.findings if one.holds is False)
+        return tuple(finding for finding in self.findings if finding.holds is False)
 
     @property
     def shown(self) -> Finding | None:
         """The first broken finding that a story shows."""
-        return next((one for one in self.broken if one.trail is not None), None)
+        return next((finding for finding in self.broken if finding.trail is not None), None)
 
     def story(self, finding: Finding) -> Story | None:
         """Return the story that shows that a finding does not hold; None if there is none."""
         return None if finding.trail is None else play(self.setup, finding.trail)
 
     def report(self, path: str | Path) -> None:
-        """Write a page with all findings, and the first story of a broken one, or else how the goal is reached."""
-        way = (
-            self.shown.trail
-            if self.shown is not None
-            else self.found.path(min(self.found.goals, default=0))
-        )
-        outcome = (
-            "something is broken"
-            if self.broken
-            else "all holds"
-            if self.found.is_finished
-            else "not finished"
-        )
-        figures = [["if for good", "", "it reaches"]]
-        for one in self.consequences:
-            does = f"; does {', '.join(one.actions)}" if one.actions else ""
-            figures.append([" and ".join(one.facts), "", f"{one.reaches}{does}"])
-        result = {
-            "outcome": outcome,
-            "success": outcome == "all holds",
-            "reason": self.count,
-            "figures": figures,
-        }
-        rows = [
-            ("problem", number, f"{one.name}: {one.what}") for number, one in enumerate(self.broken)
-        ]
-        play(self.setup, way or (), path, [("result", 0, result), *rows])
+        """Write a page of the first story of a broken finding, or else of how the goal is reached."""
+        shown = self.shown
+        goal = min(self.explored.goals & self.explored.caused(), default=0)
+        trail = self.explored.path(goal) if shown is None else shown.trail
+        play(self.setup, trail or (), path)
 
     @property
     def count(self) -> str:
-        """How much was explored, and the time and memory for it, as text."""
-        found = self.found
-        count = f"{len(found.situations)} situations, {found.transitions} transitions, {found.seconds:.1f} s"
-        count += f", {found.megabytes:.0f} MB"
-        return count if found.is_finished else f"up to {count}, not finished"
+        """How much was explored, and the time for it, as text."""
+        explored = self.explored
+        count = f"{len(explored.situations)} situations, {explored.transitions} transitions"
+        count += f", {explored.seconds:.1f} s"
+        return count if explored.is_finished else f"up to {count}, not finished"
 
     def __str__(self) -> str:
         lines = [self.count]
-        for one in self.findings:
-            verdict = {True: "yes ", False: "NO  ", None: "open"}[one.holds]
-            lines.append(f"{verdict} {one.name}{f': {one.what}' if one.what else ''}")
-            lines += self._lines_of(one)
-        return "\n".join(lines)
-
-    def _lines_of(self, finding: Finding) -> tuple[str, ...]:
-        story = self.story(finding)
-        return story.lines if story is not None else ()
+        for finding in self.findings:
+            verdict = {True: "yes ", False: "NO  ", None: "open"}[finding.holds]
+            lines.append(f"{verdict} {finding.name}{f': {finding.what}' if finding.what else ''}")
+            story = self.story(finding)
+            lines += story.lines if story is not None else ()
+            lines += [f"     instead: {finding.advice}"] if finding.advice else []
+        return "\n".join([*lines, *(f"note {note}" for note in self.notes)])
 
     def as_data(self) -> dict[str, Any]:
         """Return all of it as plain data for JSON."""
-        findings = [
-            {
-                "name": one.name,
-                "holds": one.holds,
-                "what": one.what,
-                "story": [*map(str.strip, self._lines_of(one))],
-            }
-            for one in self.findings
-        ]
+        findings = []
+        for finding in self.findings:
+            story = self.story(finding)
+            lines = [line.strip() for line in story.lines] if story is not None else []
+            said = {"name": finding.name, "holds": finding.holds, "what": finding.what}
+            findings.append({**said, "advice": finding.advice, "story": lines})
+        explored = self.explored
         return {
-            "finished": self.found.is_finished,
-            "situations": len(self.found.situations),
-            "transitions": self.found.transitions,
-            "seconds": round(self.found.seconds, 3),
-            "megabytes": round(self.found.megabytes),
+            "finished": explored.is_finished,
+            "situations": len(explored.situations),
+            "transitions": explored.transitions,
+            "seconds": round(explored.seconds, 3),
             "findings": findings,
-            "consequences": [vars(one) for one in self.consequences],
+            "consequences": [vars(consequence) for consequence in self.consequences],
+            "notes": self.notes,
         }
 
 
@@ -369,10 +221,14 @@ def verify(
     reaction: int = 1,
     exclusive: Iterable[Collection[str]] = (),
     goal: Predicate | None = None,
+    leaves: Mapping[str, Leaf] | None = None,
+    planner: Callable[[], ConfigurationPlanner] | None = None,
+    start: Mapping[str, float] | None = None,
+    slow: bool = False,
     most: int = 100_000,
     seconds: float = 60.0,
-    cores: int | None = None,
-    **given: Any,  # noqa: ANN401  # of Setup and Surroundings
+    suggest: bool = False,
+    **environment: Any,  # noqa: ANN401  # of Environment
 ) -> Proof:
     """Explore a tree with its knowledge base and the manager, and check what holds in all that can happen.
 
@@ -382,48 +238,59 @@ def verify(
         wanted: further properties; see `always`, `never`, `eventually` and `leads_to`.
         reaction: after this many ticks an action that became unfeasible must not be requested any more.
         exclusive: groups of actions; at most one of each may be required at a time.
-        goal: holds where the mission has reached its goal; by default where its root succeeds.
+        goal: holds where the mission has reached its goal; by default where its root succeeds, unless what succeeded
+            only makes other actions feasible.
+        leaves: by name, what leaves may return.
+        planner: makes the planner that chooses configurations; None: by priority.
+        start: attributes that are measured before the first tick, with their values.
+        slow: whether the manager may miss its turn, as while commands take time.
         most: explore about this many situations at most.
         seconds: explore for about this time at most [s].
-        cores: see `Exploration.explore`.
-        given: `leaves`, `planner`, `start` and `slow` of `Setup`; `failures`, `at_once`, `values`, `failing` and
-            `symmetric` of `Surroundings`.
+        suggest: look for what mends a broken tree, see `Finding.advice`.
+        environment: `failures`, `at_once`, `values`, `failing` and `symmetric` of `Environment`.
+
+    Raises:
+        MissionError: the model has debouncing, which would be changed, and is no function.
     """
-    of_setup = {
-        name: given.pop(name) for name in ("leaves", "planner", "start", "slow") if name in given
-    }
     parameters = signature(build_tree).parameters.values()
-    takes_percepts = (
-        sum(
-            one.default is one.empty and one.kind is one.POSITIONAL_OR_KEYWORD for one in parameters
-        )
-        > 1
+    needed = [each for each in parameters if each.default is each.empty]
+    takes_percepts = len([each for each in needed if each.kind is each.POSITIONAL_OR_KEYWORD]) > 1
+
+    def build(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+        return build_tree(kb, senses) if takes_percepts else build_tree(kb)
+
+    if not callable(model) and is_debounced(model):
+        raise MissionError("give a function that makes the model: verify changes its debouncing")
+    setup = Setup(
+        model if callable(model) else lambda: model,
+        build,
+        leaves or {},
+        planner,
+        start or {},
+        environment,
+        slow,
     )
-
-    def build(kb: KnowledgeBase) -> Behaviour:
-        return build_tree(kb, Percepts()) if takes_percepts else build_tree(kb)
-
-    make = model if callable(model) else lambda: model
     return prove(
-        Setup(make, build, surroundings=given, **of_setup),
-        lambda found: found.explore(most, seconds, cores),
+        setup,
+        lambda explored: explored.explore(most, seconds),
         wanted=tuple(wanted),
         reaction=reaction,
         exclusive=exclusive,
         goal=goal,
+        suggest=suggest,
     )
 
 
-def setup_of(mission: Mission, task: str = "bt", *, slow: bool = False, **given: Any) -> Setup:  # noqa: ANN401  # of Surroundings
-    """Return the setup that explores a mission: its tree, or its plan executor."""
-    check_task(task)
-    if task == "pddl":
-        return Setup(mission.model, planned(mission), surroundings=given, slow=slow)
+def setup_of(mission: Mission, *, slow: bool = False, **environment: Any) -> Setup:  # noqa: ANN401  # of Environment
+    """Return the setup that explores the tree of a mission; MissionError if it has none."""
+    if mission.tree is None:
+        raise MissionError(f"mission {mission.name} has no tree to verify; give it tree=...")
 
-    def build(kb: KnowledgeBase) -> Behaviour:
-        return build_task(task, mission, kb, Percepts()).root
+    def build(kb: KnowledgeBase, senses: Senses) -> Behaviour:
+        return build_task("bt", mission, kb, senses).root
 
-    return Setup(mission.model, build, surroundings=given, slow=slow)
+    causes = causes_of(mission)
+    return Setup(mission.model, build, environment=environment, slow=slow, causes=causes)
 
 
 def prove(
@@ -434,49 +301,67 @@ def prove(
     exclusive: Iterable[Collection[str]] = (),
     goal: Predicate | None = None,
     reaction: int = 1,
+    suggest: bool = False,
 ) -> Proof:
     """Explore a setup and check it; see `verify` for the arguments."""
-    found = Exploration(setup, [one for each in wanted for one in each.predicates], goal)
-    actions = found.rig.kb.actions
-    groups = [[actions[name].name for name in group] for group in exclusive]
-    explore(found)
-    findings = check(found, reaction=reaction, exclusive=groups, wanted=wanted)
-    return Proof(setup, found, tuple(findings), tuple(consequences(found)))
+    exclusive = [*exclusive]
+
+    def tried(setup: Setup) -> tuple[Exploration, list[Finding]]:
+        predicates = [predicate for each in wanted for predicate in each.predicates]
+        explored = Exploration(setup, predicates, goal)
+        actions = explored.rig.kb.actions
+        groups = [[actions[name].name for name in group] for group in exclusive]
+        explore(explored)
+        return explored, check(explored, reaction=reaction, exclusive=groups, wanted=wanted)
+
+    explored, findings = tried(setup)
+    if suggest and any(finding.holds is False for finding in findings):
+        for text, mended in mends(setup):
+            if all(finding.holds for finding in tried(mended)[1]):
+                findings = [
+                    replace(each, advice=text) if each.holds is False else each for each in findings
+                ]
+                break
+    return Proof(setup, explored, tuple(findings), tuple(consequences(explored)), notes(explored))
 
 
-def consequences(found: Exploration) -> list[Consequence]:
+def consequences(explored: Exploration) -> list[Consequence]:
     """Return the consequence of each single bad fact, and of each pair that ends the mission though neither does."""
-    surroundings = found.rig.surroundings
-    bad = [Change(alike[0], True) for alike in surroundings.alike]
-    bad += [Change(name, value) for name, value in surroundings.worst.items()]
-    single = {one: _consequence(found, (one,)) for one in bad}
-    lasting = [one for one in bad if single[one].reaches.startswith("the goal")]
-    pairs = [
-        _consequence(found, pair)
-        for pair in combinations(lasting, 2)
-        if pair[0].name != pair[1].name
-    ]
-    return [*single.values(), *(one for one in pairs if one.reaches == "nothing")]
+    environment = explored.rig.environment
+    single = {}
+    for group in environment.alike:
+        single[Change(group[0], True)] = group[1:]
+    for name, value in environment.worst.items():
+        single[Change(name, value)] = ()
+    found = {bad: _consequence(explored, (bad,), alike) for bad, alike in single.items()}
+    lasting = [bad for bad in single if found[bad].reaches == "the goal"]
+    pairs = [_consequence(explored, pair) for pair in combinations(lasting, 2)]
+    return [*found.values(), *(pair for pair in pairs if pair.reaches == "nothing")]
 
 
-def _consequence(found: Exploration, facts: Sequence[Change]) -> Consequence:
-    failed = sorted(one.name for one in facts if one.to is True)
-    measured = {(one.name, one.to) for one in facts if one.to is not True}
-    within = {
-        number
-        for number, (_, known, _) in enumerate(found.states)
-        if sorted(known.failed) == failed and measured <= set(known.values)
-    }
-    reached = found.reaching(found.goals & within, within=within)
-    actions = sorted({one for number in within for one in found.states[number].facts.required})
-    reaches = (
-        "nothing"
-        if not reached
-        else "the goal"
-        if reached >= within
-        else "the goal from some situations"
-    )
-    is_known = within and (reached or found.is_finished)
-    return Consequence(
-        tuple(map(str, facts)), reaches if is_known else "not explored", tuple(actions)
-    )
+def _consequence(
+    explored: Exploration, bad: Sequence[Change], alike: Sequence[str] = ()
+) -> Consequence:
+    """Return what is reached with these facts; a quality that a deed restores need not last."""
+    failed = {change.name for change in bad if change.to is True}
+    worst = {change.name: change.to for change in bad if change.to is not True}
+    values = explored.values
+    alone = {n for n in explored.caused() if explored.situations[n].facts.failed == failed}
+    within = {n for n in alone if worst.items() <= values(n).items()}
+    rounds = [each for each in explored.following(0) if each.is_caused]
+    first = {each.after for each in rounds if {*each.step.changes} == {*bad}}
+    reached = explored.reaching(explored.goals & within, within=within)
+    reaches = "nothing"
+    if reached:
+        is_from_start = reached & (first or within)
+        reaches = "the goal" if is_from_start else "the goal if it happens later"
+    if reaches == "the goal":
+        restoring = explored.reaching(explored.goals & alone, within=alone, still=True)
+        for name in explored.rig.qualities - worst.keys():
+            low = {n for n in alone if values(n)[name] == explored.rig.environment.worst[name]}
+            if low and not low & restoring:
+                reaches = f"the goal as long as {name} lasts"
+    if not within or not (reached or explored.is_finished):
+        reaches = "not explored"
+    actions = {name for number in within for name in explored.known[number].required}
+    return Consequence(tuple(map(str, bad)), reaches, tuple(sorted(actions)), tuple(alike))

@@ -305,6 +305,11 @@ class LiveView(AbstractContextManager["LiveView"]):
 
     def _admit(self, connection: "ServerConnection", request: "Request") -> "Response | None":
         """Answer a request for the page, or refuse it; return None to open the WebSocket."""
+        method = getattr(request, "method", "GET")  # before version 17 there is no other
+        if method not in ("GET", "HEAD"):
+            refused = connection.respond(405, "the page is only read: GET or HEAD\n")
+            refused.headers["Allow"] = "GET, HEAD"
+            return refused
         try:
             path = urlsplit(request.path)
             refusal = self._refusal(request.headers, parse_qs(path.query).get("token", [""])[0])
@@ -327,6 +332,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         )
         del response.headers["Content-Type"]
         response.headers.update(_HEADERS)
+        if method == "HEAD":
+            response.body = b""
         return response
 
     async def _attend(self, websocket: "ServerConnection") -> None:

@@ -4,6 +4,7 @@ The tools that request and cancel actions exist only if that is allowed; an unfe
 """
 
 import logging
+import re
 from collections.abc import Callable, Mapping
 from functools import wraps
 from hmac import compare_digest
@@ -36,37 +37,41 @@ class Assistant:
     """
 
     def __init__(self, kb: KnowledgeBase, mission: Mission | None = None) -> None:
-        self._kb, self._mission = kb, mission
+        self._kb = kb
+        self._mission = mission
 
     def what_can_be_done(self) -> dict[str, Any]:
         """Say of every action whether it can be done now, with the reason, and which are being done."""
         kb = self._kb
+        actions = {
+            name: {"feasible": kb.is_feasible(name), "why": kb.why(view)}
+            for name, view in kb.actions.items()
+        }
         return {
-            "actions": {
-                one: {"feasible": kb.is_feasible(one), "why": kb.why(view)}
-                for one, view in kb.actions.items()
-            },
-            "being done": [one.action for one in kb.required_actions],
+            "actions": actions,
+            "being done": [request.action for request in kb.required_actions],
         }
 
     def what_is_known(self) -> dict[str, Any]:
         """Say what was measured, and the status of every function, design, component and configuration."""
         kb = self._kb
+        measured = {
+            name: {"value": view.value, "time": view.time, "unit": view.unit}
+            for name, view in kb.attributes.items()
+        }
+        components = {
+            name: {
+                "status": str(view.status),
+                "active": view.is_active,
+                "parameters": dict(view.parameters_in_force),
+            }
+            for name, view in kb.components.items()
+        }
         return {
-            "measured": {
-                name: {"value": view.value, "time": view.time, "unit": view.unit}
-                for name, view in kb.attributes.items()
-            },
+            "measured": measured,
             "functions": {name: str(view.status) for name, view in kb.functions.items()},
             "designs": _selectable(kb.designs),
-            "components": {
-                name: {
-                    "status": str(view.status),
-                    "active": view.is_active,
-                    "parameters": dict(view.parameters_in_force),
-                }
-                for name, view in kb.components.items()
-            },
+            "components": components,
             "configurations": _selectable(kb.configurations),
         }
 
@@ -83,12 +88,12 @@ class Assistant:
     ) -> dict[str, Any]:
         """Say what could be done if attributes had other values and components had failed; nothing is changed."""
         situation = self._kb.situation(measured or {}, failed=failed or ())
-        out = {
+        unfeasible = {
             name: situation.why(view)
             for name, view in situation.actions.items()
             if not situation.is_feasible(name)
         }
-        return {"feasible": list(situation.selectable_actions()), "unfeasible": out}
+        return {"feasible": list(situation.selectable_actions()), "unfeasible": unfeasible}
 
     def best_configuration(self, action: str) -> dict[str, Any]:
         """Say which designs and configurations would be chosen now if an action were to be done."""
@@ -103,22 +108,20 @@ class Assistant:
 
         if self._mission is None:
             raise MissionError("this robot has no mission in PDDL to plan for")
-        feasible = self._kb.selectable_actions()
-        found = answer(
-            ask(mission=self._mission, feasible=feasible, goals=[goal] if goal else []), _PLANNING_S
-        )
-        steps = [str(step) for step in found.result.steps]
-        result = {"outcome": str(found.result.outcome), "steps": steps, "cost": found.result.cost}
-        return {**result, "obstacles": list(found.obstacles)}
+        goals, feasible = [goal] if goal else [], self._kb.selectable_actions()
+        found = answer(ask(mission=self._mission, feasible=feasible, goals=goals), _PLANNING_S)
+        return {
+            "outcome": str(found.result.outcome),
+            "steps": [str(step) for step in found.result.steps],
+            "cost": found.result.cost,
+            "obstacles": list(found.obstacles),
+        }
 
     def latest_decisions(self, most: int = 20) -> list[dict[str, Any]]:
         """Tell what was decided last, with the cause: requests, and reconfiguration plans with their reasons."""
-        events = [
-            one
-            for one in self._kb.log
-            if one.kind in (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
-        ]
-        return [self._decision(one) for one in events[-max(1, min(most, _MOST)) :]]
+        kinds = (EventKind.ACTION_UPDATE, EventKind.RECONFIGURATION_PLAN)
+        events = [event for event in self._kb.log if event.kind in kinds]
+        return [_decision(event) for event in events[-max(1, min(most, _MOST)) :]]
 
     def request_action(self, action: str) -> dict[str, Any]:
         """Ask for an action to be done; refused, with the reason, unless it is feasible now."""
@@ -130,14 +133,15 @@ class Assistant:
         self._kb.cancel_action(action)
         return {"accepted": True, "reason": ""}
 
-    def _decision(self, event: Event) -> dict[str, Any]:
-        reason = event.plan.reason if event.plan is not None else ""
-        return {
-            "time": event.time,
-            "what": event.text,
-            "why": reason,
-            "caused by event": event.cause,
-        }
+
+_ACTING: Final = ("request_action", "cancel_action")
+"""The tools that act."""
+
+
+def _decision(event: Event) -> dict[str, Any]:
+    reason = event.plan.reason if event.plan is not None else ""
+    cause = {"caused by event": event.cause}
+    return {"time": event.time, "what": event.text, "why": reason, **cause}
 
 
 def _selectable(views: Mapping[str, Any]) -> dict[str, Any]:
@@ -156,44 +160,45 @@ def mcp_server(assistant: Assistant, *, allow_actions: bool = False) -> "MCPServ
     with needs("mcp", "the server for assistants"):
         from mcp.server import MCPServer
         from mcp.server.mcpserver.exceptions import ToolError
-    kept = () if allow_actions else ("request_action", "cancel_action")
+        from mcp.types import ToolAnnotations
+    names = [name for name in vars(Assistant) if not name.startswith("_")]
     tools = {
-        name: getattr(assistant, name)
-        for name in vars(Assistant)
-        if name[0] != "_" and name not in kept
+        name: getattr(assistant, name) for name in names if allow_actions or name not in _ACTING
     }
 
     class Server(MCPServer):
         async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:  # noqa: ANN401  # as its base has it
-            takes = signature(tools[name]).parameters if name in tools else arguments
-            if (
-                unknown := arguments.keys() - takes
-            ):  # otherwise they are ignored, and another question is answered
-                raise ToolError(
-                    f"{name} takes no {min(unknown)!r:.80}; it takes {', '.join(takes) or 'nothing'}"
-                )
+            if name not in tools:
+                raise ToolError(f"there is no tool {name!r:.80}; there are {', '.join(tools)}")
+            accepted = signature(tools[name]).parameters
+            for argument in arguments:  # else it is ignored, and another question is answered
+                if argument not in accepted:
+                    known = ", ".join(accepted) or "nothing"
+                    raise ToolError(f"{name} takes no {argument!r:.80}; it takes {known}")
             return await super().call_tool(name, arguments, context)
 
     server = Server("rosa-taca", version=version("rosa-taca"), instructions=INSTRUCTIONS)
-    for tool in tools.values():
-        server.tool(tool.__name__)(_answering(tool))
+    for name, tool in tools.items():
+        hints = ToolAnnotations(read_only_hint=name not in _ACTING)
+        server.tool(name, annotations=hints)(_logged(tool))
     return server
 
 
-def _answering(tool: Callable[..., Any]) -> Callable[..., Any]:
+def _logged(tool: Callable[..., Any]) -> Callable[..., Any]:
     """Return a tool that logs each call, and passes on the text of our errors."""
 
     @wraps(tool)
-    def answered(*given: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
-        _log.info("an assistant asks %s%r", tool.__name__, named or given)
+    def call(*values: Any, **named: Any) -> Any:  # noqa: ANN401  # those of the tool
+        _log.info("an assistant asks %s %.200r", tool.__name__, named or values)
         try:
-            return tool(*given, **named)
+            return tool(*values, **named)
         except (KnowledgeBaseError, MissionError, RosaPddlError) as error:
             from mcp.server.mcpserver.exceptions import ToolError
 
-            raise ToolError(str(error)) from None
+            text = re.sub(r"\w{80,}", lambda name: f"{name[0][:77]}...", str(error))
+            raise ToolError(f"{text:.1000}") from None
 
-    return answered
+    return call
 
 
 def serve_http(server: "MCPServer", port: int, token: str) -> None:
@@ -203,30 +208,21 @@ def serve_http(server: "MCPServer", port: int, token: str) -> None:
         MissionError: there is no token, or the extra `mcp` is missing.
     """
     if not token:
-        raise MissionError(
-            "over HTTP an assistant needs a token: --token, or the variable ROSA_TOKEN"
-        )
+        advice = "--token, or the variable ROSA_TOKEN"
+        raise MissionError(f"over HTTP an assistant needs a token: {advice}")
     with needs("mcp", "the server for assistants"):
         import uvicorn
-    app, wanted = server.streamable_http_app(), f"Bearer {token}".encode()
+    app = server.streamable_http_app()
+    expected = f"Bearer {token}".encode()
+    refusal = b"a token is needed: Authorization: Bearer TOKEN\n"
+    head = {"status": 401, "headers": [(b"content-type", b"text/plain")]}
 
-    async def guarded(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
-        given = dict(scope.get("headers") or ()).get(b"authorization", b"")
-        if scope["type"] == "http" and not compare_digest(given, wanted):
-            await send(
-                {
-                    "type": "http.response.start",
-                    "status": 401,
-                    "headers": [(b"content-type", b"text/plain")],
-                }
-            )
-            await send(
-                {
-                    "type": "http.response.body",
-                    "body": b"a token is needed: Authorization: Bearer TOKEN\n",
-                }
-            )
+    async def guard(scope: Any, receive: Any, send: Any) -> None:  # noqa: ANN401  # as ASGI has it
+        authorization = dict(scope.get("headers") or ()).get(b"authorization", b"")
+        if scope["type"] == "http" and not compare_digest(authorization, expected):
+            await send({"type": "http.response.start", **head})
+            await send({"type": "http.response.body", "body": refusal})
         else:
             await app(scope, receive, send)
 
-    uvicorn.run(guarded, host="127.0.0.1", port=port, log_level="warning")
+    uvicorn.run(guard, host="127.0.0.1", port=port, log_level="warning")

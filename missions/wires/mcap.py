@@ -279,12 +279,12 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
             tree.add_post_tick_handler(self._tick)
             self._open.callback(tree.post_tick_handlers.remove, self._tick)
 
-    def message(self, message: Message) -> None:
-        """Record a message of diagnostics: its time [s] and statuses, each with name, message and values."""
-        time_s = float(message["time"])
-        self._file.write(
-            DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message["status"]
-        )
+    def message(self, message: Any) -> None:  # noqa: ANN401  # whatever a DiagnosticArray comes as
+        """Record diagnostics: a message of rclpy, its dict, its CDR bytes, or {"time": [s], "status": [...]}."""
+        time_s = self._kb.now
+        if isinstance(message, Mapping) and "time" in message:
+            time_s = float(message["time"])
+        self._file.write(DIAGNOSTICS, ros.DIAGNOSTICS, time_s, ros.diagnostics, time_s, message)
 
     def close(self) -> None:
         """Stop recording, and complete the file.

@@ -1,20 +1,22 @@
-"""ROS 2's messages without ROS, as dicts like its JSON, with the types of `rosbags`; and a node of rclpy.
+"""ROS 2's messages as dicts like its JSON: checked against their types, and made for what we publish and record.
 
-rclpy works where ROS 2 is installed: it comes with ROS 2, pixi or RoboStack.
+Recordings take the types from `rosbags`, so they need no ROS.
 """
 
 import json
+import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from functools import cache, partial
+from base64 import b64decode
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
-from threading import Thread
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 from kb import Event
 from missions.engine.mission import MissionError, needs
-from missions.wires.node import Client, Field, Message, Reader, RosError, TypedNode, made
+from missions.views.output import plain
+from missions.wires.node import Message, RosError
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -34,6 +36,15 @@ _DEFINITIONS: Final = Path(__file__).with_name("definitions.txt")
 """Definitions of the messages and services that `rosbags` does not have."""
 NOTHING: Final = "structure_needs_at_least_one_member"
 """The field that a message without fields has on the wire."""
+_KIND: Final = re.compile(r"\w+/msg/\w+")
+_FLOATS: Final = ("float32", "float64")
+_INTEGERS: Final = {
+    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    "byte": (0, 255),
+    "char": (0, 255),
+}
+"""The integer types of ROS 2, each with its least and greatest value."""
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
@@ -44,7 +55,7 @@ class Types:
         self.store = store
         self._fields: dict[str, Mapping[str, Field]] = {}
 
-    def fields(self, kind: str) -> Mapping[str, Field]:
+    def fields(self, kind: str) -> Mapping[str, "Field"]:
         if kind not in self._fields:
             known = self.store.fielddefs
             if kind not in known:
@@ -71,19 +82,19 @@ class Types:
         return str(self.store.generate_msgdef(kind, ros_version=2)[0])
 
     def encode(self, kind: str, message: Message) -> bytes:
-        return bytes(self.store.serialize_cdr(made(self, kind, message), kind))
+        return bytes(self.store.serialize_cdr(to_object(self, kind, message), kind))
 
     def decode(self, kind: str, data: bytes) -> Any:  # noqa: ANN401  # of a class that is made
         return self.store.deserialize_cdr(data, kind)
 
-    def _empty(self, field: Field) -> Any:  # noqa: ANN401  # of whatever type
+    def _empty(self, field: "Field") -> Any:  # noqa: ANN401  # of whatever type
         if field.length == 0:
             return []
         one = self.new(field.kind, {}) if "/" in field.kind else "" if field.kind == "string" else 0
         return one if field.length is None else [one] * field.length
 
 
-def _field(node: Any, what: Any) -> Field:  # noqa: ANN401  # as `rosbags` has it
+def _field(node: Any, what: Any) -> "Field":  # noqa: ANN401  # as `rosbags` has it
     if node.name in ("ARRAY", "SEQUENCE"):
         return Field(_field(*what[0]).kind, what[1] if node.name == "ARRAY" else 0)
     return Field(what if node.name == "NAME" else what[0])
@@ -130,19 +141,32 @@ def json_text(value: object) -> Message:
     return {"data": json.dumps(value, separators=(",", ":"))}
 
 
-def diagnostics(time_s: float, statuses: Iterable[Mapping[str, Any]]) -> Message:
-    """Return a DiagnosticArray at a time [s]; each status has `name`, `message` and `values`."""
-    statuses = [
-        {
-            "name": str(one.get("name", "")),
-            "message": str(one["message"]),
-            "values": [
-                {"key": str(key), "value": str(value)} for key, value in one["values"].items()
-            ],
-        }
-        for one in statuses
-    ]
+def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # whatever a DiagnosticArray comes as
+    """Return a DiagnosticArray at a time [s] for one that came as rclpy's object, a dict or CDR bytes.
+
+    The values of a status are pairs or a mapping; level and hardware_id may be missing.
+    """
+    if isinstance(array, bytes | bytearray | memoryview):
+        array = types().decode(DIAGNOSTICS, bytes(array))
+    statuses = []
+    for status in _part(array, "status", None):
+        level = _part(status, "level", 0)
+        pairs = _part(status, "values", None)
+        if isinstance(pairs, Mapping):
+            pairs = [{"key": key, "value": value} for key, value in pairs.items()]
+        values = [{key: str(_part(pair, key, None)) for key in ("key", "value")} for pair in pairs]
+        texts = {key: str(_part(status, key, "")) for key in ("name", "message", "hardware_id")}
+        statuses.append(
+            {"level": level[0] if isinstance(level, bytes) else level, **texts, "values": values}
+        )
     return {"header": _header(time_s, ""), "status": statuses}
+
+
+def _part(thing: Any, name: str, default: Any) -> Any:  # noqa: ANN401  # of a message
+    """Return a field of a dict or an object; without a default (None) it must be there."""
+    if isinstance(thing, Mapping):
+        return thing[name] if default is None else thing.get(name, default)
+    return getattr(thing, name) if default is None else getattr(thing, name, default)
 
 
 def log_of(event: Event, more: str = "") -> Message:
@@ -182,160 +206,108 @@ def transform(time_s: float, position: Sequence[float]) -> Message:
 
 
 def statuses_of(data: bytes) -> list[dict[str, Any]]:
-    """Return the statuses in the CDR bytes of a DiagnosticArray, each with `name`, `message` and `values`."""
-    return [
-        {
-            "name": one.name,
-            "message": one.message,
-            "values": {pair.key: pair.value for pair in one.values},
-        }
-        for one in types().decode(DIAGNOSTICS, data).status
-    ]
+    """Return the statuses in the CDR bytes of a DiagnosticArray: name, message, values; level unless it is 0."""
+    statuses = []
+    for status in types().decode(DIAGNOSTICS, data).status:
+        values = {pair.key: pair.value for pair in status.values}
+        fields = {"name": status.name, "message": status.message, "values": values}
+        statuses.append(fields | ({"level": int(status.level)} if status.level else {}))
+    return statuses
 
 
-# ------------------------------------------------------------ ROS 2 itself, where it is installed
-
-_LOOK_S: Final = 0.2
-"""The period of looking which other nodes are there [s]."""
-_TYPE: Final = re.compile(r"(?:sequence<)?([\w/]+)(?:<\d+>)?(?:, \d+)?>?(?:\[(\d+)\])?")
-"""A field's type as rclpy writes it: `sequence<double, 3>`, `std_msgs/Header`, `string<10>`, `double[36]`."""
-_NAMES: Final = {
-    "boolean": "bool",
-    "octet": "byte",
-    "float": "float32",
-    "double": "float64",
-    "wstring": "string",
-}
-
-
-class Messages:
-    """ROS 2's types as the classes of its message packages."""
-
-    def __init__(self) -> None:
-        self._fields: dict[str, Mapping[str, Field]] = {}
-
-    def fields(self, kind: str) -> Mapping[str, Field]:
-        if kind not in self._fields:
-            written = self.find(kind).get_fields_and_field_types()
-            self._fields[kind] = {name: _written(text) for name, text in written.items()}
-        return self._fields[kind]
-
-    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # of a message package
-        fields = self.fields(kind)
-        return self.find(kind)(
-            **{name: _native(fields[name], value) for name, value in values.items()}
-        )
-
-    def find(self, kind: str) -> Any:  # noqa: ANN401  # of a message package
-        """Return the class of a message, or of a service."""
-        from rosidl_runtime_py.utilities import get_message, get_service
-
-        name, _, part = kind.partition("_Re") if "/srv/" in kind else (kind, "", "")
-        try:
-            found = get_service(name) if "/srv/" in name else get_message(name)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise RosError(
-                f"the type {kind!r} is not installed ({error}); source the workspace that has it"
-            ) from None
-        return getattr(found, f"Re{part}") if part else found
-
-
-def _written(text: str) -> Field:
-    found = _TYPE.fullmatch(text)
-    if found is None:
-        raise RosError(f"the type {text!r} of a field is not known")
-    name, length = (
-        found[1],
-        0 if text.startswith("sequence") else int(found[2]) if found[2] else None,
-    )
-    return Field(name.replace("/", "/msg/") if "/" in name else _NAMES.get(name, name), length)
-
-
-def _native(field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
-    if field.kind != "byte":
-        return value
-    return bytes([value]) if field.length is None else [bytes([one]) for one in value]
-
-
-class RclpyNode(TypedNode):
-    """A node of rclpy that spins in a context and a thread of its own.
+def check_kind(kind: str) -> None:
+    """Refuse what cannot be a message type; a rosbridge says nothing about those.
 
     Raises:
-        MissionError: rclpy is not installed.
+        RosError: it is not written as one, or its package is known and has no such type.
     """
-
-    def __init__(self, name: str = "rosa_kb") -> None:
-        try:
-            import rclpy
-            from rclpy.context import Context
-            from rclpy.executors import SingleThreadedExecutor
-        except ImportError as error:
-            where = "it comes with ROS 2 (pixi, RoboStack, a robot), not from PyPI; source its setup file, or use --dds"
-            raise MissionError(f"rclpy is not installed ({error}); {where}, or rosbridge") from None
-        super().__init__("rclpy", Messages())
-        self._context = Context()
-        rclpy.init(context=self._context)
-        self._node = rclpy.create_node(name, context=self._context)
-        self._node.create_timer(_LOOK_S, self._look)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = Thread(target=self._spin, name="rclpy", daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        import rclpy
-
-        self._executor.shutdown(timeout_sec=1.0)
-        rclpy.shutdown(context=self._context)
-        self._thread.join()
-        self._node.destroy_node()
-        super().close()
-
-    def _spin(self) -> None:
-        from rclpy.executors import ExternalShutdownException, ShutdownException
-
-        with suppress(ExternalShutdownException, ShutdownException):
-            self._executor.spin()
-
-    def _open_reader(self, reader: Reader) -> None:
-        if reader.opened is not None:
-            self._node.destroy_subscription(reader.opened)
-        quality, take = _quality(is_reliable=reader.is_reliable), partial(self._take, reader)
-        reader.opened = self._node.create_subscription(reader.kind, reader.topic, take, quality)
-
-    def _publishers(self, reader: Reader) -> tuple[bool, bool]:
-        from rclpy.qos import ReliabilityPolicy
-
-        found = self._node.get_publishers_info_by_topic(reader.topic)
-        return bool(found), any(
-            one.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT for one in found
-        )
-
-    def _writer(self, topic: str, kind: Any) -> Callable[[Any], object]:  # noqa: ANN401  # of a message package
-        publish: Callable[[Any], object] = self._node.create_publisher(
-            kind, topic, _quality()
-        ).publish
-        return publish
-
-    def _client(self, service: str, kind: str) -> Client:
-        client = self._node.create_client(self._types.find(kind), service)
-
-        def send(number: int, request: Any) -> None:  # noqa: ANN401  # of a message package
-            answered = client.call_async(request)
-            answered.add_done_callback(
-                lambda one: self._finish(number, one.exception() or one.result())
-            )
-
-        return Client(client.service_is_ready, send)
-
-    def _serve(self, service: str, kind: str, respond: Callable[[Any], Any]) -> None:
-        self._node.create_service(
-            self._types.find(kind), service, lambda request, _: respond(request)
-        )
+    if not kind:
+        return
+    if _KIND.fullmatch(kind) is None:
+        raise RosError(f"{kind!r} is no type of a message; write PACKAGE/msg/TYPE")
+    try:
+        known = types().store.fielddefs
+    except MissionError:  # without the extra `mcap`
+        return
+    package = f"{kind.split('/')[0]}/msg/"
+    names = [name for name in known if name.startswith(package)]
+    if names and kind not in names:
+        nearest = get_close_matches(kind, names, 1)
+        advice = f"; did you mean {nearest[0]}?" if nearest else ""
+        raise RosError(f"there is no message type {kind!r}{advice}")
 
 
-def _quality(*, is_reliable: bool = True) -> Any:  # noqa: ANN401  # an object of rclpy
-    from rclpy.qos import QoSProfile, ReliabilityPolicy
+# ------------------------------------------------------------ messages and the objects of a library
 
-    sure = ReliabilityPolicy.RELIABLE if is_reliable else ReliabilityPolicy.BEST_EFFORT
-    return QoSProfile(depth=1000, reliability=sure)
+
+class Field(NamedTuple):
+    """The type of a field; `length` is None for one value, 0 for a sequence, else an array's size."""
+
+    kind: str
+    length: int | None = None
+
+
+class Library(Protocol):
+    """A library that has ROS 2's message types."""
+
+    def fields(self, kind: str) -> Mapping[str, Field]:
+        """Return the fields of a message type; `RosError` if it is not known."""
+
+    def new(self, kind: str, values: Message) -> Any:  # noqa: ANN401  # an object of the library
+        """Return a message with these values; all other fields are zero or empty."""
+
+
+def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: ANN401  # of the library
+    """Return the library's object for a message that is written as a dict.
+
+    Raises:
+        RosError: the type or a field is not known, or a value does not have its field's type.
+    """
+    if not isinstance(message, dict):
+        raise RosError(f"{kind} must be an object, not {message!r:.60}")
+    fields = library.fields(kind)
+    values = {}
+    for name, value in message.items():
+        if name not in fields:
+            raise RosError(f"{kind} has no field {name!r}; it has {', '.join(fields) or 'none'}")
+        values[name] = _to_value(library, fields[name], value, f"{name} of {kind}")
+    return library.new(kind, values)
+
+
+def _to_value(library: Library, field: Field, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
+    kind, length = field
+    if length is not None:
+        if isinstance(value, str) and kind in ("uint8", "byte"):
+            value = list(b64decode(value))
+        if not isinstance(value, list | tuple) or (length and len(value) != length):
+            size = length or "any number of"
+            raise RosError(f"{place} must be a list of {size} {kind}, not {value!r:.60}")
+        return [_to_value(library, Field(kind), item, place) for item in value]
+    if "/" in kind:
+        return to_object(library, kind, value)
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if kind in _FLOATS and (is_number or value is None):
+        return math.nan if value is None else float(value)
+    if kind in _INTEGERS and is_number and isinstance(value, int):
+        low, high = _INTEGERS[kind]
+        if low <= value <= high:
+            return value
+    if isinstance(value, {"bool": bool, "string": str}.get(kind, ())):
+        return value
+    raise RosError(f"{place} must be a {kind}, not {value!r:.60}")
+
+
+def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # of the library
+    fields = library.fields(kind).items()
+    return {name: _from_value(library, field, getattr(thing, name)) for name, field in fields}
+
+
+def _from_value(library: Library, field: Field, value: Any) -> object:  # noqa: ANN401  # of a field
+    kind, length = field
+    if length is not None:
+        return [_from_value(library, Field(kind), item) for item in value]
+    if "/" in kind:
+        return to_message(library, kind, value)
+    if isinstance(value, bytes):  # rclpy's byte
+        return value[0]
+    return plain(float(value)) if kind in _FLOATS else value

@@ -1,7 +1,8 @@
-"""ROS 2 by rosbridge (protocol v2: JSON over WebSocket): a client of a robot's rosbridge, and a server of our own.
+"""ROS 2 by a robot's rosbridge (protocol v2: JSON over WebSocket).
 
-With the server, roslib, Foxglove, other bridges and robots connect to us without ROS. It is a `Node` too: one of its
-own clients, without a connection.
+A rosbridge with its default parameters does one thing at a time for a connection: a call without an answer, or a goal
+that is under way, blocks it for good, but for topics. So each node is called by a connection of its own, which is
+opened anew after an overdue call, and so is each goal.
 """
 
 import json
@@ -9,136 +10,184 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext, suppress
-from hmac import compare_digest
-from itertools import count
+from concurrent.futures import Future
+from contextlib import suppress
 from socket import SHUT_RDWR
-from threading import Event, Lock, RLock, Thread
-from typing import Any, Final, NamedTuple, cast
-from urllib.parse import parse_qs, urlsplit
+from threading import Condition, Event, Thread
+from typing import Any, Final
+from urllib.parse import urlsplit
+from uuid import uuid4
 
 from missions.engine.mission import MissionError, needs
 from missions.views.output import plain
+from missions.wires import ros
 from missions.wires.node import (
-    LOOPBACK,
     NONSENSE,
-    QUEUED,
+    SUCCEEDED,
+    TIMEOUT_S,
     Answer,
+    Clock,
+    Disconnected,
+    Goal,
     Heard,
     Message,
     Node,
-    Outbox,
     RosError,
-    begun,
 )
 
 PORT: Final = 9090
+QUEUED: Final = 10_000
+"""How many messages may wait to be sent."""
+FLUSH_S: Final = 1.0
+"""How long sending the queued messages may take when a connection is closed [s]."""
 _LARGEST: Final = 2**20
 """The longest message [bytes]."""
 _FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 8.0
-_MOST_CLIENTS: Final = 200
 _log = logging.getLogger(__name__)
 
 
-class Peer(Outbox):
-    """One connection, with a queue of messages to send."""
+class Connection:
+    """One WebSocket to a rosbridge; messages that are sent before it is open wait in its queue.
 
-    def __init__(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        super().__init__(lambda message: socket.send(json.dumps(message)))
-        self.socket = socket
-
-    def send(self, message: Message) -> None:
-        self.put(plain(message))
-
-    def close(self) -> list[Message]:
-        left = super().close()
-        if (
-            left
-        ):  # the other side does not read, so it would not answer the closing handshake either
-            with suppress(OSError):
-                self.socket.socket.shutdown(SHUT_RDWR)
-        with suppress(Exception):  # it may be gone
-            self.socket.close()
-        return left
-
-
-class Wire(Node):
-    """A node that speaks rosbridge's messages, without saying what carries them.
+    A full queue drops its oldest message, and a slow receiver holds up nobody: a thread writes.
 
     Args:
-        sending: a lock, held while a message is sent and what it opens or declares is noted.
+        link: returns the WebSocket, connected.
+        on_message: called with each message, by the thread that reads.
     """
 
-    def __init__(self, sending: AbstractContextManager[object]) -> None:
-        super().__init__()
-        self._sending, self._ids = sending, count(1)
-        self._declared: list[Message] = []
-        self._subscribed: dict[str, list[Heard]] = {}
-        self._advertised: set[str] = set()
-        self._served: dict[str, Answer] = {}
-        self._open: dict[str, Future[Message]] = {}
+    def __init__(self, link: Callable[[], Any], on_message: Callable[[Message], object]) -> None:
+        self._link = link
+        self._on_message = on_message
+        self._queue = deque[Message](maxlen=QUEUED)
+        self._news = Condition()
+        self._socket: Any = None
+        self._writer = Thread(target=self._write_all, name="ros-send", daemon=True)
+        self.is_closed = False
 
-    def subscribe(self, topic: str, kind: str, heard: Heard) -> None:
-        with self._sending:
-            self._subscribed.setdefault(topic, []).append(heard)
-            self._declare({"op": "subscribe", "topic": topic, "type": kind})
+    def send(self, message: Message) -> None:
+        with self._news:
+            self._queue.append(plain(message))
+            self._news.notify()
 
-    def publish(self, topic: str, kind: str, message: Message) -> None:
-        with self._sending:
-            if topic not in self._advertised:
-                self._advertised.add(topic)
-                self._declare({"op": "advertise", "topic": topic, "type": kind})
-            self._send({"op": "publish", "topic": topic, "msg": message})
+    def start(self, on_end: Callable[[str], object]) -> None:
+        """Run it in a thread of its own, and call a function with the reason when it has ended."""
 
-    def call(self, service: str, kind: str, request: Message) -> "Future[Message]":
-        future, number = begun(), f"call_service:{next(self._ids)}"
-        made = {
-            "op": "call_service",
-            "id": number,
-            "service": service,
-            "type": kind,
-            "args": request,
-        }
-        with self._sending:
-            self._open[number] = future  # before it is sent, as the answer may come at once
-            if not self._send(made):
-                del self._open[number]
-                future.set_exception(
-                    RosError(f"{service} cannot be called: there is no connection")
-                )
-        return future
+        def run() -> None:
+            try:
+                on_end(self.run())
+            except Exception as error:  # it could not be opened
+                on_end(str(error) or type(error).__name__)
 
-    def serve(self, service: str, kind: str, answer: Answer) -> None:
-        with self._sending:
-            self._served[service] = answer
-            self._declare({"op": "advertise_service", "service": service, "type": kind})
+        Thread(target=run, name="rosbridge", daemon=True).start()
 
-    def _declare(self, message: Message) -> None:
-        """Send a declaration (subscribe, advertise), now and again after each reconnection."""
-        self._declared.append(message)
-        self._send(message)
+    def run(self, on_open: Callable[[], object] = lambda: None) -> str:
+        """Connect and read until the connection ends; return the reason in words, empty if closed.
 
-    def _send(self, message: Message) -> bool:
-        """Send a message to the other side; return whether there is a connection."""
-        raise NotImplementedError
+        Raises:
+            Exception: it cannot be opened.
+        """
+        with self._link() as socket:
+            self._socket = socket
+            on_open()
+            self._writer.start()
+            if self.is_closed:  # while it was being opened
+                self.close()
+            try:
+                for text in socket:
+                    self._on_message(_read(text))
+            except Exception as error:  # also of a connection that was cut
+                return str(error) or type(error).__name__
+            finally:
+                self._stop_writing()
+            return ""
+
+    def close(self) -> list[Message]:
+        """Send the queued messages for at most a second, then close; return those not sent."""
+        self._stop_writing()
+        unsent = self.unsent()
+        if self._socket is None:
+            return unsent
+        if unsent:  # the other side does not read, so it would not answer the closing handshake
+            with suppress(OSError):
+                self._socket.socket.shutdown(SHUT_RDWR)
+        with suppress(Exception):  # it may be gone
+            self._socket.close()
+        return unsent
+
+    def unsent(self) -> list[Message]:
+        """Take the messages that were not sent out of the queue."""
+        with self._news:
+            left = list(self._queue)
+            self._queue.clear()
+        return left
+
+    def _stop_writing(self) -> None:
+        with self._news:
+            self.is_closed = True
+            self._news.notify()
+        with suppress(RuntimeError):  # it was not started
+            self._writer.join(FLUSH_S)
+
+    def _write_all(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._queue or self.is_closed)
+                if not self._queue:
+                    return
+                message = self._queue[0]
+            try:
+                self._socket.send(json.dumps(message))
+            except Exception as error:  # the thread that reads fails too
+                _log.info("nothing more is sent: %s", error)
+                return
+            with self._news:
+                if self._queue and self._queue[0] is message:  # else a newer one pushed it out
+                    self._queue.popleft()
+
+
+class BridgedGoal(Goal):
+    """A goal by a connection of its own; its id is unique, as ids are shared by all clients."""
+
+    uuid = ""
+    """The server's identifier, once it is seen on the status topic."""
+
+    def __init__(self, node: "Rosbridge", action: str, kind: str, goal: Message) -> None:
+        super().__init__(action)
+        self._node = node
+        self._id = f"goal:{uuid4().hex}"
+        self.connection = node.connection(self._hear)
+        request = {"op": "send_action_goal", "id": self._id, "action": action}
+        self.connection.send({**request, "action_type": kind, "args": goal, "feedback": True})
+        self.connection.start(self._lose)
+
+    def cancel(self) -> None:
+        request = {"op": "cancel_action_goal", "id": self._id, "action": self.action}
+        self._node.lane(f"cancel {self.action}").send(request)
+
+    def close(self) -> None:
+        Thread(target=self.connection.close, daemon=True).start()
+
+    def see(self, status: int) -> None:
+        """Take in the status of the goal on the status topic; the result says how it ended."""
+        self._progress(min(status, SUCCEEDED - 1))
 
     def _hear(self, message: Message) -> None:
-        if message["op"] == "publish":
-            self.refused.hand_on(
-                _dict_of(message, "msg"), self._subscribed[_text_of(message, "topic")]
-            )
-        elif message["op"] == "service_response":
-            future = self._open.pop(_text_of(message, "id"), None)
-            if future is not None:
-                _finish(future, message)
-        elif message["op"] == "call_service":
-            self._send(_answered(self._served[_text_of(message, "service")], message))
-        elif message["op"] == "status" and message.get("level") in ("error", "warning"):
-            _log.warning("the other side of rosbridge says: %s", message.get("msg"))
+        if message["op"] == "action_feedback":
+            self.feedback = _object(message, "values")
+            self._progress(2)
+        elif message["op"] == "action_result" and message.get("result"):
+            self.result = _object(message, "values")
+            self._progress(int(message["status"]))
+        elif message["op"] == "action_result":
+            self.error = f"{self.action} cannot be asked so: {message.get('values')}"
+
+    def _lose(self, reason: str) -> None:
+        if not self.is_over:
+            self.error = f"the connection of the goal has ended ({reason}); the goal may go on"
 
 
-class Rosbridge(Wire):
+class Rosbridge(Node):
     """A client of a robot's rosbridge; it reconnects by itself, at intervals that grow up to 8 s.
 
     Args:
@@ -149,364 +198,245 @@ class Rosbridge(Wire):
         MissionError: the extra `ros2` is missing, or `url` is not the address of a rosbridge.
     """
 
-    def __init__(self, url: str, token: str = "") -> None:
+    def __init__(self, url: str, token: str = "", *, clock: Clock = time.monotonic) -> None:
         with needs("ros2", "rosbridge"):
-            import websockets.sync.client as client
-        if urlsplit(url).scheme not in ("ws", "wss") or not urlsplit(url).hostname:
+            from websockets.sync.client import connect
+        address = urlsplit(url)
+        if address.scheme not in ("ws", "wss") or not address.hostname:
             raise MissionError(f"{url!r} is not the address of a rosbridge; write ws://HOST:{PORT}")
-        super().__init__(Lock())
-        self._connect = client.connect
-        self._url, self._headers = url, {"Authorization": f"Bearer {token}"} if token else {}
+        super().__init__(clock)
+        headers = {"Authorization": f"Bearer {token}"} if token else {}
+        limits: Any = {"max_size": _LARGEST, "open_timeout": 5, "close_timeout": 1}
+        self._link = lambda: connect(url, additional_headers=headers, **limits)
+        self._url = url
+        self._declarations: list[Message] = []
+        self._hearers: dict[str, list[Heard]] = {}
+        self._advertised: set[str] = set()
+        self._answers: dict[str, Answer] = {}
+        self._unsent = deque[Message](maxlen=QUEUED)
+        self._main: Connection | None = None
+        self._lanes: dict[str, Connection] = {}
+        self._goals: dict[str, list[BridgedGoal]] = {}
+        self._uuids: dict[str, set[str]] = {}
+        self._wait_s = _FIRST_WAIT_S
+        self._away_since = time.monotonic()
         self._closing = Event()
-        self._peer: Peer | None = None
-        self._unsent: deque[Message] = deque(maxlen=QUEUED)
         self._thread = Thread(target=self._run, name="rosbridge", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         self._closing.set()
-        if (peer := self._peer) is not None:  # read once, as the connection may end meanwhile
-            peer.close()
+        with self._lock:
+            goals = [goal.connection for goals in self._goals.values() for goal in goals]
+            connections = [self._main, *self._lanes.values(), *goals]
+        for connection in connections:
+            if connection is not None:
+                connection.close()
         self._thread.join()
 
-    def _send(self, message: Message) -> bool:
-        """Send a message; without a connection, keep the last 10,000 publications until there is one."""
-        peer = self._peer
-        if peer is not None:
-            peer.send(message)
-        elif message["op"] == "publish":
-            self._unsent.append(plain(message))
-        return peer is not None
+    def subscribe(self, topic: str, kind: str, hearer: Heard) -> None:
+        ros.check_kind(kind)
+        with self._lock:
+            self._hearers.setdefault(topic, []).append(hearer)
+            self._declare({"op": "subscribe", "topic": topic, "type": kind})
+
+    def publish(self, topic: str, kind: str, message: Message) -> None:
+        with self._lock:
+            if topic not in self._advertised:
+                self._advertised.add(topic)
+                self._declare({"op": "advertise", "topic": topic, "type": kind})
+            publication = {"op": "publish", "topic": topic, "msg": message}
+            if self._main is None:
+                self._unsent.append(plain(publication))
+            else:
+                self._main.send(publication)
+
+    def call(
+        self, service: str, kind: str, request: Message, timeout_s: float = TIMEOUT_S
+    ) -> "Future[Message]":
+        number, call = self._open_call(service, kind, timeout_s)
+        if self._main is None:
+            error = f"{service} cannot be called: there is no connection"
+            self._end_call(number, Disconnected(error))
+            return call.future
+        message = {"op": "call_service", "id": number, "service": service}
+        call.details = self.lane(service.rpartition("/")[0])
+        call.details.send({**message, "type": kind, "args": request})
+        return call.future
+
+    def serve(self, service: str, kind: str, answer: Answer) -> None:
+        with self._lock:
+            self._answers[service] = answer
+            self._declare({"op": "advertise_service", "service": service, "type": kind})
+
+    def send_goal(self, action: str, kind: str, goal: Message) -> BridgedGoal:
+        """Send a goal; only the status topic tells at once whether it is accepted."""
+        topic = f"{action}/_action/status"
+        if action not in self._goals:
+            self._goals[action] = []
+            self.subscribe(topic, "action_msgs/msg/GoalStatusArray", lambda m: self._see(action, m))
+        sent = BridgedGoal(self, action, kind, goal)
+        self._goals[action] = [goal for goal in self._goals[action] if not goal.is_over]
+        self._goals[action].append(sent)
+        return sent
+
+    def connection(self, on_message: Callable[[Message], object]) -> Connection:
+        """Return a further connection to the same rosbridge, not open yet."""
+
+        def hear(message: Message | Exception) -> None:
+            try:
+                if isinstance(message, Exception):
+                    raise message
+                on_message(message)
+            except NONSENSE as error:
+                self.refused.add(error)
+
+        return Connection(self._link, hear)
+
+    def lane(self, name: str) -> Connection:
+        """Return the connection of this name for calls; opened when it is first asked for."""
+        with self._lock:
+            lane = self._lanes.get(name)
+            if lane is None:
+                lane = self._lanes[name] = self.connection(self._hear)
+                lane.start(lambda reason, lane=lane: self._drop(name, lane, reason))  # type: ignore[misc]  # mypy infers no lambda with defaults
+        return lane
+
+    def _drop(self, name: str, lane: Connection, reason: str) -> None:
+        """Forget a connection that has ended, and fail its calls."""
+        with self._lock:
+            if self._lanes.get(name) is lane:
+                del self._lanes[name]
+            lost = [number for number, call in self._calls.items() if call.details is lane]
+        for number in lost:
+            self._end_call(number, Disconnected(f"the connection has ended {reason}".rstrip()))
+
+    def _expire(self, number: str) -> None:
+        """Fail an overdue call, and close its connection, which it may have blocked for good."""
+        call = self._calls.get(number)
+        super()._expire(number)
+        if call is not None and call.details is not None:
+            self._drop(call.service.rpartition("/")[0], call.details, "as a call was overdue")
+            Thread(target=call.details.close, daemon=True).start()
+
+    def _declare(self, message: Message) -> None:
+        """Send a declaration (subscribe, advertise), now and again after each reconnection."""
+        self._declarations.append(message)
+        if self._main is not None:
+            self._main.send(message)
 
     def _run(self) -> None:
-        wait_s, self._away_since = _FIRST_WAIT_S, time.monotonic()
         while not self._closing.is_set():
+            connection = self.connection(self._hear)
             try:
-                limits: Any = {"max_size": _LARGEST, "open_timeout": 5, "close_timeout": 1}
-                with self._connect(self._url, additional_headers=self._headers, **limits) as socket:
-                    wait_s = _FIRST_WAIT_S
-                    self._talk(socket)
-            except (
-                Exception
-            ) as error:  # refused, unknown host, no WebSocket, wrong token: try again
-                said = f"no connection to {self._url}: {error or type(error).__name__}; it tries again, at last every "
-                said += f"{_LONGEST_WAIT_S:g} s. Is a rosbridge running there, and is the address (--url) right?"
-                self._tell(False, said)
-                self._closing.wait(wait_s)
-                wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+                reason = connection.run(lambda c=connection: self._begin(c))  # type: ignore[misc]  # as above
+            except Exception as error:  # refused, unknown host, no WebSocket, wrong token
+                self._report(False, self._advice(error))
+                self._closing.wait(self._wait_s)
+                self._wait_s = min(2 * self._wait_s, _LONGEST_WAIT_S)
+            else:
+                self._away_since = time.monotonic()
+                self._end(connection, reason)
 
-    def _talk(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        why = ""
-        self._begin(Peer(socket), time.monotonic() - self._away_since)
-        try:
-            if (
-                self._closing.is_set()
-            ):  # `close` came while it connected and did not see this socket
-                socket.close()
-            for text in socket:
-                try:
-                    self._hear(_read(text))
-                except NONSENSE as error:
-                    self.refused.add(error)
-        except Exception as error:  # also of a connection that was cut
-            why = f": {error}"
-        self._away_since = time.monotonic()
-        self._end(f"the connection to {self._url} has ended{why}")
+    def _advice(self, error: Exception) -> str:
+        problem = f"no connection to {self._url}: {error or type(error).__name__}"
+        return (
+            f"{problem}; it tries again, at last every {_LONGEST_WAIT_S:g} s. "
+            "Is a rosbridge running there, and is the address (--url) right?"
+        )
 
-    def _begin(self, peer: Peer, away_s: float) -> None:
-        with self._sending:
-            for message in self._declared:
-                peer.send(message)
-            late = deque(
-                self._unsent, maxlen=QUEUED - len(self._declared)
-            )  # more would push out the declarations
+    def _begin(self, connection: Connection) -> None:
+        self._wait_s = _FIRST_WAIT_S
+        with self._lock:
+            for message in self._declarations:
+                connection.send(message)
+            room = QUEUED - len(self._declarations)  # more would push out the declarations
+            late = deque(self._unsent, maxlen=room)
             for message in late:
-                peer.put(message)
+                connection.send(message)
             self._unsent.clear()
-            self._peer = peer
+            self._main = connection
+            if self._closing.is_set():  # `close` came meanwhile, and did not see this connection
+                connection.is_closed = True
+        away_s = time.monotonic() - self._away_since
         missed = f"messages published there meanwhile are lost, {len(late)} of ours are sent now"
-        self._tell(True, f"connected to {self._url} after {away_s:.1f} s; {missed}")
+        self._report(True, f"connected to {self._url} after {away_s:.1f} s; {missed}")
 
-    def _end(self, why: str) -> None:
-        with self._sending:
-            peer, self._peer = self._peer, None
-            failed, self._open = self._open, {}
-        if peer is not None:
-            left = [one for one in peer.close() if one["op"] == "publish"]
-            with self._sending:
-                self._unsent = deque([*left, *self._unsent], maxlen=QUEUED)
-        for future in failed.values():
-            future.set_exception(RosError(why))
+    def _end(self, connection: Connection, reason: str) -> None:
+        left = [message for message in connection.close() if message["op"] == "publish"]
+        with self._lock:
+            self._main = None
+            self._unsent = deque([*left, *self._unsent], maxlen=QUEUED)
         if not self._closing.is_set():
-            self._tell(False, why)
+            text = f"the connection to {self._url} has ended"
+            self._report(False, f"{text}: {reason}" if reason else text)
 
+    def _hear(self, message: Message) -> None:
+        if message["op"] == "publish":
+            hearers = self._hearers[_text(message, "topic")]
+            self.refused.hand_on(_object(message, "msg"), hearers)
+        elif message["op"] == "service_response":
+            self._end_call(_text(message, "id"), _answer(message))
+        elif message["op"] == "call_service" and self._main is not None:
+            self._main.send(_response(self._answers[_text(message, "service")], message))
 
-class _Client:
-    """A client of the server: types of what it advertises, subscribes to and serves; `send` gives it a message."""
-
-    def __init__(self, send: Callable[[Message], object]) -> None:
-        self.send = send
-        self.said: dict[str, dict[str, str]] = {
-            "advertise": {},
-            "subscribe": {},
-            "advertise_service": {},
+    def _see(self, action: str, message: Message) -> None:
+        """Take in who executes goals: a new one is ours if one of ours is not accepted yet."""
+        known = self._uuids.get(action, set())
+        statuses = {
+            str(entry["goal_info"]["goal_id"]["uuid"]): int(entry["status"])
+            for entry in message["status_list"]
         }
-
-    def say(self, op: str, message: Message) -> None:
-        """Note a declaration, or its end if the op begins with "un"; raise ValueError if there are too many."""
-        what = op.removeprefix("un")
-        said, name = (
-            self.said[what],
-            _text_of(message, "service" if what == "advertise_service" else "topic"),
-        )
-        if op != what:
-            said.pop(name, None)
-        elif name not in said and len(said) >= QUEUED:
-            raise ValueError(f"a client may {what} {QUEUED} times at most")
-        else:
-            said[name] = said.get(name) or str(message.get("type") or "")
+        goals = self._goals[action]
+        for uuid, status in statuses.items():
+            new = [goal for goal in goals if not goal.uuid]
+            if uuid not in known and new and status < SUCCEEDED:
+                new[0].uuid = uuid
+            for goal in goals:
+                if goal.uuid == uuid:
+                    goal.see(status)
+        self._uuids[action] = set(statuses)
 
 
-class _Call(NamedTuple):
-    """A call that one client made and another is to answer; `number` is the id that the caller gave it."""
-
-    server: _Client | None
-    service: str
-    caller: _Client
-    number: object
-
-
-class RosbridgeServer(Wire):
-    """Serves rosbridge's protocol, on this machine unless set otherwise.
-
-    Args:
-        port: TCP port; 0 for any that is free.
-        host: the address to listen on; any other than this machine's loopback needs a token.
-        token: the token that clients must give, as `Authorization: Bearer TOKEN` or `?token=TOKEN`.
-
-    Raises:
-        MissionError: the port is taken, a token is missing, or the extra `ros2` is.
-    """
-
-    def __init__(self, port: int = PORT, host: str = "127.0.0.1", token: str = "") -> None:
-        with needs("ros2", "rosbridge"):
-            from websockets.sync.server import serve
-        if host not in LOOPBACK and not token:
-            raise MissionError(
-                f"{host} can be reached from other machines: give a token, which clients must give too"
-            )
-        super().__init__(nullcontext())  # it needs no lock, as its own connection never ends
-        self._token, self._lock, self._numbers = token, RLock(), count(1)
-        self._own = _Client(lambda message: self._hear(cast("Message", plain(message))))
-        self._clients: dict[_Client, Peer | None] = {self._own: None}
-        self._forwarded: dict[str, _Call] = {}
-        try:
-            limits: Any = {"max_size": _LARGEST, "close_timeout": 1, "compression": None}
-            self._server = serve(self._attend, host, port, process_request=self._admit, **limits)
-        except (OSError, OverflowError) as error:
-            raise MissionError(
-                f"rosbridge cannot be served on {host}:{port}: {error}; give another port"
-            ) from None
-        self.port = int(self._server.socket.getsockname()[1])
-        self._tell(True, f"serving rosbridge on port {self.port}")
-        self._introspect()
-        self._thread = Thread(
-            target=self._server.serve_forever, name="rosbridge-server", daemon=True
-        )
-        self._thread.start()
-
-    def close(self) -> None:
-        with ThreadPoolExecutor(_MOST_CLIENTS) as pool:  # all at once, as each may take a second
-            list(pool.map(Peer.close, filter(None, list(self._clients.values()))))
-        self._server.shutdown()
-        self._thread.join()
-
-    def _admit(self, connection: Any, request: Any) -> Any:  # noqa: ANN401  # websockets is imported late
-        """Refuse a client without the token; where none is asked for, a web page of another site."""
-        query = parse_qs(urlsplit(request.path).query)
-        given = (
-            request.headers.get("Authorization", "").removeprefix("Bearer ")
-            or query.get("token", [""])[0]
-        )
-        if self._token:
-            if not compare_digest(given.encode(), self._token.encode()):
-                return connection.respond(
-                    401, "a token is needed: ?token=TOKEN, or Authorization: Bearer TOKEN\n"
-                )
-        elif not _is_of_this_machine(request.headers.get("Origin", "file:")):
-            return connection.respond(403, "pages of other sites are let in with a token only\n")
-        if (
-            len(self._clients) > _MOST_CLIENTS
-        ):  # one of them is this node; each takes files and threads of the robot
-            return connection.respond(503, f"{_MOST_CLIENTS} clients are connected already\n")
-        return None
-
-    def _attend(self, socket: Any) -> None:  # noqa: ANN401  # websockets is imported late
-        peer = Peer(socket)
-        client = _Client(peer.send)
-        with self._lock:
-            self._clients[client] = peer
-        try:
-            for text in socket:
-                self._take(client, text)
-        except Exception as error:  # cut off, or a message too big: this client only
-            _log.info("a rosbridge client is gone: %s", error)
-        finally:
-            with self._lock:
-                del self._clients[client]
-                left = [
-                    number
-                    for number, call in self._forwarded.items()
-                    if client in (call.server, call.caller)
-                ]
-            for number in left:
-                self._respond(
-                    number,
-                    {"values": "the client that served it has disconnected", "result": False},
-                )
-            peer.close()
-
-    def _take(self, client: _Client, text: str | bytes) -> None:
-        try:
-            self._do(client, _read(text))
-        except NONSENSE as error:
-            client.send({"op": "status", "level": "error", "msg": self.refused.add(error)})
-
-    def _send(self, message: Message) -> bool:
-        self._do(self._own, message)
-        return True
-
-    def _do(self, client: _Client, message: Message) -> None:
-        op = message["op"]
-        if op.removeprefix("un") in client.said:
-            client.say(op, message)
-        else:
-            getattr(self, f"_op_{op}", self._op_unknown)(client, message)
-
-    def _op_unknown(self, client: _Client, message: Message) -> None:
-        raise ValueError(f"op {message['op']!r:.40} is not served")
-
-    def _op_publish(self, client: _Client, message: Message) -> None:
-        topic, content = _text_of(message, "topic"), _dict_of(message, "msg")
-        with self._lock:
-            hearers = [one for one in self._clients if topic in one.said["subscribe"]]
-        for one in hearers:
-            one.send({"op": "publish", "topic": topic, "msg": content})
-
-    def _op_call_service(self, client: _Client, message: Message) -> None:
-        """Forward a call to the client that serves it."""
-        service = _text_of(message, "service")
-        request = _dict_of(message, "args")
-        with self._lock:
-            if len(self._forwarded) >= QUEUED:
-                raise ValueError(f"{QUEUED} calls wait for their answers already")
-            server = next(
-                (one for one in self._clients if service in one.said["advertise_service"]), None
-            )
-            own = f"call_service:{next(self._numbers)}"
-            self._forwarded[own] = _Call(server, service, client, message.get("id"))
-        if server is None:
-            self._respond(own, {"values": f"nobody serves {service}", "result": False})
-        else:
-            server.send({"op": "call_service", "id": own, "service": service, "args": request})
-
-    def _op_service_response(self, client: _Client, message: Message) -> None:
-        number = _text_of(message, "id")
-        if number not in self._forwarded or self._forwarded[number].server is not client:
-            raise ValueError(f"nobody waits for the answer {number!r:.40}")
-        self._respond(number, message)
-
-    def _op_status(self, client: _Client, message: Message) -> None:
-        _log.info("a rosbridge client says: %s", str(message.get("msg"))[:200])
-
-    _op_set_level = _op_status
-
-    def _respond(self, own: str, answer: Message) -> None:
-        with self._lock:
-            call = self._forwarded.pop(own, None)
-        if call is None:  # it was answered already, while caller or server disconnected
-            return
-        made = {"op": "service_response", "service": call.service, "values": answer.get("values")}
-        made |= {"result": answer.get("result", True)} | (
-            {} if call.number is None else {"id": call.number}
-        )
-        call.caller.send(made)
-
-    def _introspect(self) -> None:
-        topics, services = ("advertise", "subscribe"), ("advertise_service",)
-        answers: dict[str, Answer] = {
-            "Topics": lambda _: {
-                "topics": list(known := self._known(*topics)),
-                "types": list(known.values()),
-            },
-            "TopicType": lambda one: {"type": self._known(*topics).get(str(one.get("topic")), "")},
-            "Nodes": lambda _: {"nodes": ["/rosa_kb"]},
-            "Services": lambda _: {"services": list(self._known(*services))},
-            "ServiceType": lambda one: {
-                "type": self._known(*services).get(str(one.get("service")), "")
-            },
-        }
-        for kind, answer in answers.items():
-            name = "".join(
-                f"_{letter.lower()}" if letter.isupper() else letter for letter in kind
-            ).lstrip("_")
-            self.serve(f"/rosapi/{name}", f"rosapi/srv/{kind}", answer)
-
-    def _known(self, *ops: str) -> dict[str, str]:
-        """Return the topics or services of all clients with their types; the first type that is given counts."""
-        with self._lock:
-            found = [
-                one
-                for client in self._clients
-                for op in ops
-                for one in list(client.said[op].items())
-            ]
-        return {**dict(found), **dict(one for one in reversed(found) if one[1])}
-
-
-def _read(text: str | bytes) -> Message:
-    if isinstance(text, bytes):
-        raise ValueError("binary messages are not accepted; send JSON (compression none)")
-    message = json.loads(text)
-    if not isinstance(message, dict) or not isinstance(message.get("op"), str):
-        raise ValueError('a message must be an object with a text "op"')
+def _read(text: str | bytes) -> Any:  # noqa: ANN401  # a message, or the error that it is
+    try:
+        if isinstance(text, bytes):
+            raise ValueError("binary messages are not accepted; send JSON (compression none)")
+        message = json.loads(text)
+        if not isinstance(message, dict) or not isinstance(message.get("op"), str):
+            raise ValueError('a message must be an object with a text "op"')
+    except NONSENSE as error:
+        return error
     return message
 
 
-def _text_of(message: Message, key: str) -> str:
+def _text(message: Message, key: str) -> str:
     value = message.get(key)
     if not isinstance(value, str) or not value:
         raise ValueError(f'{message["op"]} needs a text "{key}"')
     return value
 
 
-def _dict_of(message: Message, key: str) -> Message:
+def _object(message: Message, key: str) -> Message:
     value = message.get(key, {})
     if not isinstance(value, dict):
         raise ValueError(f'"{key}" of {message["op"]} must be an object')
     return value
 
 
-def _finish(future: "Future[Message]", message: Message) -> None:
+def _answer(message: Message) -> Message | RosError:
     values = message.get("values")
     if message.get("result", True) and isinstance(values, dict):
-        future.set_result(values)
-    else:
-        future.set_exception(RosError(f"{message.get('service', 'the service')} failed: {values}"))
+        return values
+    return RosError(f"{message.get('service', 'the service')} failed: {values}")
 
 
-def _answered(answer: Answer, message: Message) -> Message:
-    made = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
+def _response(answer: Answer, message: Message) -> Message:
+    response = {"op": "service_response", "id": message.get("id"), "service": message["service"]}
     try:
-        return {**made, "values": answer(_dict_of(message, "args")), "result": True}
+        return {**response, "values": answer(_object(message, "args")), "result": True}
     except RosError as error:
-        return {**made, "values": str(error), "result": False}
+        return {**response, "values": str(error), "result": False}
     except Exception as error:  # our own error must not end the connection
         _log.exception("%s could not be answered", message["service"])
-        return {**made, "values": f"{type(error).__name__}: {error}", "result": False}
-
-
-def _is_of_this_machine(origin: str) -> bool:
-    """Tell whether a page comes from this machine; "null" does not count, as frames of other sites may send it."""
-    place = urlsplit(origin)
-    return place.scheme == "file" or place.hostname in LOOPBACK
+        return {**response, "values": f"{type(error).__name__}: {error}", "result": False}

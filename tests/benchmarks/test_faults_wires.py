@@ -15,16 +15,16 @@ from pathlib import Path
 
 import pytest
 from figures import table
-from websockets.sync.client import connect
 
 sys.path.append(
     str(Path(__file__).parents[1] / "missions")
 )  # what is cut and asked is that of the tests there
 
 from cut_wires import requests_through_cuts
+from ros_rig import rig, until
 from test_assistant import asked
 from test_bridge import NONSENSE as SPECIMENS
-from test_bridge import Robot, bridged, until
+from test_bridge import diagnose, status
 from test_recordings import rosa
 from typer.testing import CliRunner
 
@@ -69,42 +69,30 @@ def test_connections_are_cut_at_random(rows):
 
 
 def test_nonsense_is_counted_and_memory_is_flat(rows):
-    rng, robot = random.Random(1), Robot()
+    rng = random.Random(1)
     tracemalloc.start()
     try:
-        with bridged(robot) as (kb, bridge), connect(robot.url) as peer:
-            held = []
-            for part in range(5):
+        with rig("rosbridge") as robot:
+            client, refused, held = next(one for one in robot.host.clients if one.topics), [0], []
+            for _ in range(5):
                 for number in range(NONSENSE // 10):
-                    peer.send(
-                        rng.choice(SPECIMENS)
-                        if number % 2
-                        else json.dumps({"op": f"fly {rng.random()}"})
-                    )
-                    robot.server.publish(
-                        "/battery_state", "", {"percentage": f"much {rng.random()}"}
-                    )
-                sent = (part + 1) * (NONSENSE // 10)
-                until(
-                    lambda sent=sent: sum(robot.server.refused.values()) >= sent * 0.9, seconds=300
-                )
+                    text = rng.choice(SPECIMENS)
+                    client.websocket.send(text if number % 2 else json.dumps({"op": rng.random()}))
+                    robot.measure(f"much {rng.random()}")
+                seen = refused[0] + NONSENSE // 10
+                until(lambda seen=seen: robot.node.refused.total() >= seen * 0.5)
+                refused[0] = robot.node.refused.total() + robot.bridge.refused.total()
                 gc.collect()
                 held.append(tracemalloc.get_traced_memory()[0])
-            robot.measure(0.7)
-            until(lambda: kb.attributes["energy"].value == 0.7)
-            refused = sum(robot.server.refused.values()) + sum(bridge.refused.values())
-            rows.append(
-                (
-                    "nonsense",
-                    NONSENSE,
-                    f"{refused} refused, memory {held[1] / 1e6:.2f} to {held[-1] / 1e6:.2f} MB",
-                )
+            until(
+                lambda: robot.kb.attributes["energy"].value == 0.7, turn=lambda: robot.measure(0.7)
             )
-            assert len(robot.server.refused) + len(bridge.refused) < 300
+            figure = f"{refused[0]} refused, memory {held[1] / 1e6:.2f} to {held[-1] / 1e6:.2f} MB"
+            rows.append(("nonsense", NONSENSE, figure))
+            assert len(robot.node.refused) + len(robot.bridge.refused) < 300
             assert held[-1] < held[1] + 2e6
     finally:
         tracemalloc.stop()
-        robot.server.close()
 
 
 def test_hostile_requests_of_assistants(rows):
@@ -157,40 +145,18 @@ def test_every_prefix_of_a_recording_replays(rows, tmp_path):
 
 
 def test_a_thousand_diagnostics_a_second(rows):
-    robot, seconds = Robot(), 10
-    try:
-        with bridged(robot) as (_, bridge), connect(robot.url) as peer:
-            until(lambda: bridge.heard, turn=lambda: robot.diagnose(energy=0.5))
-            pairs = [{"key": "energy", "value": "0.5"}]
-            status = {
-                "level": 0,
-                "name": "robot",
-                "message": "QA status",
-                "hardware_id": "",
-                "values": pairs,
-            }
-            text = json.dumps(
-                {
-                    "op": "publish",
-                    "topic": "/diagnostics",
-                    "msg": {"header": {}, "status": [status]},
-                }
-            )
-            before, used, began = bridge.heard, time.process_time(), time.monotonic()
-            for number in range(1000 * seconds):
-                peer.send(text)
-                time.sleep(max(0.0, began + number / 1000 - time.monotonic()))
-            until(lambda: bridge.heard >= before + 1000 * seconds)
-            share = (time.process_time() - used) / (time.monotonic() - began)
-            rows.append(
-                (
-                    "1,000 diagnostics/s",
-                    1000 * seconds,
-                    f"{share:.0%} of a core, sender and server included",
-                )
-            )
-    finally:
-        robot.server.close()
+    seconds = 10
+    with rig("rosbridge") as robot:
+        diagnose(robot, status("robot", 0, "QA status", energy=0.5))
+        array = {"header": {}, "status": [status("robot", 0, "QA status", energy=0.5)]}
+        before, used, began = robot.bridge.heard, time.process_time(), time.monotonic()
+        for number in range(1000 * seconds):
+            robot.host.publish("/diagnostics", "", array)
+            time.sleep(max(0.0, began + number / 1000 - time.monotonic()))
+        until(lambda: robot.bridge.heard >= before + 1000 * seconds)
+        share = (time.process_time() - used) / (time.monotonic() - began)
+        figure = f"{share:.0%} of a core, sender and server included"
+        rows.append(("1,000 diagnostics/s", 1000 * seconds, figure))
 
 
 def test_an_hour_of_diagnostics_is_decided_again(rows, tmp_path):
@@ -203,7 +169,9 @@ def test_an_hour_of_diagnostics_is_decided_again(rows, tmp_path):
             values = {"battery_level": f"{1 - number / 400_000:.4f}"} | (
                 {} if number % 100 else {"water_visibility": "3"}
             )
-            heard = kept.diagnostics(number / 100, [{"message": "QA status", "values": values}])
+            heard = ros.diagnostics(
+                number / 100, {"status": [{"message": "QA status", "values": values}]}
+            )
             writer.write(topic, 10**18 + number * 10**7, kept.encode(ros.DIAGNOSTICS, heard))
     used = time.process_time()
     done = CliRunner().invoke(cli.app, ["replay", str(folder), "--mission", "suave_extended"])

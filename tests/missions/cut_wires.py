@@ -7,8 +7,10 @@ import time
 from contextlib import suppress
 from typing import NamedTuple
 
+from rosbridge_double import RosbridgeDouble
+
 from missions.wires.node import RosError
-from missions.wires.rosbridge import Rosbridge, RosbridgeServer
+from missions.wires.rosbridge import Rosbridge
 
 
 class Outcome(NamedTuple):
@@ -66,10 +68,10 @@ class Wire:
 
 def requests_through_cuts(seed, *, cuts):
     """Have a node request and publish over a wire that is cut so many times, at random."""
-    rng, server = random.Random(seed), RosbridgeServer(0)
+    rng, server = random.Random(seed), RosbridgeDouble()
     got, heard = [], []
     server.serve("/do", "x", lambda one: got.append(one["number"]) or {"number": one["number"]})
-    server.subscribe("/events", "x", lambda one: heard.append(one["number"]))
+    server.subscribe("/events", "", lambda one: heard.append(one["number"]))
     wire = Wire(server.port)
     node, acknowledged, stop = Rosbridge(f"ws://127.0.0.1:{wire.port}"), [], threading.Event()
 
@@ -78,12 +80,12 @@ def requests_through_cuts(seed, *, cuts):
         while not stop.is_set():
             number += 1
             try:
-                acknowledged.append(node.call("/do", "x", {"number": number}).result(60)["number"])
+                acknowledged.append(node.call("/do", "", {"number": number}).result(60)["number"])
             except RosError:
                 time.sleep(
                     0.01
                 )  # it is not known whether it was done: it is told as failed and never sent again
-            node.publish("/events", "x", {"number": number})
+            node.publish("/events", "", {"number": number})
 
     thread = threading.Thread(target=request)
     thread.start()

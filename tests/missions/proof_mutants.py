@@ -250,8 +250,7 @@ STILL = eventually(
 CHARGED = never(
     "charged it can explore",
     lambda rig: (
-        rig.measured("energy") in (0.625, 0.1)
-        and not (rig.kb.is_feasible("explore") or rig.surroundings.failed())
+        rig.measured("energy") in (0.625, 0.1) and not (rig.kb.is_feasible("explore") or rig.failed)
     ),
 )
 OVER = never(
@@ -492,7 +491,6 @@ MUTANTS = [
         rover_model(radar=("camera", "radar")),
         ADAPTS,
     ),
-    Case("action that nothing does", lambda kb: either(kb), rover_model(used=False), ADAPTS),
     Case(
         "not always improved",
         lambda kb: either(kb),

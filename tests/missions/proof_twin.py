@@ -14,8 +14,8 @@ from py_trees.decorators import Inverter, SuccessIsFailure
 
 from kb import Model
 from missions.proof.exploration import Exploration
+from missions.proof.properties import check
 from missions.proof.rig import Rig, Setup
-from missions.proof.verification import check
 from rosa_bt import ForAction, IsActionFeasible, do_until_unfeasible, feasible_then_act
 from rosa_bt.decorators import UntilSuccess
 
@@ -44,7 +44,7 @@ def random_setup(seed: int) -> Setup:
         made.action("rest", requires=[work] if rng.random() < 0.3 else [])
         return made
 
-    def build(kb):
+    def build(kb, senses):
         rng = np.random.default_rng(seed + 1)
 
         def task(name):
@@ -74,7 +74,7 @@ def random_setup(seed: int) -> Setup:
             root = Selector("mission", memory=memory, children=[rest, do])
         return UntilSuccess("until done", root) if rng.random() < 0.5 else root
 
-    return Setup(model, build, start={"level": 0.75}, slow=bool(seed % 10 == 0), surroundings=FEW)
+    return Setup(model, build, start={"level": 0.75}, slow=bool(seed % 10 == 0), environment=FEW)
 
 
 def seen(rig: Rig):
@@ -131,10 +131,9 @@ class Twin:
         self.faults |= set(rig.begin())
         for changes, answers, late in story:
             for change in changes:
-                change.tell(rig.kb)
+                change.apply(rig.kb)
             self.faults |= set(() if late[0] else rig.settle())
-            rig.choices.begin(script if answers is None else answers)
-            rig.runner.tick()
+            rig.tick(script if answers is None else answers)
             self.faults |= set(() if late[1] else rig.settle())
         self.ticked |= {one.name for one in rig.ticked}
         return rig
@@ -144,7 +143,7 @@ class Twin:
         if rig.root.status is Status.SUCCESS:
             return
         missed = (False, True) if self.setup.slow else (False,)
-        for changes in list(rig.surroundings.changes()):
+        for changes in list(rig.environment.changes(rig.read())):
             for late in [(before, after) for before in missed for after in missed]:
                 scripts = [()]
                 while scripts:
@@ -164,11 +163,7 @@ def key(rig: Rig):
         if isinstance(one, Composite)
     ]
     leaves = [one.status for one in rig.root.iterate()]
-    with rig.kb.reading() as state:
-        facts = [
-            tuple(state.columns[name]) for name in ("failed", "active", "selected", "requested")
-        ]
-    return tuple(places), tuple(leaves), tuple(facts), rig.kb.attributes["level"].value
+    return tuple(places), tuple(leaves), rig.read()
 
 
 def agree(seed: int, rounds: int = 3) -> int:
@@ -180,7 +175,7 @@ def agree(seed: int, rounds: int = 3) -> int:
         setup.build,
         start=setup.start,
         slow=setup.slow,
-        surroundings={**FEW, "symmetric": False},
+        environment={**FEW, "symmetric": False},
     )
     twin = Twin(every, rounds)
     assert found.is_finished

@@ -1,17 +1,22 @@
-"""rclpy, rosidl_runtime_py and message packages as they are in ROS 2 Humble, as far as the product uses them.
+"""rclpy, rosidl_runtime_py and message packages as they are in ROS 2, as far as the product uses them.
 
 Names, parameters and checks of types are those of the real ones; whatever else is used raises. Nodes of one process
-meet; callbacks run in the thread that spins, and what a callback raises ends it, as there.
+meet; callbacks run in the thread that spins, and what a callback raises ends it, as there. A `RobotHost` carries a robot of
+`ros_robot`. What an action client gets is what was recorded (data/ros2_transcripts.json).
 """
 
 import sys
+from base64 import b64encode
 from contextlib import contextmanager
 from enum import IntEnum
 from queue import Empty, Queue
 from threading import RLock
 from types import ModuleType, SimpleNamespace
+from typing import ClassVar
 
 from missions.wires import ros
+from missions.wires.rclpy import Messages
+from missions.wires.ros import to_message, to_object
 
 _IDL = {
     "bool": "boolean",
@@ -30,12 +35,27 @@ class ReliabilityPolicy(IntEnum):
     BEST_EFFORT = 2
 
 
+class DurabilityPolicy(IntEnum):
+    SYSTEM_DEFAULT = 0
+    TRANSIENT_LOCAL = 1
+    VOLATILE = 2
+
+
 class QoSProfile:
     def __init__(self, **kwargs):
         assert "depth" in kwargs, "History and/or depth settings are required."
         assert set(kwargs) <= {"depth", "reliability", "history", "durability"}, "Unknown argument"
         self.depth = kwargs["depth"]
         self.reliability = kwargs.get("reliability", ReliabilityPolicy.RELIABLE)
+        self.durability = kwargs.get("durability", DurabilityPolicy.VOLATILE)
+
+    def serves(self, asked):
+        """Return whether a subscription with another profile hears a publisher with this one."""
+        is_reliable = self.reliability == ReliabilityPolicy.RELIABLE
+        is_latched = self.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        return (is_reliable or asked.reliability != ReliabilityPolicy.RELIABLE) and (
+            is_latched or asked.durability != DurabilityPolicy.TRANSIENT_LOCAL
+        )
 
 
 class ExternalShutdownException(Exception): ...
@@ -92,17 +112,15 @@ class Future:
 
 class Publisher:
     def __init__(self, msg_type, topic, qos_profile):
-        self.msg_type, self.topic, self.qos_profile = msg_type, topic, qos_profile
+        self.msg_type, self.topic, self.qos_profile, self.last = msg_type, topic, qos_profile, None
 
     def publish(self, msg):
         assert isinstance(msg, self.msg_type), f"Expected {self.msg_type}, got {type(msg)}"
         with _LOCK:
+            self.last = msg
             for node in _NODES:
                 for one in node.subscriptions:
-                    offered = self.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-                    if one.topic == self.topic and (
-                        offered or one.qos_profile.reliability != ReliabilityPolicy.RELIABLE
-                    ):
+                    if one.topic == self.topic and self.qos_profile.serves(one.qos_profile):
                         assert one.msg_type is self.msg_type
                         node.todo.put(lambda one=one: one.callback(msg))
 
@@ -128,14 +146,72 @@ class Client:
 
         def serve():
             response = service.callback(request, service.srv_type.Response())
-            assert isinstance(response, service.srv_type.Response)
-            self.node.todo.put(lambda: future.set_result(response))
+            if response is not None:
+                assert isinstance(response, service.srv_type.Response)
+                self.node.todo.put(lambda: future.set_result(response))
 
-        node.todo.put(serve)
+        serve() if node.is_robot else node.todo.put(serve)
         return future
 
 
+class ActionClient:
+    def __init__(self, node, action_type, action_name):
+        self.node, self.kind, self.name = node, action_type.name, action_name
+
+    def send_goal_async(self, goal, feedback_callback=None, goal_uuid=None):
+        assert type(goal) is _class(f"{self.kind}_Goal")
+        response, result, types = Future(), Future(), Messages()
+        server = RobotHost.actions.get(self.name)
+
+        def show(values):
+            feedback = to_object(types, f"{self.kind}_Feedback", values)
+            message = SimpleNamespace(goal_id=None, feedback=feedback)
+            self.node.todo.put(lambda: feedback_callback(message))
+
+        def end(status, values):
+            answer = to_object(types, f"{self.kind}_Result", values)
+            self.node.todo.put(
+                lambda: result.set_result(SimpleNamespace(status=status, result=answer))
+            )
+
+        key = (
+            None
+            if server is None
+            else server.begin(to_message(types, f"{self.kind}_Goal", goal), show, end)
+        )
+        if key is not None:  # else it never completes, even if a server comes later
+            handle = GoalHandle(self.node, server, key, result)
+            self.node.todo.put(lambda: response.set_result(handle))
+        return response
+
+
+class GoalHandle:
+    status = 0
+
+    def __init__(self, node, server, key, result):
+        self.node, self.server, self.key, self.accepted, self._result = (
+            node,
+            server,
+            key,
+            bool(key),
+            result,
+        )
+
+    def get_result_async(self):
+        return self._result
+
+    def cancel_goal_async(self):
+        answered, is_cancelling = Future(), self.server.cancel(self.key)
+        if is_cancelling is not None:
+            goals = [self.key] if is_cancelling else []
+            answer = SimpleNamespace(return_code=0, goals_canceling=goals)
+            self.node.todo.put(lambda: answered.set_result(answer))
+        return answered
+
+
 class Node:
+    is_robot = False
+
     def __init__(self, node_name, *, context=None):
         self.name, self.context, self.todo = node_name, context, Queue()
         self.subscriptions, self.publishers, self.services, self.timers = [], [], [], []
@@ -156,6 +232,16 @@ class Node:
         )
         with _LOCK:
             self.subscriptions.append(made)
+            for publisher in [
+                one for node in _NODES for one in node.publishers if one.topic == topic
+            ]:
+                is_latched = made.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                if (
+                    publisher.last is not None
+                    and is_latched
+                    and publisher.qos_profile.serves(made.qos_profile)
+                ):
+                    self.todo.put(lambda last=publisher.last: callback(last))
         return made
 
     def destroy_subscription(self, subscription):
@@ -219,6 +305,57 @@ class SingleThreadedExecutor:
         return True
 
 
+class RobotHost:
+    """Carries lifecycle nodes and an action server of `ros_robot`; they answer at once, and need no thread."""
+
+    actions: ClassVar = {}
+
+    def __init__(self):
+        self.types, self.node, self.actions = Messages(), Node("robot"), RobotHost.actions
+        self.node.is_robot = True
+        self.actions.clear()
+
+    def serve(self, service, kind, answer):
+        def respond(request, _):
+            values = answer(_with_texts(to_message(self.types, f"{kind}_Request", request)))
+            return None if values is None else to_object(self.types, f"{kind}_Response", values)
+
+        self.unserve(service)
+        self.node.create_service(self.types.find(kind), service, respond)
+
+    def unserve(self, service):
+        self.node.services = [one for one in self.node.services if one.srv_name != service]
+
+    def advertise(self, topic, kind, *, is_latched=False):
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if is_latched else DurabilityPolicy.VOLATILE
+        quality = QoSProfile(depth=10, durability=durability)
+        self.unadvertise(topic)
+        self.node.create_publisher(self.types.find(kind), topic, quality)
+
+    def unadvertise(self, topic):
+        self.node.publishers = [one for one in self.node.publishers if one.topic != topic]
+
+    def has_hearer(self, topic):
+        return any(one.topic == topic for node in _NODES for one in node.subscriptions)
+
+    def publish(self, topic, kind, message):
+        if not any(one.topic == topic for one in self.node.publishers):
+            self.advertise(topic, kind)
+        (publisher,) = [one for one in self.node.publishers if one.topic == topic]
+        publisher.publish(to_object(self.types, kind, message))
+
+    def close(self):
+        self.node.destroy_node()
+
+
+def _with_texts(request):
+    """Write the identifier of a goal as rosbridge does."""
+    if "goal_info" in request:
+        uuid = request["goal_info"]["goal_id"]["uuid"]
+        request["goal_info"]["goal_id"]["uuid"] = b64encode(bytes(uuid)).decode()
+    return request
+
+
 def _message(kind):
     assert hasattr(kind, "get_fields_and_field_types"), f"{kind} is no class of a message"
     return kind
@@ -259,6 +396,13 @@ def get_service(identifier):
         halves = {half: _class(f"{identifier}_{half}") for half in ("Request", "Response")}
         _CLASSES[identifier] = type(identifier.split("/")[-1], (), halves)
     return _CLASSES[identifier]
+
+
+def get_action(identifier):
+    if f"{identifier}_Goal" not in ros.types().store.fielddefs:
+        raise ModuleNotFoundError(f"No module named '{identifier.split('/')[0]}'")
+    parts = {part: _class(f"{identifier}_{part}") for part in ("Goal", "Feedback", "Result")}
+    return type(identifier.split("/")[-1], (), {"name": identifier, **parts})
 
 
 def _class(kind):
@@ -343,21 +487,52 @@ class _Message:
         return {name: _said(*field) for name, field in cls._fields.items()}
 
 
+_TYPES = {
+    "action_msgs/srv/CancelGoal_Request": "action_msgs/GoalInfo goal_info",
+    "action_msgs/srv/CancelGoal_Response": "int8 return_code\naction_msgs/GoalInfo[] goals_canceling",
+    "nav2_msgs/action/NavigateToPose_Goal": "geometry_msgs/PoseStamped pose\nstring behavior_tree",
+    "nav2_msgs/action/NavigateToPose_Result": "uint16 error_code\nstring error_msg",
+    "nav2_msgs/action/NavigateToPose_Feedback": "geometry_msgs/PoseStamped current_pose\nint16 number_of_recoveries\n"
+    "float32 distance_remaining",
+}
+"""Types that `rosbags` does not have; of NavigateToPose, the fields that are used."""
+
+
+def _register():
+    from rosbags.typesys import get_types_from_msg
+
+    store = ros.types().store
+    for kind, text in _TYPES.items():
+        if kind not in store.fielddefs:
+            (found,) = get_types_from_msg(text, "x/msg/X").values()
+            store.register({kind: found})
+
+
 @contextmanager
 def installed():
     """Have them imported as if ROS 2 were there."""
     parts = {
         "rclpy": {"init": init, "shutdown": shutdown, "create_node": create_node},
         "rclpy.context": {"Context": Context},
-        "rclpy.qos": {"QoSProfile": QoSProfile, "ReliabilityPolicy": ReliabilityPolicy},
+        "rclpy.action": {"ActionClient": ActionClient},
+        "rclpy.qos": {
+            "QoSProfile": QoSProfile,
+            "ReliabilityPolicy": ReliabilityPolicy,
+            "DurabilityPolicy": DurabilityPolicy,
+        },
         "rclpy.executors": {
             "SingleThreadedExecutor": SingleThreadedExecutor,
             "ExternalShutdownException": ExternalShutdownException,
             "ShutdownException": ShutdownException,
         },
         "rosidl_runtime_py": {},
-        "rosidl_runtime_py.utilities": {"get_message": get_message, "get_service": get_service},
+        "rosidl_runtime_py.utilities": {
+            "get_message": get_message,
+            "get_service": get_service,
+            "get_action": get_action,
+        },
     }
+    _register()
     for name, content in parts.items():
         module = sys.modules[name] = ModuleType(name)
         vars(module).update(content)

@@ -182,6 +182,24 @@ def test_refusals_are_told_in_words(kb):
     assert "battery_level" in answers[1][2]
 
 
+def test_tools_that_only_read_have_the_hint(kb):
+    from mcp import Client
+
+    async def ask():
+        async with Client(mcp_server(Assistant(kb), allow_actions=True)) as client:
+            tools = (await client.list_tools()).tools
+            return {tool.name: tool.annotations.read_only_hint for tool in tools}
+
+    acting = {"request_action": False, "cancel_action": False}
+    assert anyio.run(ask) == dict.fromkeys(ASKING, True) | acting
+
+
+def test_long_names_are_cut_in_answers(kb):
+    calls = [("why", {"element": "x" * 100_000}), ("x" * 100_000, {}), ("why", {"y" * 100_000: 1})]
+    _, answers = asked(kb, calls)
+    assert all(is_error and len(text) < 1500 for is_error, _, text in answers)
+
+
 def test_program_serves_over_stdio():
     from mcp import Client, StdioServerParameters
     from mcp.client.stdio import stdio_client

@@ -67,7 +67,6 @@ OPTIONAL = [
     "zmq",
     "mcap",
     "rosbags",
-    "cyclonedds",
     "mcp",
     "dask",
 ]

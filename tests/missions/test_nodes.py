@@ -1,349 +1,312 @@
-"""One contract of all nodes that talk ROS 2: by rosbridge from both sides, by rclpy, by DDS to another process."""
+"""One contract of the nodes that talk ROS 2, by rosbridge and by rclpy; and what is theirs alone."""
 
 import json
-import os
-import re
-import subprocess
-import sys
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import rclpy_double
 from cut_wires import requests_through_cuts
-from ros_peer import ARRAY, ASK, DIAGNOSTICS, STRING, attend
+from ros_rig import WIRES, connected, until
+from rosbridge_double import RosbridgeDouble
 
 from missions.engine.mission import MissionError
 from missions.wires import ros
-from missions.wires.dds import DdsNode, Structs
-from missions.wires.node import RosError, made, message_of
-from missions.wires.ros import Messages, RclpyNode
-from missions.wires.rosbridge import Rosbridge, RosbridgeServer
+from missions.wires.node import Refusals, RosError
+from missions.wires.rclpy import Messages, RclpyNode
+from missions.wires.ros import to_message, to_object
+from missions.wires.rosbridge import QUEUED, Connection, Rosbridge
 
-HERE = Path(__file__).parent
-DOMAIN = 40 + os.getpid() % 50
-TYPED = ("rclpy", "dds")
-
-
-@contextmanager
-def rosbridge(*, is_server):
-    server = RosbridgeServer(0)
-    client = Rosbridge(f"ws://127.0.0.1:{server.port}")
-    ours, peer = (server, client) if is_server else (client, server)
-    attend(peer)
-    until(lambda: client.is_connected)
-    try:
-        yield ours
-    finally:
-        client.close()
-        server.close()
+DATA = Path(__file__).parent / "data"
+ARRAY, STRING = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
+DIAGNOSTICS, ASK = "diagnostic_msgs/msg/DiagnosticArray", "rosa_msgs/srv/ActionQuery"
 
 
-@contextmanager
-def rclpy():
-    with rclpy_double.installed():
-        ours, peer = RclpyNode(), RclpyNode("peer")
-        attend(peer)
-        try:
-            yield ours
-        finally:
-            ours.close()
-            peer.close()
+def refuse(_):
+    raise RosError("never")
 
 
-@cache
-def dds_peer():
-    """Start the program that all nodes here talk to."""
-    command = [sys.executable, str(HERE / "ros_peer.py"), str(DOMAIN)]
-    path = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(HERE.parents[1]), os.environ.get("PYTHONPATH", "")]),
-    }
-    program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=path)
-    program.stdout.readline()
-    return program
-
-
-@pytest.fixture(scope="module", autouse=True)
-def peer_ends():
-    yield
-    if dds_peer.cache_info().currsize:
-        dds_peer().communicate()  # its input ends
-        dds_peer.cache_clear()
-
-
-@contextmanager
-def dds():
-    assert dds_peer().poll() is None
-    ours = DdsNode(DOMAIN)
-    try:
-        yield ours
-    finally:
-        ours.close()
-
-
-BACKENDS = {
-    "rosbridge": lambda: rosbridge(is_server=False),
-    "rosbridge served": lambda: rosbridge(is_server=True),
-    "rclpy": rclpy,
-    "dds": dds,
-}
-
-
-def until(holds, *, seconds=120.0, turn=lambda: None):
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it never came true"
-        turn()
-        time.sleep(0.02)
-
-
-@pytest.fixture(params=BACKENDS)
-def backend(request):
+@pytest.fixture(params=WIRES)
+def wire(request):
     return request.param
 
 
 @pytest.fixture
-def node(backend):
-    with BACKENDS[backend]() as made_node:
-        yield made_node
+def pair(wire):
+    """A node, and another one that serves and calls; the graph is between them."""
+    with connected(wire) as (host, node):
+        other = Rosbridge(host.url) if wire == "rosbridge" else RclpyNode("other")
+        other.serve("/other/ask", ASK, lambda one: {"action": one["action"], "success": True})
+        other.serve("/other/refuse", ASK, refuse)
+        other.serve("/other/fail", ASK, lambda one: one["nothing"])
+        until(lambda: wire == "rclpy" or other.is_connected)
+        try:
+            yield node, other
+        finally:
+            other.close()
 
 
-def echoed(node, name, kind, message):
-    """Return what comes back of a message that is handed over and back."""
+def echo(pair, kind, message):
+    """Return a message as the other node hears it."""
+    node, other = pair
     heard = []
-    node.subscribe(f"/from/{name}", kind, heard.append)
-    until(lambda: heard, turn=lambda: node.publish(f"/to/{name}", kind, message))
+    other.subscribe("/echo", kind, heard.append)
+    until(lambda: heard, turn=lambda: node.publish("/echo", kind, message))
     return heard[0]
 
 
-def test_text_comes_back_as_it_was(node):
-    text = {"data": 'é water, "quoted" \n and long ' + "x" * 20_000}
-    assert echoed(node, "text", STRING, text) == text
-
-
-def test_arrays_come_back_and_what_is_no_number_is_null(node):
-    nothing, empty = float("nan"), {"dim": [], "data_offset": 0}
-    sent = {"layout": empty, "data": [1.0, -2.5, nothing, float("inf"), 1e300]}
-    assert echoed(node, "array", ARRAY, sent)["data"][:3] == [1.0, -2.5, None]
-
-
-def test_nested_messages_come_back_as_they_were(node):
-    pairs = [{"key": "battery_level", "value": "0.25"}, {"key": "", "value": "é"}]
-    statuses = [
-        {
-            "level": level,
-            "name": f"n{level}",
-            "message": "QA status",
-            "hardware_id": "",
-            "values": pairs[:level],
-        }
-        for level in range(3)
-    ]
-    stamp = {"sec": 1_700_000_000, "nanosec": 999_999_999}
-    sent = {"header": {"stamp": stamp, "frame_id": "base"}, "status": statuses}
-    assert echoed(node, "diagnostics", DIAGNOSTICS, sent) == sent
-
-
-def test_services_are_called_both_ways(node):
-    action = {"name": "explore", "status": "", "is_required": True}
-    wanted = {"action": action, "success": True}
-    until(lambda: asked(node, "/peer/ask", action=action, preference="") == wanted)
-    calls, said = [], []
-    node.serve(
-        "/ours/ask",
-        ASK,
-        lambda one: calls.append(one) or {"action": one["action"], "success": True},
-    )
-    node.subscribe("/called", STRING, lambda one: said.append(json.loads(one["data"])))
-    call = {
-        "data": json.dumps(
-            {"service": "/ours/ask", "request": {"action": action, "preference": "é"}}
-        )
-    }
-    until(
-        lambda: wanted in said, turn=lambda: (node.publish("/call", STRING, call), time.sleep(0.3))
-    )
-    assert calls[0] == {"action": action, "preference": "é"}
-
-
-def asked(node, service, **request):
+def ask(node, service, **request):
     """Return the answer to a call; None while nobody serves it yet."""
     try:
         return node.call(service, ASK, request).result(60)
     except RosError as error:
-        if "nobody serves" in str(error) or "no connection" in str(error):
-            return None
-        return {"success": False, "reason": str(error)}
+        return None if "does not exist" in str(error) else {"success": False, "reason": str(error)}
 
 
-def test_call_that_its_caller_gives_up_leaves_the_node_as_it_is(node):
+def test_text_comes_over_as_it_was(pair):
+    text = {"data": 'é water, "quoted" \n and long ' + "x" * 20_000}
+    assert echo(pair, STRING, text) == text
+
+
+def test_what_is_no_number_comes_over_as_null(pair):
+    data = [1.0, -2.5, float("nan"), float("inf"), 1e300]
+    sent = {"layout": {"dim": [], "data_offset": 0}, "data": data}
+    assert echo(pair, ARRAY, sent)["data"][:3] == [1.0, -2.5, None]
+
+
+def test_nested_messages_come_over_as_they_were(pair):
+    pairs = [{"key": "battery_level", "value": "0.25"}, {"key": "", "value": "é"}]
+    about = {"message": "QA status", "hardware_id": ""}
+    statuses = [{"level": n, "name": f"n{n}", **about, "values": pairs[:n]} for n in range(3)]
+    stamp = {"sec": 1_700_000_000, "nanosec": 999_999_999}
+    sent = {"header": {"stamp": stamp, "frame_id": "base"}, "status": statuses}
+    assert echo(pair, DIAGNOSTICS, sent) == sent
+
+
+def test_services_are_called_both_ways(pair):
+    node, other = pair
     action = {"name": "explore", "status": "", "is_required": True}
-    until(lambda: asked(node, "/peer/ask", action=action) is not None)
-    told = []
-    node.watch(lambda is_there, _: told.append(is_there))
-    for _ in range(5):
-        node.call("/peer/ask", ASK, {"action": action}).cancel()
-    assert asked(node, "/peer/ask", action=action)["success"]
-    assert told in ([False], [True], [False, True]), "who was there is still there"
+    answer = {"action": action, "success": True}
+    until(lambda: ask(node, "/other/ask", action=action, preference="") == answer)
+    requests = []
+    node.serve("/ours/ask", ASK, lambda one: requests.append(one) or {"action": one["action"]})
+    until(lambda: ask(other, "/ours/ask", action=action, preference="é") is not None)
+    assert requests[0] == {"action": action, "preference": "é"}
 
 
-@pytest.mark.parametrize("service", ["/peer/refuse", "/peer/fail"])
-def test_what_is_refused_or_fails_never_reads_as_success(node, service):
+@pytest.mark.parametrize("service", ["/other/refuse", "/other/fail"])
+def test_refused_or_failed_call_never_reads_as_success(pair, service):
     answers = []
     until(
         lambda: answers and answers[-1] is not None,
-        turn=lambda: answers.append(asked(node, service)),
+        turn=lambda: answers.append(ask(pair[0], service)),
     )
     assert answers[-1]["success"] is False
 
 
-def test_call_of_what_nobody_serves_fails_in_words(node, monkeypatch):
-    monkeypatch.setattr("missions.wires.node._FIND_S", 0.2)  # so long nobody is sought in vain
-    with pytest.raises(RosError, match="nobody serves /nowhere"):
-        node.call("/nowhere", ASK, {}).result(60)
-
-
-def test_many_threads_get_their_own_answers(node):
-    until(lambda: asked(node, "/peer/ask", action={"name": "first"}) is not None)
-    names = [f"action {number}" for number in range(120)]
+def test_many_threads_get_their_own_answers(pair):
+    node = pair[0]
+    until(lambda: ask(node, "/other/ask", action={"name": "first"}) is not None)
+    names = [f"action {number}" for number in range(60)]
     with ThreadPoolExecutor(6) as pool:
-        answers = list(
-            pool.map(lambda name: asked(node, "/peer/ask", action={"name": name}), names)
+        answers = list(pool.map(lambda name: ask(node, "/other/ask", action={"name": name}), names))
+    assert [answer["action"]["name"] for answer in answers] == names
+
+
+def test_hearer_that_fails_does_not_end_the_node(pair):
+    pair[1].subscribe("/echo", STRING, lambda one: one["nothing"])
+    assert echo(pair, STRING, {"data": "on"}) == {"data": "on"}
+
+
+def test_call_that_nobody_serves_fails_in_words(wire):
+    now = [0.0]
+    with connected(wire, clock=lambda: now[0]) as (_, node):
+        future = node.call("/nowhere", ASK, {}, 2.0)
+
+        def turn():
+            now[0] += 0.01
+            node.update()
+
+        until(future.done, turn=turn)
+        assert any(
+            words in str(future.exception()) for words in ("nobody serves", "does not exist")
         )
-    assert [one["action"]["name"] for one in answers] == names
 
 
-def test_listener_that_fails_does_not_end_the_node(node):
-    def fail(_):
-        raise ValueError("ours")
-
-    node.subscribe("/from/text", STRING, fail)
-    assert echoed(node, "text", STRING, {"data": "on"}) == {"data": "on"}
-
-
-def test_closing_ends_what_is_open(backend):
-    with BACKENDS[backend]():
-        pass
-    until(
-        lambda: (
-            not [
-                one
-                for one in threading.enumerate()
-                if one.name in ("rclpy", "dds", "rosbridge", "ros-send")
-            ]
-        )
-    )
+def test_closing_ends_all_threads(wire):
+    with connected(wire) as (_, node):
+        node.call("/nowhere", ASK, {})
+    names = ("rclpy", "rosbridge", "ros-send")
+    until(lambda: not [one for one in threading.enumerate() if one.name in names])
 
 
-@pytest.mark.parametrize("backend", TYPED)
-def test_messages_are_checked_against_their_types(node):
-    for kind, message, said in (
-        (STRING, {"date": "x"}, "no field 'date'; it has data"),
-        (STRING, {"data": 3}, "data of std_msgs/msg/String must be a string, not 3"),
-        (ARRAY, {"data": [1.0, "x"]}, "must be a float64, not 'x'"),
-        (ARRAY, {"data": 3.0}, "must be a list"),
-        ("std_msgs/msg/UInt8", {"data": 256}, "must be a uint8, not 256"),
-        ("std_msgs/msg/Bool", {"data": 1}, "must be a bool, not 1"),
-        ("somebody_msgs/msg/Secret", {}, "somebody_msgs/msg/Secret"),
-    ):
-        with pytest.raises(RosError, match=said):
-            node.publish("/to/nobody", kind, message)
+def test_refusals_log_each_kind_once(caplog):
+    refusals = Refusals()
+    for number in range(300):
+        refusals.add(f"kind {number}")
+        refusals.add("kind 0")
+    assert (refusals["kind 0"], refusals["something else"], len(refusals)) == (301, 200, 101)
+    assert caplog.text.count("refused: kind 0\n") == 1
 
 
-@pytest.mark.parametrize("backend", TYPED)
-@pytest.mark.parametrize("kind", ["", "String", "somebody_msgs/msg/Secret"])
-def test_topic_without_a_known_type_is_refused_in_words(node, kind):
-    with pytest.raises(RosError, match=kind or "type"):
-        node.subscribe("/from/nobody", kind, lambda _: None)
+# ------------------------------------------------------------ types
 
 
-@pytest.mark.parametrize("backend", TYPED)
-def test_who_is_there_is_told(node):
-    seen = []
-    node.watch(lambda is_there, text: seen.append((is_there, text)))
-    node.subscribe("/from/text", STRING, lambda _: None)
-    until(lambda: seen[-1][0], turn=lambda: node.publish("/to/text", STRING, {"data": ""}))
-
-
-def recorded(name):
-    return json.loads((HERE / "data" / name).read_text())
+def test_definitions_of_rosa_have_the_fields_in_their_order():
+    known = ros.types().store.fielddefs
+    types = json.loads((DATA / "rosa_fields.json").read_text())["types"]
+    assert len(types) == 25
+    for name, parts in types.items():
+        for part, fields in parts.items():
+            kind = f"rosa_msgs/msg/{name}"
+            if part != "fields":
+                kind = f"rosa_msgs/srv/{name}_{part.capitalize()}"
+            names = [field for field, _ in known[kind][1] if field != ros.NOTHING]
+            assert names == [field for _, field in fields], kind
 
 
 def test_bytes_are_those_of_ros_2_and_of_rosbags():
-    structs, messages = Structs(), recorded("ros2_cdr.json")["messages"]
+    messages = json.loads((DATA / "ros2_cdr.json").read_text())["messages"]
     assert len(messages) == 9
-    for one in messages:
-        thing, data = made(structs, one["type"], one["fields"]), bytes.fromhex(one["cdr"])
-        assert thing.serialize() == data
-        assert (
-            message_of(structs, one["type"], structs.find(one["type"]).deserialize(data))
-            == one["fields"]
-        )
-        kept = ros.types()
-        assert (
-            kept.store.serialize_cdr(kept.decode(one["type"], data), one["type"])[: len(data)]
-            == data
-        )
-
-
-def test_double_of_rclpy_has_the_fields_that_ros_2_wrote():
     with rclpy_double.installed():
-        messages = Messages()
-        for one in recorded("ros2_cdr.json")["messages"]:
-            assert list(messages.fields(one["type"])) == list(one["fields"])
-            assert (
-                message_of(messages, one["type"], made(messages, one["type"], one["fields"]))
-                == one["fields"]
-            )
-        answered = recorded("ros2_service_wire.json")["reply_to_us"]["decoded"]
-        names = re.findall(r"(\w+)=", answered.split("component=Component(")[1].split(")")[0])
-        assert list(messages.fields("rosa_msgs/msg/Component"))[: len(names)] == names
+        library = Messages()
+        for one in messages:
+            data, types = bytes.fromhex(one["cdr"]), ros.types()
+            assert types.encode(one["type"], one["fields"])[: len(data)] == data
+            assert to_message(types, one["type"], types.decode(one["type"], data)) == one["fields"]
+            assert list(library.fields(one["type"])) == list(one["fields"])
+            thing = to_object(library, one["type"], one["fields"])
+            assert to_message(library, one["type"], thing) == one["fields"]
 
 
-def test_service_header_is_that_of_rmw_cyclonedds():
-    structs, wire = Structs(), recorded("ros2_service_wire.json")
-    asked_of_us = structs.find("rosa_msgs/srv/ActionQueryArray_Request", has_header=True)
-    requests = [
-        asked_of_us.deserialize(bytes.fromhex(one)) for one in wire["request_to_us"]["raw_cdr"]
-    ]
-    assert [one.rmw_seq for one in requests] == [1, 2, 3]
-    assert len({one.rmw_guid for one in requests}) == 1
-    assert asked_of_us.__idl__.idl_transformed_typename == wire["request_to_us"]["type"]
-    reply = wire["reply_to_us"]
-    kind = "rosa_msgs/srv/ComponentQuery_Response"
-    answer = structs.find(kind, has_header=True).deserialize(bytes.fromhex(reply["raw_cdr"]))
-    assert message_of(structs, kind, answer)["component"]["status"] == "from_ros"
-    request = made(
-        structs, "rosa_msgs/srv/ComponentQuery_Request", {"component": {"name": "c_thruster_1"}}
-    )
-    sent = structs.with_header(
-        "rosa_msgs/srv/ComponentQuery_Request", answer.rmw_guid, 1, request
-    ).serialize()
-    assert bytes.fromhex(reply["our_request_cdr"])[: len(sent)] == sent
+def test_messages_are_checked_against_their_types():
+    with rclpy_double.installed():
+        library = Messages()
+        for kind, message, words in (
+            (STRING, {"date": "x"}, "no field 'date'; it has data"),
+            (STRING, {"data": 3}, "data of std_msgs/msg/String must be a string, not 3"),
+            (ARRAY, {"data": [1.0, "x"]}, "must be a float64, not 'x'"),
+            (ARRAY, {"data": 3.0}, "must be a list"),
+            ("std_msgs/msg/UInt8", {"data": 256}, "must be a uint8, not 256"),
+            ("std_msgs/msg/Bool", {"data": 1}, "must be a bool, not 1"),
+            ("somebody_msgs/msg/Secret", {}, "source the workspace that has it"),
+        ):
+            with pytest.raises(RosError, match=words):
+                to_object(library, kind, message)
 
 
-def test_dds_is_of_this_machine_unless_told_otherwise():
-    node, said = DdsNode(DOMAIN + 50), []
-    try:
-        node.watch(lambda _, text: said.append(text))
-        assert "127.0.0.1" in said[0]
-        with pytest.raises(MissionError, match=r"on 127\.0\.0\.1, not on 192\.0\.2\.77"):
-            DdsNode(DOMAIN + 50, "192.0.2.77")
-    finally:
-        node.close()
+# ------------------------------------------------------------ of rclpy alone
 
 
-def test_rclpy_that_is_not_there_is_told():
+def test_rclpy_that_is_missing_or_cannot_start_is_told(monkeypatch):
     with pytest.raises(MissionError, match="it comes with ROS 2"):
         RclpyNode()
+    with rclpy_double.installed():
+        import rclpy
+
+        def fail(**_):
+            raise RuntimeError("failed to initialize rcl: rmw_zenoh_cpp is not there")
+
+        monkeypatch.setattr(rclpy, "init", fail)
+        with pytest.raises(MissionError, match=r"rclpy cannot start: .*rmw_zenoh.*ros2 topic list"):
+            RclpyNode()
 
 
-def test_nothing_acknowledged_is_lost_and_nothing_is_done_twice_when_the_wire_is_cut():
+def test_rclpy_hears_best_effort_publishers():
+    with connected("rclpy") as (host, node):
+        quality = rclpy_double.QoSProfile(
+            depth=1, reliability=rclpy_double.ReliabilityPolicy.BEST_EFFORT
+        )
+        kind = host.types.find(STRING)
+        publisher = host.node.create_publisher(kind, "/scan", quality)
+        heard = []
+        node.subscribe("/scan", STRING, heard.append)
+        until(lambda: heard, turn=lambda: publisher.publish(kind(data="x")))
+        assert node.is_connected
+
+
+# ------------------------------------------------------------ of rosbridge alone
+
+
+def test_call_without_a_connection_fails_at_once():
+    node = Rosbridge("ws://127.0.0.1:9")
+    with pytest.raises(RosError, match="no connection"):
+        node.call("/camera/get_state", "", {}).result(60)
+    for _ in range(2):  # who asks later is told, too
+        told, texts = threading.Event(), []
+        node.watch(lambda _, text, told=told, texts=texts: (texts.append(text), told.set()))
+        assert told.wait(60.0)
+        assert "no connection to ws://127.0.0.1:9: " in texts[0]
+    node.close()
+
+
+def test_unanswered_call_blocks_neither_other_nodes_nor_later_calls():
+    now = [0.0]
+    with connected("rosbridge", clock=lambda: now[0]) as (host, node):
+        host.serve("/stuck/ask", ASK, lambda _: None)
+        host.serve("/other/ask", ASK, lambda one: one)
+        stuck = node.call("/stuck/ask", ASK, {}, 3.0)
+        assert node.call("/other/ask", ASK, {"a": 1}).result(60) == {"a": 1}
+        now[0] = 3.0
+        node.update()
+        assert "not answered" in str(stuck.exception())
+        host.serve("/stuck/ask", ASK, lambda one: one)
+        assert node.call("/stuck/ask", ASK, {"b": 2}).result(60) == {"b": 2}
+
+
+def test_publications_waiting_at_a_cut_are_sent_on_the_next_connection():
+    host, heard = RosbridgeDouble(), []
+    port = host.port
+    node = Rosbridge(host.url)
+    until(lambda: node.is_connected)
+    host.close()
+    until(lambda: not node.is_connected)
+    for number in range(500):
+        node.publish("/news", "", {"number": number})
+    again = RosbridgeDouble(port)
+    again.subscribe("/news", "", lambda one: heard.append(one["number"]))
+    until(lambda: heard == [*range(500)])
+    node.close()
+    again.close()
+
+
+def test_full_queue_drops_the_oldest_publication_but_no_declaration():
+    node = Rosbridge("ws://127.0.0.1:9")
+    node.subscribe("/orders", STRING, print)
+    for number in range(QUEUED + 5):
+        node.publish("/news", "", {"number": number})
+    connection = Connection(lambda: None, print)
+    node._begin(connection)
+    sent = connection.unsent()
+    assert [one["op"] for one in sent[:3]] == ["subscribe", "advertise", "publish"]
+    assert (len(sent), sent[-1]["msg"]) == (QUEUED, {"number": QUEUED + 4})
+    node.close()
+
+
+def test_connection_closed_while_its_receiver_is_stuck_returns_the_rest(monkeypatch):
+    monkeypatch.setattr("missions.wires.rosbridge.FLUSH_S", 0.01)
+    sending, release, sent = threading.Event(), threading.Event(), []
+
+    def send(text):
+        sending.set()
+        assert release.wait(60.0)
+        sent.append(text)
+
+    connection = Connection(lambda: None, print)
+    raw = SimpleNamespace(shutdown=lambda _: None)
+    connection._socket = SimpleNamespace(send=send, close=release.set, socket=raw)
+    for number in range(3):
+        connection.send({"op": "x", "number": number})
+    connection._writer.start()
+    assert sending.wait(60.0)
+    assert [one["number"] for one in connection.close()] == [0, 1, 2]
+    connection._writer.join(60.0)
+    assert len(sent) == 1
+
+
+def test_nothing_acknowledged_is_lost_or_done_twice_when_cut():
     outcome = requests_through_cuts(1, cuts=10)
     assert outcome.acknowledged >= 30
     assert (outcome.lost, outcome.doubled) == (0, 0)

@@ -37,7 +37,7 @@ from missions.testing.decisions import replay
 from missions.views.recorder import RunRecorder
 from missions.wires import mcap, ros
 from missions.wires.mcap import RUN, VERSION, Bag, McapFile, McapRecorder, read_bag, read_page
-from missions.wires.node import made
+from missions.wires.ros import to_object
 from rosa_bt import ForAction, TreeRunner, first_feasible
 
 BATTERY_DROP = Path(__file__).with_name("battery_drop.jsonl")
@@ -84,12 +84,12 @@ def drop(tmp_path_factory):
 )
 def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
     types = ros.types()
-    message = ros.diagnostics(1.5, statuses)
+    message = ros.diagnostics(1.5, {"status": statuses})
     data = types.encode(ros.DIAGNOSTICS, message)
     assert ros.statuses_of(data) == statuses
     other = bytes(
         types.store.serialize_cdr(
-            made(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False
+            to_object(types, ros.DIAGNOSTICS, message), ros.DIAGNOSTICS, little_endian=False
         )
     )
     assert other[:2] != data[:2]
@@ -98,6 +98,38 @@ def test_bytes_of_diagnostics_are_read_as_they_were_written(statuses):
     for size in range(end):
         with pytest.raises((SerdeError, ValueError, Torn)):
             ros.statuses_of(data[:size])
+
+
+def test_recorder_takes_diagnostics_however_they_come(tmp_path):
+    pairs = [{"key": "Charge", "value": "0.5"}]
+    about = {"name": "battery: charge", "message": "low", "hardware_id": "b1"}
+    array = {"header": {}, "status": [{"level": 1, **about, "values": pairs}]}
+    data = ros.types().encode(ros.DIAGNOSTICS, array)
+    thing = ros.types().decode(ros.DIAGNOSTICS, data)
+    kb = KnowledgeBase(Model("m"), clock=lambda: 2.5)
+    with McapRecorder(tmp_path / "x.mcap", kb) as recorder:
+        for message in (array, data, thing, {"time": 7.0, "status": array["status"]}):
+            recorder.message(message)
+        recorder.message(b"no message")
+        recorder.message({"status": [{"name": "no values"}]})
+    assert recorder.refused.total() == 2
+    messages = read_bag(tmp_path / "x.mcap").messages
+    assert [message["time"] for message in messages] == [2.5, 2.5, 2.5, 7.0]
+    status = {"name": "battery: charge", "message": "low", "values": {"Charge": "0.5"}, "level": 1}
+    assert [message["status"] for message in messages] == [[status]] * 4
+
+
+def test_replay_that_heard_nothing_exits_1(drop, tmp_path):
+    path = tmp_path / "silent.mcap"
+    with McapRecorder(path, KnowledgeBase(Model("m"), clock=lambda: 0.0)) as recorder:
+        array = {"status": [{"name": "gps: fix", "message": "2D", "values": []}]}
+        recorder.message({"time": 1.0, **array})
+    said = rosa("replay", path, "--mission", "suave_extended", code=1)
+    assert "nothing in its 1 message of diagnostics says anything to suave_extended" in said
+    with McapRecorder(path, KnowledgeBase(Model("m"), clock=lambda: 0.0)):
+        pass
+    said = rosa("replay", path, "--mission", "suave_extended", code=1)
+    assert "has no message of diagnostics" in said
 
 
 def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=False):
@@ -112,9 +144,7 @@ def as_rosbag2(drop, folder, *, storage=StoragePlugin.MCAP, mode=None, strange=F
         diagnostics = writer.add_connection("/diagnostics", ros.DIAGNOSTICS, typestore=store)
         for message in bag.messages:
             stamp = 10**18 + ros.nanoseconds(message["time"])
-            data = ros.types().encode(
-                ros.DIAGNOSTICS, ros.diagnostics(message["time"], message["status"])
-            )
+            data = ros.types().encode(ros.DIAGNOSTICS, ros.diagnostics(message["time"], message))
             writer.write(diagnostics, stamp, data)
         if strange:
             secret = writer.add_connection("/secret", "somebody_msgs/msg/Secret", typestore=store)

@@ -1,0 +1,319 @@
+"""The robot's nodes as a managed system, watched so that one that dies or restarts is noticed."""
+
+import logging
+import math
+from collections.abc import Callable, Generator
+from concurrent.futures import Future
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final
+
+from kb import ComponentKind, KnowledgeBase, Status
+from kb.elements import Parameters
+from kb.managed_system import Operation
+from kb.processes import ProcessComponents, ros_node_programs
+from missions.wires.node import Disconnected, Message, Node, RosError, Unanswered
+from missions.wires.services import parameter_messages
+from missions.wires.settings import BridgeSettings
+
+_UNCONFIGURED, _INACTIVE, _ACTIVE, _FINALIZED = 1, 2, 3, 4
+"""States of lifecycle_msgs/State; those from 10 on are transitions."""
+_PASSING: Final = 10
+_CONFIGURE, _ACTIVATE, _DEACTIVATE = 1, 3, 4
+"""Transitions of lifecycle_msgs/Transition."""
+Calls = Generator[Future[Message], Message, None]
+_log = logging.getLogger(__name__)
+
+
+@dataclass(eq=False)
+class _Watch:
+    """A node, and what is known of it.
+
+    Attributes:
+        timeout_s: how long a call may take [s].
+        state: the last known one; None if there is none.
+        passing: the transition that its events say it is in.
+        alive_s: when it was last asked with success [s]; infinity before.
+        poll: the open call for its state, one at a time.
+        commands: the commands under way, during which it is not polled.
+        silence: why a command found that it does not answer.
+        is_published: whether somebody publishes its transitions.
+    """
+
+    place: str
+    timeout_s: float
+    is_process: bool = False
+    state: int | None = None
+    passing: int = 0
+    alive_s: float = math.inf
+    asked_s: float = -math.inf
+    poll: Future[Message] | None = None
+    commands: set[Future[None]] = field(default_factory=set)
+    silence: str = ""
+    is_published: bool = False
+    is_lost: bool = False
+
+
+class RosComponents:
+    """The nodes of a robot.
+
+    Lifecycle nodes are switched by change_state. One that is killed says nothing, and one that is restarted is
+    unconfigured and says nothing either; so each is asked for its state, one call at a time, and silence counts. Plain
+    nodes, components with a package and an executable, are started and stopped as processes by `ros2 run`. Parameters
+    of both are set by set_parameters_atomically.
+
+    Args:
+        settings: name the nodes by component, and say how long things may take.
+        on_observe: called at each update of the manager.
+    """
+
+    def __init__(
+        self,
+        kb: KnowledgeBase,
+        node: Node,
+        settings: BridgeSettings,
+        on_observe: Callable[[], object] = lambda: None,
+    ) -> None:
+        self._kb = kb
+        self._on_observe = on_observe
+        self._node = node
+        self._settings = settings
+        for name in (*settings.components, *settings.timeouts):
+            _ = kb.components[name]
+        programs = ros_node_programs(kb.components.values())
+        self._processes = ProcessComponents(
+            {
+                name: replace(program, configure=partial(self._configure, name))
+                for name, program in programs.items()
+            }
+        )
+        self._watches: dict[str, _Watch] = {}
+        for name, view in kb.components.items():
+            is_lifecycle = view.kind is ComponentKind.LIFECYCLE or name in settings.components
+            if not is_lifecycle and name not in programs:
+                continue
+            place = settings.components.get(name, name).strip("/")
+            timeout_s = settings.timeouts.get(name, settings.timeout_s)
+            watch = self._watches[name] = _Watch(f"/{place}", timeout_s, name in programs)
+            if not watch.is_process:
+                topic, kind = (
+                    f"{watch.place}/transition_event",
+                    "lifecycle_msgs/msg/TransitionEvent",
+                )
+                node.subscribe(topic, kind, partial(self._pass, watch))
+
+    def close(self) -> None:
+        """End the nodes that were started as processes."""
+        self._processes.close()
+
+    # ---------------------------------------------------------------- the managed system
+
+    def activate(self, component: str, /) -> Operation | None:
+        if self._is_process(component):
+            self._processes.activate(component)
+            return None
+        return self._follow(component, self._switch(component, _ACTIVE))
+
+    def deactivate(self, component: str, /) -> Operation | None:
+        if self._is_process(component):
+            return self._processes.deactivate(component)
+        return self._follow(component, self._switch(component, _INACTIVE))
+
+    def set_parameters(self, component: str, parameters: Parameters, /) -> Operation | None:
+        if self._is_process(component):
+            return self._processes.set_parameters(component, parameters)
+        return self._configure(component, parameters)
+
+    def is_active(self, component: str, /) -> bool | None:
+        """Return whether a node is active, as last known; None if nothing is known."""
+        watch = self._watches.get(component)
+        if watch is None:
+            return None
+        if watch.is_process:
+            return self._processes.is_active(component)
+        return watch.state == _ACTIVE if watch.state is not None or watch.is_lost else None
+
+    # ---------------------------------------------------------------- watching
+
+    def forget(self) -> None:
+        """Forget the states of all nodes, as the connection is lost."""
+        for watch in self._watches.values():
+            watch.state = None
+            watch.poll = None
+            watch.alive_s = math.inf
+            watch.asked_s = -math.inf
+            watch.is_published = False
+
+    def observe(self, kb: KnowledgeBase) -> None:
+        """Take in the answers of the nodes, and ask those whose turn it is; the manager calls this."""
+        self._node.update()
+        self._on_observe()
+        self._processes.observe(kb)
+        if not self._node.is_connected:
+            return
+        now = self._node.clock()
+        for component, watch in self._watches.items():
+            if watch.is_process:
+                continue
+            watch.alive_s = min(watch.alive_s, now)
+            count = self._node.publishers(f"{watch.place}/transition_event")
+            if watch.is_published and count == 0:
+                watch.silence = f"{watch.place} is gone"
+            watch.is_published = bool(count)
+            if watch.silence and not watch.is_lost:
+                self._lose(component, watch, watch.silence)
+            watch.silence = ""
+            if watch.commands:
+                continue
+            if watch.poll is not None and watch.poll.done():
+                self._take(component, watch, watch.poll)
+                watch.poll = None
+            if watch.poll is None and now >= watch.asked_s + self._settings.poll_s:
+                watch.asked_s = now
+                watch.poll = self._state_call(watch)
+
+    def _state_call(self, watch: _Watch) -> "Future[Message]":
+        """Ask a node for its state; it is overdue when the node has been silent for too long."""
+        left_s = watch.alive_s + self._settings.notice_s - self._node.clock()
+        timeout_s = self._settings.notice_s if watch.is_lost else max(left_s, self._settings.poll_s)
+        kind = "lifecycle_msgs/srv/GetState"
+        return self._node.call(f"{watch.place}/get_state", kind, {}, timeout_s)
+
+    def _take(self, component: str, watch: _Watch, poll: "Future[Message]") -> None:
+        error = poll.exception()
+        if isinstance(error, Disconnected):
+            return
+        try:
+            state = _state_of(watch, poll.result())
+        except RosError as problem:
+            if not watch.is_lost:
+                self._lose(component, watch, str(problem))
+            return
+        before = watch.state
+        watch.state = state
+        watch.alive_s = watch.asked_s
+        if watch.is_lost:
+            watch.is_lost = False
+            if self._settings.restarted == "recover":
+                self._kb.component_recovered(component)
+        elif before == _ACTIVE and state == _UNCONFIGURED:
+            reason = f"{watch.place} was restarted, it is unconfigured"
+            self._kb.component_active(component, False, reason)
+            if self._settings.restarted == "fail":
+                self._kb.component_failed(component, reason)
+
+    def _lose(self, component: str, watch: _Watch, reason: str) -> None:
+        _log.warning("%s has failed: %s", component, reason)
+        watch.is_lost = True
+        watch.state = None
+        if self._kb.components[component].is_active:
+            self._kb.component_active(component, False, reason)
+        if self._kb.components[component].status is not Status.FAILURE:
+            self._kb.component_failed(component, reason)
+
+    def _pass(self, watch: _Watch, message: Message) -> None:
+        """Take in a transition that somebody else made; those of our own commands may come late."""
+        start, goal = int(message["start_state"]["id"]), int(message["goal_state"]["id"])
+        if goal >= _PASSING:
+            watch.passing = goal if start == watch.state else 0
+        elif start == watch.passing or watch.state is None:
+            watch.passing = 0
+            if not watch.commands and not watch.is_lost:
+                watch.state = goal
+
+    # ---------------------------------------------------------------- commands
+
+    def _look(self, watch: _Watch) -> Calls:
+        asked_s = self._node.clock()
+        try:
+            answer = yield self._state_call(watch)
+        except Unanswered as error:
+            watch.silence = str(error)
+            raise
+        watch.state = _state_of(watch, answer)
+        watch.alive_s = asked_s
+
+    def _switch(self, component: str, goal: int) -> Calls:
+        """Send the transitions that lead to a state; one that the state does not allow may end a node."""
+        watch = self._watches[component]
+        yield from self._look(watch)
+        if watch.state == _FINALIZED or (watch.state or 0) >= _PASSING:
+            raise RosError(
+                f"{watch.place} is in state {watch.state}, which no transition leaves now"
+            )
+        if watch.state == _UNCONFIGURED:
+            if goal == _INACTIVE:
+                return
+            yield from self._change(watch, _CONFIGURE, _INACTIVE)
+        if watch.state != goal:
+            yield from self._change(watch, _ACTIVATE if goal == _ACTIVE else _DEACTIVATE, goal)
+
+    def _change(self, watch: _Watch, transition: int, goal: int) -> Calls:
+        request = {"transition": {"id": transition, "label": ""}}
+        answer = yield self._call(watch, "change_state", "lifecycle_msgs/srv/ChangeState", request)
+        if not answer.get("success"):
+            problem = f"refuses the transition {transition} from {watch.state}"
+            raise RosError(f"{watch.place} {problem}")
+        watch.state = goal
+
+    def _configure(self, component: str, parameters: Parameters) -> "Future[None]":
+        return self._follow(component, self._set(component, parameters))
+
+    def _is_process(self, component: str) -> bool:
+        return component in self._watches and self._watches[component].is_process
+
+    def _set(self, component: str, parameters: Parameters) -> Calls:
+        watch = self._watches[component]
+        request = {"parameters": parameter_messages(parameters)}
+        kind = "rcl_interfaces/srv/SetParametersAtomically"
+        answer = yield self._call(watch, "set_parameters_atomically", kind, request)
+        result = answer.get("result") or {}
+        if not result.get("successful"):
+            reason = result.get("reason") or "without a reason"
+            raise RosError(f"{watch.place} refuses the parameters: {reason}")
+
+    def _call(self, watch: _Watch, name: str, kind: str, request: Message) -> "Future[Message]":
+        return self._node.call(f"{watch.place}/{name}", kind, request, watch.timeout_s)
+
+    def _follow(self, component: str, calls: Calls) -> "Future[None]":
+        """Make calls one after the other, each when the last is answered; cancelling stops them."""
+        command: Future[None] = Future()
+
+        def advance(answered: "Future[Message] | None" = None) -> None:
+            if command.cancelled():
+                return
+            try:
+                error = None if answered is None else answered.exception()
+                if error is not None:
+                    following = calls.throw(error)
+                elif answered is None:
+                    following = next(calls)
+                else:
+                    following = calls.send(answered.result())
+            except StopIteration:
+                command.set_result(None)
+            except Exception as failure:  # the command ends with this error
+                command.set_exception(failure)
+            else:
+                following.add_done_callback(advance)
+
+        watch = self._watches.get(component)
+        if watch is None:
+            names = ", ".join(self._watches) or "none"
+            problem = f"there is no node for {component!r}, only for {names}"
+            command.set_exception(RosError(f"{problem}: name its node under components"))
+        elif watch.is_lost:
+            command.set_exception(RosError(f"{watch.place} does not answer"))
+        else:
+            watch.poll = None  # its answer may be older than what the command does
+            watch.commands.add(command)
+            command.add_done_callback(watch.commands.discard)
+            advance()
+        return command
+
+
+def _state_of(watch: _Watch, answer: Message) -> int:
+    try:
+        return int(answer["current_state"]["id"])
+    except (LookupError, TypeError, ValueError):
+        raise RosError(f"{watch.place} answers what is no state: {answer!r:.60}") from None
