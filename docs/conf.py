@@ -1,9 +1,15 @@
 """How Sphinx makes the site of these pages: `make site`, without a network, into build/site."""
 
 import re
+import sys
 from pathlib import Path
+from typing import Any
 
 from sphinx.application import Sphinx
+from typer.main import get_command
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from missions import cli
 
 project = "rosa-taca"
 author = "The rosa-taca authors"
@@ -51,6 +57,35 @@ def contents(readme: str) -> str:
     return "\n".join(head.format(caption, "\n".join(pages)) for caption, pages in lists.items())
 
 
+def commands() -> str:
+    """Return a section for each command of `rosa`, with its arguments and options."""
+    group = get_command(cli.app)
+    context = group.make_context("rosa", [], resilient_parsing=True)
+    sections = []
+    for name in cli.COMMANDS:
+        _, command, _ = group.resolve_command(context, [name])
+        sections += section(f"rosa {name}", command)
+        for below, inner in getattr(command, "commands", {}).items():
+            sections += section(f"rosa {name} {below}", inner)
+    return "\n".join(sections)
+
+
+def section(title: str, command: Any) -> list[str]:  # noqa: ANN401  # typer's own click is private
+    """Return the lines of a section about one command."""
+    lines = [f"## `{title}`", "", command.help or "", ""]
+    rows = []
+    for parameter in command.params:
+        if parameter.name == "help":
+            continue
+        name = ", ".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name
+        words = (getattr(parameter, "help", None) or "").replace("|", "\\|")
+        default = parameter.default
+        if isinstance(default, str | int | float) and not isinstance(default, bool):
+            words += f" Default: {default}."
+        rows.append(f"| `{name}` | {words} |")
+    return [*lines, *(["| argument or option | meaning |", "|---|---|"] if rows else []), *rows, ""]
+
+
 OUTSIDE = re.compile(r"\[([^]]+)\]\(\.\./([^)]+)\)")
 
 
@@ -64,6 +99,8 @@ def name_what_is_not_here(app: Sphinx, page: str, source: list[str]) -> None:
         return f"{text} (in `{path}`)" if (Path(app.srcdir).parent / path).is_dir() else link[0]
 
     source[0] = OUTSIDE.sub(named, source[0])
+    if page == "commands":
+        source[0] += "\n" + commands()
     if page == "index":
         source[0] += "\n" + contents(
             (Path(app.srcdir).parent / "README.md").read_text(encoding="utf-8")

@@ -145,15 +145,17 @@ class _Facts(_Elements, Protocol):
 class DiagnosticRules:
     """The meaning of everybody's diagnostics, by patterns of the statuses' names.
 
-    rules = DiagnosticRules({
-        "camera: *": "camera",
-        "battery: *": {"attributes": {"Charge": "battery_level"}},
-        "lidar: *": {"component": "lidar", "warn": "failed", "stale": "failed"},
-    })
-    kb.receive(array, rules=rules)
+    Example::
 
-    The first pattern that matches a name counts; `*`, `?` and `[...]` are as in file names. A component
-    that several names are about has failed if one of them says so, and recovers when none does any more.
+        rules = DiagnosticRules({
+            "camera: *": "camera",
+            "battery: *": {"attributes": {"Charge": "battery_level"}},
+            "lidar: *": {"component": "lidar", "warn": "failed", "stale": "failed"},
+        })
+        kb.receive(array, rules=rules)
+
+    The first pattern that matches a name counts, with wildcards as in names of files. A component that several
+    names are about has failed if one of them says so, and recovers when none does any more.
 
     Args:
         table: for each pattern the name of a component, or the fields of a `DiagnosticRule`.

@@ -27,6 +27,20 @@ os.environ.pop(
 )  # what hundreds of programs of the tests import is compiled once
 
 
+QUICK = (
+    *("test_status", "test_knowledge_base", "test_manager", "test_trees"),
+    *("test_pddl_executor", "test_runs", "test_faults", "test_decisions", "test_imports"),
+)
+"""The modules of the main things: `pytest -m quick`."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_itemcollected(item):
+    """Mark the tests of the main things."""
+    if item.path.stem in QUICK:
+        item.add_marker("quick")
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items):
     """Begin with what takes longest, so that no worker is left alone with it at the end."""

@@ -19,13 +19,18 @@ FILES: Final = {
         "init.txt": "my_robot/__init__.py",
         "test.txt": "tests/test_my_robot.py",
         "project.txt": "pyproject.toml",
+        "package.xml": "package.xml",
+        "setup.txt": "setup.py",
+        "resource.txt": "resource/my_robot",
+        "launch.txt": "launch/my_robot.launch.py",
     },
 }
+_ROS2: Final = ("bridge.toml", "package.xml", "setup.txt", "resource.txt", "launch.txt")
 NEEDS: Final = {
     "tree.txt": "bt",
     "domain.pddl": "pddl",
     "problem.pddl": "pddl",
-    "bridge.toml": "ros2",
+    **dict.fromkeys(_ROS2, "ros2"),
 }
 
 
@@ -35,7 +40,10 @@ def new(
         str, typer.Option(help="How it decides what to do: bt (a behaviour tree), pddl, or both.")
     ] = "bt",
     ros2: Annotated[
-        bool, typer.Option("--ros2", help="With a bridge.toml for a robot in ROS 2.")
+        bool,
+        typer.Option(
+            "--ros2", help="As a colcon package, with a bridge.toml for a robot in ROS 2."
+        ),
     ] = False,
 ) -> None:
     """Write a package with model, task logic, world and tests that runs at once; CHANGE marks what is yours."""

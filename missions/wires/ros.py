@@ -38,13 +38,6 @@ NOTHING: Final = "structure_needs_at_least_one_member"
 """The field that a message without fields has on the wire."""
 _KIND: Final = re.compile(r"\w+/msg/\w+")
 _FLOATS: Final = ("float32", "float64")
-_INTEGERS: Final = {
-    **{f"int{bits}": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
-    **{f"uint{bits}": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
-    "byte": (0, 255),
-    "char": (0, 255),
-}
-"""The integer types of ROS 2, each with its least and greatest value."""
 _UPRIGHT: Final = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
 
 
@@ -144,29 +137,28 @@ def json_text(value: object) -> Message:
 def diagnostics(time_s: float, array: Any) -> Message:  # noqa: ANN401  # whatever a DiagnosticArray comes as
     """Return a DiagnosticArray at a time [s] for one that came as rclpy's object, a dict or CDR bytes.
 
-    The values of a status are pairs or a mapping; level and hardware_id may be missing.
+    The values of a status are pairs or a mapping; level, name and hardware_id may be missing.
     """
-    if isinstance(array, bytes | bytearray | memoryview):
-        array = types().decode(DIAGNOSTICS, bytes(array))
+    if isinstance(array, bytes):
+        array = types().decode(DIAGNOSTICS, array)
     statuses = []
-    for status in _part(array, "status", None):
-        level = _part(status, "level", 0)
-        pairs = _part(status, "values", None)
+    for status in _fields(array)["status"]:
+        fields = _fields(status)
+        level, pairs = fields.get("level", 0), fields["values"]
         if isinstance(pairs, Mapping):
             pairs = [{"key": key, "value": value} for key, value in pairs.items()]
-        values = [{key: str(_part(pair, key, None)) for key in ("key", "value")} for pair in pairs]
-        texts = {key: str(_part(status, key, "")) for key in ("name", "message", "hardware_id")}
-        statuses.append(
-            {"level": level[0] if isinstance(level, bytes) else level, **texts, "values": values}
-        )
+        values = [{key: str(_fields(pair)[key]) for key in ("key", "value")} for pair in pairs]
+        texts = {key: str(fields.get(key, "")) for key in ("name", "hardware_id")}
+        level = level[0] if isinstance(level, bytes) else level
+        message = str(fields["message"])
+        statuses.append({"level": level, **texts, "message": message, "values": values})
     return {"header": _header(time_s, ""), "status": statuses}
 
 
-def _part(thing: Any, name: str, default: Any) -> Any:  # noqa: ANN401  # of a message
-    """Return a field of a dict or an object; without a default (None) it must be there."""
+def _fields(thing: Any) -> Mapping[str, Any]:  # noqa: ANN401  # a dict, or an object of a library
     if isinstance(thing, Mapping):
-        return thing[name] if default is None else thing.get(name, default)
-    return getattr(thing, name) if default is None else getattr(thing, name, default)
+        return thing
+    return {name: getattr(thing, name) for name in dir(thing) if not name.startswith("_")}
 
 
 def log_of(event: Event, more: str = "") -> Message:
@@ -261,40 +253,32 @@ def to_object(library: Library, kind: str, message: Message) -> Any:  # noqa: AN
     """Return the library's object for a message that is written as a dict.
 
     Raises:
-        RosError: the type or a field is not known, or a value does not have its field's type.
+        RosError: the type or a field is not known, or a value cannot be of its field's type.
     """
-    if not isinstance(message, dict):
-        raise RosError(f"{kind} must be an object, not {message!r:.60}")
     fields = library.fields(kind)
     values = {}
-    for name, value in message.items():
-        if name not in fields:
-            raise RosError(f"{kind} has no field {name!r}; it has {', '.join(fields) or 'none'}")
-        values[name] = _to_value(library, fields[name], value, f"{name} of {kind}")
-    return library.new(kind, values)
+    try:
+        for name, value in message.items():
+            if name not in fields:
+                known = ", ".join(fields) or "none"
+                raise RosError(f"{kind} has no field {name!r}; it has {known}")
+            values[name] = _to_value(library, fields[name], value)
+        return library.new(kind, values)
+    except (AssertionError, AttributeError, TypeError, ValueError) as error:
+        raise RosError(f"{message!r:.60} is no {kind}: {error}") from None
 
 
-def _to_value(library: Library, field: Field, value: Any, place: str) -> Any:  # noqa: ANN401  # of a field
+def _to_value(library: Library, field: Field, value: Any) -> Any:  # noqa: ANN401  # of a field
     kind, length = field
     if length is not None:
         if isinstance(value, str) and kind in ("uint8", "byte"):
-            value = list(b64decode(value))
-        if not isinstance(value, list | tuple) or (length and len(value) != length):
-            size = length or "any number of"
-            raise RosError(f"{place} must be a list of {size} {kind}, not {value!r:.60}")
-        return [_to_value(library, Field(kind), item, place) for item in value]
+            value = b64decode(value)
+        return [_to_value(library, Field(kind), item) for item in value]
     if "/" in kind:
         return to_object(library, kind, value)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if kind in _FLOATS and (is_number or value is None):
+    if kind in _FLOATS:
         return math.nan if value is None else float(value)
-    if kind in _INTEGERS and is_number and isinstance(value, int):
-        low, high = _INTEGERS[kind]
-        if low <= value <= high:
-            return value
-    if isinstance(value, {"bool": bool, "string": str}.get(kind, ())):
-        return value
-    raise RosError(f"{place} must be a {kind}, not {value!r:.60}")
+    return value
 
 
 def to_message(library: Library, kind: str, thing: Any) -> Message:  # noqa: ANN401  # of the library

@@ -10,17 +10,9 @@ from typing import Any, Final
 from missions.engine.mission import MissionError
 from missions.wires.node import TIMEOUT_S
 
-_TYPES: Final = {
-    "url": (str, "a text"),
-    "attributes": (str, "a table of texts"),
-    "components": (str, "a table of texts"),
-    "diagnostics": ((str, dict), "a table of texts and tables"),
-    "diagnostics_topic": (str, "a text"),
-    "timeouts": ((int, float), "a table of numbers"),
-    "restarted": (str, "a text"),
-    "use_sim_time": (bool, "true or false"),
-}
-"""What a field of `bridge.toml` holds; any other one a number."""
+_NUMBER: Final = (int, float)
+_ITEMS: Final = {"timeouts": (_NUMBER, "numbers"), "diagnostics": ((str, dict), "texts or tables")}
+"""What the tables of `bridge.toml` hold; any other one texts."""
 _RESTARTED: Final = ("recover", "fail")
 
 
@@ -76,17 +68,22 @@ class BridgeSettings:
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
             raise MissionError(f"cannot read {path}: {reason}") from None
-        names = [field.name for field in fields(cls)]
+        defaults = {field.name: getattr(cls(), field.name) for field in fields(cls)}
         for name, value in values.items():
-            if name not in names:
-                known = ", ".join(names)
+            if name not in defaults:
+                known = ", ".join(defaults)
                 raise MissionError(f"{path} has an unknown field {name!r}; known are {known}")
-            kind, words = _TYPES.get(name, ((int, float), "a number"))
-            is_table = words.startswith("a table")
-            items = list(value.values()) if is_table and isinstance(value, dict) else [value]
-            if isinstance(value, dict) is not is_table or not all(
-                _is_a(item, kind) for item in items
-            ):
+            if isinstance(defaults[name], dict):
+                kind, words = _ITEMS.get(name, (str, "texts"))
+                is_right = isinstance(value, dict) and all(
+                    _is_a(one, kind) for one in value.values()
+                )
+                words = f"a table of {words}"
+            else:
+                kind = type(defaults[name])
+                is_right = _is_a(value, _NUMBER if kind is float else kind)
+                words = {str: "a text", bool: "true or false"}.get(kind, "a number")
+            if not is_right:
                 raise MissionError(f"{name} in {path} must be {words}")
         return cls(**values)
 

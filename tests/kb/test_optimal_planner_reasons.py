@@ -1,13 +1,12 @@
 """What the planner of the best configuration says of its choices, and what the knowledge base says of them then."""
 
-import contextlib
 import logging
 
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from managed_stand_ins import Scripted
 from models import Clock
-from test_optimal_planner import COSTS, at_work, carried_out, criteria, robots, selected
+from test_optimal_planner import COSTS, at_work, carried_out, criteria, robots
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.optimal import OptimalPlanner
@@ -42,7 +41,7 @@ def model():
 
 @SLOW
 @given(robots(), criteria(), COSTS)
-def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, criterion, cost):
+def test_optimal_choice_is_explained_by_its_reason(kb, criterion, cost):
     kb.cancel_action("x0")
     kb.cancel_action("x1")
     assume(kb.request_action("x0", criterion.weights))
@@ -86,49 +85,7 @@ def test_plan_says_what_was_maximised_and_what_it_is_worth(model):
     )
 
 
-def test_plan_that_improves_says_what_switching_takes_off(model):
-    kb, _ = at_work(model, OptimalPlanner(), {"accuracy": 1.0, "power": -0.03})
-    kb.cancel_action("explore")
-    kb.request_action("explore", "accuracy")
-    planner = OptimalPlanner(switching_cost=0.1)
-    assert carried_out(kb, planner).reason == f"{BEST}, worth 2.4 (2.5 less 0.1 for switching)"
-
-
-def test_what_is_minimised_is_said(model):
-    _, plan = at_work(model, planner := OptimalPlanner(), {"power": -1.0})
-    assert planner.latest.reason == "of all choices this is the best for little power, worth -10"
-    assert plan.reason.endswith(planner.latest.reason)
-
-
-def test_value_and_explanation_agree_after_switching(model):
-    kb = KnowledgeBase(model, clock=Clock())
-    kb.request_action("explore", "accuracy")
-    planner = OptimalPlanner(switching_cost=0.1)
-    carried_out(kb, planner)
-    assert (planner.latest.value, planner.latest.switching) == (2.2, 0.3)
-    assert planner.latest.worth == "2.2 (2.5 less 0.3 for switching)"
-    assert planner.latest.worth in kb.explain_choice("see").reason
-
-
-def test_choice_by_priority_is_explained_by_priority(model):
-    kb, _ = at_work(model, planner := OptimalPlanner(), None)
-    assert planner.latest is None
-    assert "priority number 1 is the lowest" in str(kb.explain_choice("see"))
-
-
-def test_within_a_budget_and_without_a_preference_the_first_by_priority_is_said_to_be_that(model):
-    _, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}), None)
-    assert planner.latest.reason == "of all choices within power 40 this is the first by priority"
-    _, _ = at_work(
-        model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1), None
-    )
-    assert planner.latest.reason == (
-        "of all choices within power 40 this is the one that is cheapest to switch to (0.2), "
-        "and then the first by priority"
-    )
-
-
-def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplog):
+def test_too_small_budget_is_explained_everywhere(model, caplog):
     kb = KnowledgeBase(model, clock=Clock())
     planner = OptimalPlanner(budgets={"power": 5.0})
     manager = ConfigurationManager(kb, Scripted(kb._knowledge.clock), planner=planner)
@@ -153,78 +110,10 @@ def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplo
     )
 
 
-def test_what_is_selected_and_leaves_no_choice_within_a_budget_is_told(model):
-    kb, _ = at_work(model, OptimalPlanner())
-    poor = OptimalPlanner(budgets={"power": 5.0})
-    assert poor.plan(kb) is None
-    told = kb.explain_choice("see")
-    assert (told.chosen, told.is_selected) == ("by both", True)
-    assert (
-        told.reason
-        == "it was preferred before; now nothing would be: power would be 10 at least, more than 5"
-    )
-
-
-def test_what_nothing_needs_is_given_up_even_if_nothing_can_be_chosen(model):
-    lamp = model.component("lamp", kind="process")
-    shine = model.function("shine")
-    shine.design("by lamp", [lamp])
-    model.action("signal", requires=[shine])
-    kb = KnowledgeBase(model, clock=Clock())
-    kb.request_action("signal")
-    carried_out(kb, OptimalPlanner())
-    kb.cancel_action("signal")
-    kb.request_action("explore", "accuracy")
-    plan = carried_out(kb, OptimalPlanner(budgets={"power": 5.0}))
-    assert (plan.activate, plan.deactivate) == ((), ("lamp",))
-    assert plan.reason == "what was active or selected is no longer needed"
-    assert selected(kb) == []
-
-
-def test_chosen_configuration_that_became_unfeasible_is_not_explained_by_priority(model):
-    light = model.environmental_attribute("light")
-    model.configurations["fine"].constrain(light >= 0.5)
-    kb, _ = at_work(model, OptimalPlanner())
-    kb.measure("light", 0.1)
-    told = kb.explain_choice("camera")
-    assert told.reason.startswith(
-        "it was possible before; now fine is unfeasible because light 0.1 violates >= 0.5"
-    )
-    assert [one.reason for one in told.alternatives] == ["it is possible, but not selected yet"]
-
-
-def test_plan_that_only_starts_again_what_stopped_says_what_stopped(model):
+def test_plan_that_restarts_a_component_says_what_stopped(model):
     kb, _ = at_work(model, planner := OptimalPlanner())
     kb.component_active("lidar", False, "the process of lidar ended by itself")
     plan = carried_out(kb, planner)
     assert plan.activate == ("lidar",)
     assert plan.reason == "the process of lidar ended by itself; lidar is needed by explore"
     assert kb.designs["by both"].reason.startswith(BEST)
-
-
-def test_choosing_the_same_again_tells_nothing_new(model, tmp_path):
-    with contextlib.closing(
-        KnowledgeBase(model, clock=Clock(), store=tmp_path / "rover.sqlite3")
-    ) as kb:
-        kb.request_action("explore", "accuracy")
-        planner = OptimalPlanner()
-        for _ in range(2):
-            carried_out(kb, planner)
-        told = kb.log.last
-        assert kb.adaptable_functions()
-        carried_out(kb, planner)
-        assert kb.log.last == told
-
-
-def test_situation_explains_what_was_selected_by_its_reason_too(model):
-    kb, _ = at_work(model, OptimalPlanner())
-    assert str(kb.situation(failed=["camera"]).explain_choice("see")).startswith(
-        "by both is selected for function see"
-    )
-    assert kb.situation(power=3.0).explain_choice("see") == kb.explain_choice("see")
-
-
-def test_what_is_given_up_when_nothing_is_required_is_not_said_to_be_the_best(model):
-    kb, _ = at_work(model, planner := OptimalPlanner(budgets={"power": 40.0}, switching_cost=0.1))
-    kb.cancel_action("explore")
-    assert planner.plan(kb).reason == "what was active or selected is no longer needed"

@@ -5,10 +5,13 @@ import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
+from ros_rig import connected
 from running import called
 
+from kb import KnowledgeBase
 from missions.baselines import Policy, open_run
 from missions.commands.new import TEMPLATE
 from missions.engine.mission import Mission, MissionError, find_mission
@@ -17,6 +20,7 @@ from missions.experiments.campaign import Campaign, Store, check_campaign, read_
 from missions.experiments.report import write_report
 from missions.experiments.workers import do
 from missions.views.output import figure_in_words
+from missions.wires.bridge import Bridge, BridgeSettings
 
 NAMES = iter(f"robot_{number}" for number in range(100))
 
@@ -57,12 +61,35 @@ def test_new_robot_runs_and_is_clean_in_each_variant(new, options, tmp_path):
     assert not [path for path in written if "#if" in path.read_text() or "#fi" in path.read_text()]
     changes = [path.name for path in written if "CHANGE" in path.read_text()]
     assert {"model.py", "world.py", "README.md"} < set(changes)
-    assert (folder / "bridge.toml").exists() is ("--ros2" in options)
+    for file in ("bridge.toml", "package.xml", "setup.py", f"launch/{name}.launch.py"):
+        assert (folder / file).exists() is ("--ros2" in options)
     packed = tomllib.loads((folder / "pyproject.toml").read_text())["tool"]["setuptools"]
     assert packed["packages"] == [
         name
     ]  # or campaigns/ beside it would make it two, which no pip installs
     assert packed["package-data"] == {name: ["*.pddl"]}
+
+
+def test_new_robot_in_ros2_is_a_colcon_package(new, tmp_path):
+    """What it installs is where ROS 2 looks for it, and its bridge.toml fits its model."""
+    name = new("--ros2")
+    folder = tmp_path / name
+    pytest.importorskip("setuptools")
+    build = "from setuptools.build_meta import build_wheel; build_wheel('wheels')"
+    done = [sys.executable, "-W", "ignore", "-c", build]
+    subprocess.run(done, cwd=folder, check=True, stdout=subprocess.DEVNULL)
+    (built,) = (folder / "wheels").glob("*.whl")
+    share = f"{name}-0.1.0.data/data/share"
+    assert {
+        f"{share}/ament_index/resource_index/packages/{name}",
+        f"{share}/{name}/package.xml",
+        f"{share}/{name}/bridge.toml",
+        f"{share}/{name}/launch/{name}.launch.py",
+    } <= set(ZipFile(built).namelist())
+    kb = KnowledgeBase(find_mission(f"{name}:MISSION").model())
+    settings = BridgeSettings.load(folder / "bridge.toml")
+    with connected("rosbridge") as (_, node):
+        Bridge(kb, node, settings)
 
 
 def test_new_robot_passes_its_own_tests(new, tmp_path):

@@ -623,18 +623,6 @@ def test_disk_that_hangs_ends_the_recording_and_holds_up_nobody(tmp_path, monkey
     assert read_bag(tmp_path / "hung.mcap").topics == {"/number": (ros.FLOAT, 1)}
 
 
-def test_malformed_message_is_left_out_and_all_others_are_recorded(tmp_path):
-    kb = KnowledgeBase(robot(), clock=lambda: 0.0)
-    with McapRecorder(tmp_path / "run.mcap", kb) as recorder:
-        recorder.message({"time": 0.0, "status": [{"name": "odd", "message": "QA status"}]})
-        recorder.message(measured(1.0, energy=0.5))
-        kb.measure("energy", 0.5)
-    assert dict(recorder.refused) == {"/diagnostics: KeyError: 'values'": 1}
-    bag = read_bag(tmp_path / "run.mcap")
-    assert [one["time"] for one in bag.messages] == [1.0]
-    assert bag.events == list(kb.log)
-
-
 def test_disk_that_hangs_at_the_end_is_told(tmp_path, monkeypatch):
     answers, add = Event(), mcap._Records.add
     monkeypatch.setattr(mcap._Records, "add", lambda *given: answers.wait(60) and add(*given))
