@@ -142,13 +142,41 @@ def test_simulated_clock_follows_and_never_goes_back(wire, caplog):
         for sec in (126, 127, 3, 5):
             message = {"clock": {"sec": sec, "nanosec": 500_000_000}}
             until(
-                lambda sec=sec: clock.stamp_time() == sec + 0.5,
+                lambda sec=sec: clock.now_s == sec + 0.5,
                 turn=lambda m=message: host.publish("/clock", "rosgraph_msgs/msg/Clock", m),
             )
             seen.append(clock())
         assert seen == [126.5, 127.5, 127.5, 129.5]
         assert clock.has_begun
         assert "/clock went back from 127.5 s to 3.5 s" in caplog.text
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_bridge_waits_for_the_simulated_clock_and_ages_by_it(wire):
+    with connected(wire) as (host, node):
+        host.advertise("/clock", "rosgraph_msgs/msg/Clock")
+        host.advertise("/battery_state", BATTERY)
+        clock = SimulatedClock(node)
+        kb = KnowledgeBase(rover(), clock=clock)
+        settings = BridgeSettings(attributes={"energy": f"/battery_state.percentage {BATTERY}"})
+        bridge = Bridge(kb, node, settings, clock=clock)
+        assert not bridge.is_connected
+
+        def tell(sec):
+            message = {"clock": {"sec": sec, "nanosec": 0}}
+            host.publish("/clock", "rosgraph_msgs/msg/Clock", message)
+
+        until(lambda: bridge.is_connected, turn=lambda: tell(126))
+        stamp = {"stamp": {"sec": 124, "nanosec": 0}, "frame_id": ""}
+        reading = {"header": stamp, "percentage": 0.5}
+        until(
+            lambda: kb.attributes["energy"].value == 0.5,
+            turn=lambda: host.publish("/battery_state", BATTERY, reading),
+        )
+        until(lambda: kb.now == 130.0, turn=lambda: tell(130))
+        bridge.managed.observe(kb)
+        assert kb.attributes["energy"].is_stale, "it is 6 s old by the clock of the simulation"
+        kb.close()
 
 
 @pytest.mark.parametrize("wire", WIRES)
