@@ -21,7 +21,7 @@ from kb.forecast import Forecaster, feasible_until
 from kb.knowledge import Knowledge, Reading
 from kb.model import Model, amend
 from kb.network import Node
-from kb.owl.world import Answer, World
+from kb.ontology import Answer, Ontology
 from kb.planning import by_owner, decide
 from kb.questions import ELEMENTS, Meant, meant, outline
 from kb.records import (
@@ -149,7 +149,7 @@ class KnowledgeBase:
         known.heard = self._publisher.deliver
         self._held = Reading(self._lock, known.settled)
         self.forecast = Forecaster(self)
-        self._world, self._is_closed = World(known, self.store, keep, self.reading), False
+        self._ontology, self._is_closed = Ontology(self), False
         self.log: Log = known.log
         self.history = HistoryView(known.records, self.reading)
         network = known.network
@@ -291,7 +291,12 @@ class KnowledgeBase:
         """
         if finite_number(timeout) <= 0:
             raise InvalidValue(f"a timeout is a time in seconds above 0, not {timeout!r}")
-        return self._world.ask(sparql, timeout)
+        return self._ontology.query(sparql, timeout)
+
+    @property
+    def ontology(self) -> Any:  # noqa: ANN401  # of owlready2, which has no types
+        """The model and what is known now as a `World` of owlready2, up to date; to be read only."""
+        return self._ontology.world
 
     # ---------------------------------------------------------------- told: what is so
 
@@ -684,7 +689,6 @@ class KnowledgeBase:
         """Save all events and close the store; you can still ask what is held in memory, but tell nothing more."""
         with self._lock:
             self._is_closed = self.store is not None
-        self._world.close()
         if self.store is not None:
             self.store.close()
 

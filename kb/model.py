@@ -252,7 +252,7 @@ class Model:
         self, elements: Iterable[Constrainable], constraints: Iterable[Expression]
     ) -> tuple[Constraint, ...]:
         """Add constraints that apply to all of the elements, or none if one of them is refused."""
-        targets = listed("constrained elements", elements)
+        targets = tuple(dict.fromkeys(listed("constrained elements", elements)))
         for element in targets:
             self._owned("constrained", element, Constrainable)
         added = tuple(_constraint(targets, one) for one in self._expressions(constraints))
@@ -311,7 +311,7 @@ class Model:
                 f"files of one model are all in one format; {others} is in another", str(in_owl[0])
             )
         if in_owl:
-            from kb.owl.files import load_owl
+            from kb.ontology import load_owl
 
             return load_owl(cls, files, name)
         from kb.typeql import load_typeql
@@ -322,7 +322,7 @@ class Model:
         """Write the model to a file (`.tql`, `.owl`), whole or not at all; `load` reads back the same model."""
         file = Path(path)
         if _suffix(file) == ".owl":
-            from kb.owl.files import owl_text as written
+            from kb.ontology import owl_text as written
         else:
             from kb.typeql import typeql_text as written
         write_text(file, written(self))
@@ -632,6 +632,9 @@ def _checked_fact(model: Contents, fact: object) -> Fact:
     if isinstance(fact, facts.MeasurementFact):
         flag(f"latest of the measurement of {fact.attribute!r}", fact.latest)
         values["value"] = model.attributes[fact.attribute].checked(fact.value)
+    if isinstance(fact, facts.PlanFact):
+        for name in ("activate", "deactivate", "parameters"):
+            values[name] = tuple(dict.fromkeys(getattr(fact, name)))
     if isinstance(fact, facts.ProcessFact):
         values["pid"] = whole("a process number", fact.pid, 0)
     if given.get("result") is not None:

@@ -160,12 +160,12 @@ def _placed(
 
 def _contradictions(files: Sequence[Path], mission: Mission | None) -> Iterator[str]:
     """Yield the contradictions that an OWL reasoner finds: in OWL files as they are, in other models as OWL."""
-    from kb.owl.files import inconsistency, owl_text
+    from kb.ontology import contradiction, owl_text
 
     model = model_of(files, mission)
     texts = {str(file): read_text(file) for file in files if file.suffix.lower() == ".owl"}
     for where, text in (texts or {model.name: owl_text(model)}).items():
-        what = inconsistency(text)
+        what = contradiction(text)
         if what:
             yield f"{where}: {what}"
 

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ALLOWED = {
-    "kb": {"kb", "lark", "ortools", "owlready2", "pyoxigraph"},
+    "kb": {"kb", "lark", "ortools", "owlready2", "rdflib"},
     "rosa_bt": {"rosa_bt", "kb", "py_trees", "lark"},
     "rosa_pddl": {"rosa_pddl", "kb", "py_trees", "unified_planning"},
     "suave_env": {"suave_env", "mujoco", "numpy", "gymnasium"},
@@ -32,7 +32,6 @@ ALLOWED = {
         "gymnasium",
         "mujoco",
         "owlready2",
-        "pyoxigraph",
         "pytest",
         "mcap",
         "mcp",
@@ -53,7 +52,7 @@ LATE = {
     "lark",
     "ortools",
     "owlready2",
-    "pyoxigraph",
+    "rdflib",
     "scipy",
     "joblib",
     "dask",

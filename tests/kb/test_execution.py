@@ -38,7 +38,7 @@ def told(attempts):
 # time-outs and back-off
 
 
-def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_best_is_chosen():
+def test_command_that_never_ends_is_given_up():
     kb, clock, managed, manager = start(
         script={"activate camera": [math.inf]}, timeout=5.0, attempts=2, back_off=0.0
     )
@@ -57,7 +57,7 @@ def test_a_command_that_never_ends_is_given_up_after_its_time_out_and_the_next_b
 
 
 @pytest.mark.parametrize("system", [Scripted, Candid])
-def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_required_could_use_it(
+def test_component_that_could_not_be_stopped_is_stopped_later(
     system,
 ):
     refusals = [Broken("stuck"), Broken("stuck"), None]
@@ -79,9 +79,7 @@ def test_what_could_not_be_stopped_runs_on_and_is_stopped_again_once_nothing_req
 
 
 @given(st.integers(1, 6), st.sampled_from((0.0, 0.5, 2.0, 3.0)))
-def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allowed(
-    attempts, back_off
-):
+def test_each_further_attempt_waits_twice_as_long(attempts, back_off):
     kb, clock, _, manager = start(
         script={"activate camera": [Broken("no")]}, attempts=attempts, back_off=back_off
     )
@@ -99,7 +97,7 @@ def test_each_further_attempt_waits_twice_as_long_and_there_are_as_many_as_allow
     assert gaps == [back_off * 2**number for number in range(attempts - 1)]
 
 
-def test_an_operation_that_nobody_waits_for_any_longer_is_cancelled():
+def test_operation_past_its_time_out_is_cancelled():
     cancelled = []
 
     class Cancellable(Operation):
@@ -121,7 +119,7 @@ def test_an_operation_that_nobody_waits_for_any_longer_is_cancelled():
 
 
 @pytest.mark.parametrize("lie", [LIE, math.inf])
-def test_a_system_that_says_done_when_it_is_not_or_never_answers_is_found_out(lie):
+def test_system_that_lies_or_never_answers_is_found_out(lie):
     kb, clock, managed, manager = start(
         script={"activate camera": [lie]}, system=Candid, timeout=3.0, attempts=2, back_off=0.0
     )
@@ -158,7 +156,7 @@ def test_what_is_done_counts_though_the_system_never_says_so():
 # configurations are put in quarantine before components are given up
 
 
-def test_parameters_that_are_refused_rule_out_their_configuration_and_the_next_best_is_set():
+def test_refused_parameters_rule_out_their_configuration():
     kb, clock, managed, manager = start(
         script={"configure camera": [Broken("rate too high"), None]}, attempts=1, hold=1000.0
     )
@@ -191,7 +189,7 @@ def in_quarantine(hold=50.0, always_improve=True):
     return kb, clock, managed, manager
 
 
-def test_a_configuration_is_released_after_its_time_and_not_earlier():
+def test_configuration_is_released_after_its_hold():
     kb, clock, managed, manager = in_quarantine(hold=50.0)
     clock.now = 149.9
     assert turn(manager, clock, 1, 0.1) == []
@@ -200,7 +198,7 @@ def test_a_configuration_is_released_after_its_time_and_not_earlier():
     assert managed.parameters == {"camera": {"exposure": 0.01}}
 
 
-def test_a_configuration_is_released_when_its_component_has_recovered_from_a_failure():
+def test_recovery_of_a_component_releases_configurations():
     kb, clock, _, manager = in_quarantine(hold=math.inf)
     kb.component_recovered("camera")
     turn(manager, clock, 3)
@@ -213,7 +211,7 @@ def test_a_configuration_is_released_when_its_component_has_recovered_from_a_fai
     assert kb.configurations["day"].status is Status.FEASIBLE
 
 
-def test_a_configuration_that_was_in_quarantine_is_set_again_before_it_counts_as_in_force():
+def test_released_configuration_is_set_before_it_counts():
     kb, clock, managed, manager = in_quarantine(hold=50.0, always_improve=False)
     clock.now = 200.0
     turn(manager, clock, 3)
@@ -239,7 +237,7 @@ def trio(others=True):
     return model
 
 
-def test_what_was_started_for_a_function_that_cannot_be_had_is_stopped_again():
+def test_component_started_in_vain_is_stopped_again():
     kb, clock, managed, manager = start(trio(others=False), {"activate second": [Broken("no")]})
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
@@ -270,7 +268,7 @@ def test_a_start_that_came_true_too_late_is_undone():
     assert managed.running == set()
 
 
-def test_what_is_stopped_though_the_command_failed_is_known_to_be_stopped():
+def test_component_stopped_by_a_failed_command_is_inactive():
     class Grumbling(Candid):
         def deactivate(self, component):
             super().deactivate(component)
@@ -335,7 +333,7 @@ def test_figures_without_meaning_are_refused(options):
         StagedExecutor(Scripted(None), **options)
 
 
-def test_a_time_out_for_a_component_that_is_not_there_is_refused_at_the_first_turn():
+def test_time_out_of_an_unknown_component_is_refused():
     _, _, _, manager = start(timeout_by_component={"camra": 1.0})
     with pytest.raises(UnknownName, match="did you mean 'camera'"):
         manager.update()
@@ -378,7 +376,7 @@ def commanded(kb):
 
 @in_life
 @given(models(), st.data())
-def test_after_any_trouble_facts_and_record_are_true_and_what_is_selected_is_reached(model, data):
+def test_facts_and_records_are_true_after_any_trouble(model, data):
     kb, clock, managed, manager = lived(model, data)
     come_to_rest(manager, kb, clock, most=400, quiet=20)
     assert commanded(kb) == managed.running

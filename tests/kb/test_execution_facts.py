@@ -43,7 +43,7 @@ def test_a_failure_says_what_was_tried_and_how_often():
     assert reason in kb.latest_plan.reason
 
 
-def test_a_configuration_that_was_ruled_out_says_why_and_until_when():
+def test_configuration_ruled_out_says_why_and_until_when():
     kb, clock, _, manager = start({"configure camera": [Broken("too fast"), None]}, hold=50.0)
     kb.request_action("explore")
     come_to_rest(manager, kb, clock)
@@ -61,7 +61,7 @@ def test_a_hold_that_is_over_at_once_holds_nothing(hold):
     assert kb.components["camera"].status is Status.SOLVED
 
 
-def test_a_plan_that_starts_again_what_is_not_active_says_so_and_leaves_the_reasons_of_choices_alone():
+def test_plan_that_starts_something_again_says_so():
     kb, clock, _, manager = start()
     kb.request_action("explore")
     turn(manager, clock)
@@ -81,7 +81,7 @@ def test_a_plan_that_starts_again_what_is_not_active_says_so_and_leaves_the_reas
 
 @in_life
 @given(models(), st.data())
-def test_a_dry_run_tells_to_activate_and_deactivate_exactly_what_is_commanded(model, data):
+def test_dry_run_names_exactly_what_is_commanded(model, data):
     kb, clock = base(model)
     managed = Scripted(clock)
     manager = ConfigurationManager(kb, managed)
@@ -119,7 +119,7 @@ def test_a_dry_run_tells_to_activate_and_deactivate_exactly_what_is_commanded(mo
 # attempts and answers
 
 
-def test_parameters_of_an_attempt_that_succeeded_are_in_force_and_can_be_asked_for():
+def test_parameters_of_a_completed_attempt_are_in_force():
     kb, clock, _, manager = start()
     kb.request_action("explore")
     turn(manager, clock, 3)
@@ -164,7 +164,7 @@ def test_a_command_to_what_left_the_model_is_abandoned():
 # after the knowledge base was opened again
 
 
-def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_opened_again(
+def test_quarantine_outlasts_a_restart(
     tmp_path,
 ):
     clock = Clock(100.0)
@@ -195,7 +195,7 @@ def test_what_was_ruled_out_stays_so_until_its_time_after_the_knowledge_base_is_
 # what stops by itself
 
 
-def test_what_stopped_by_itself_has_failed_and_the_next_best_takes_over():
+def test_component_that_stopped_by_itself_has_failed():
     kb, clock, managed, manager = start(system=Candid)
     kb.request_action("explore")
     turn(manager, clock, 2)
@@ -220,7 +220,7 @@ def test_what_stopped_while_nobody_was_there_is_started_again(tmp_path):
     kb.close()
 
 
-def test_late_news_that_something_runs_is_put_right_and_no_failure():
+def test_late_news_that_a_component_runs_is_no_failure():
     kb, clock, _, manager = start(system=Candid)
     kb.request_action("explore")
     turn(manager, clock, 2)

@@ -8,27 +8,27 @@ from faulty import Interrupted, Life, interrupted_at, interrupted_turns, lived
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_nothing_that_a_managed_system_does_makes_the_manager_lie(seed):
+def test_no_managed_system_makes_the_manager_lie(seed):
     life = lived(seed, 40 if seed == 5 else 200, faults=0.3, optimal=seed == 5)
     assert len(life.kb.plans) > 3
     assert {plan.result for plan in life.kb.plans} <= {"completed", "failed"}
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_calls_that_are_interrupted_in_the_managed_system_leave_nothing_behind(seed):
+def test_interrupted_calls_leave_nothing_behind(seed):
     life = lived(seed, 40 if seed == 5 else 200, faults=0.3, interrupts=0.05, optimal=seed == 5)
     assert life.interrupted > 1
     assert any(one.result == "abandoned" for one in life.kb.history.attempts)
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_an_update_that_is_interrupted_at_any_instruction_goes_on_correctly(seed):
+def test_update_interrupted_anywhere_goes_on_correctly(seed):
     steps = [1 + (97 * number * number + 13 * seed) % 4000 for number in range(60)]
     life = interrupted_turns(seed, steps)
     assert life.interrupted > 1
 
 
-def test_an_interrupted_plan_is_carried_out_from_its_first_stage_on():
+def test_interrupted_plan_begins_with_its_first_stage():
     """At each instruction of the turn that plans and carries out."""
     count = []
     life = Life(0, faults=0.0)

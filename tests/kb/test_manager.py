@@ -25,7 +25,7 @@ def start(model=None, script=None, default=None, **options):
     return kb, clock, managed, ConfigurationManager(kb, managed, **options)
 
 
-def test_a_system_that_obeys_at_once_is_configured_within_one_turn():
+def test_obedient_system_is_configured_within_a_turn():
     kb, clock, managed, manager = start()
     assert kb.request_action("explore")
     plan = manager.update()
@@ -50,7 +50,7 @@ def test_nothing_is_planned_or_commanded_while_nothing_changes():
     assert len(kb.plans) == 1
 
 
-def test_a_slow_system_is_waited_for_over_turns_and_parameters_end_before_activation_begins():
+def test_slow_system_gets_parameters_before_activation():
     kb, clock, managed, manager = start(default=2.0)
     kb.request_action("explore")
     assert len(turn(manager, clock)) == 1
@@ -66,7 +66,7 @@ def test_a_slow_system_is_waited_for_over_turns_and_parameters_end_before_activa
     assert kb.components["camera"].is_active
 
 
-def test_when_every_design_fails_the_action_is_unfeasible_and_the_loop_rests():
+def test_loop_rests_when_every_design_fails():
     kb, clock, managed, manager = start(
         script={"activate camera": [Broken("no")], "activate lidar": [(1.0, Broken("no"))]}
     )
@@ -91,7 +91,7 @@ def test_an_active_component_is_reconfigured_without_a_restart():
     assert kb.components["camera"].parameters_in_force == {"exposure": 0.2}
 
 
-def test_a_component_that_stops_to_be_configured_is_stopped_configured_and_started():
+def test_component_that_stops_to_configure_is_started_anew():
     kb, clock, managed, manager = start(rover(stops_to_configure=True))
     kb.request_action("explore")
     turn(manager, clock, 2)
@@ -107,7 +107,7 @@ def test_a_component_that_stops_to_be_configured_is_stopped_configured_and_start
     assert kb.latest_plan.result == "completed"
 
 
-def test_a_component_that_crashed_and_is_started_again_gets_the_configuration_chosen_earlier():
+def test_crashed_component_gets_its_configuration_again():
     kb, clock, managed, manager = start()
     kb.request_action("explore")
     turn(manager, clock, 2)
@@ -119,35 +119,6 @@ def test_a_component_that_crashed_and_is_started_again_gets_the_configuration_ch
     assert plan.activate == ("camera",)
     assert managed.log == ["configure camera {'exposure': 0.01}", "activate camera"]
     assert managed.started_with == {"camera": {"exposure": 0.01}}
-
-
-def test_plain_components_are_booked_and_never_commanded():
-    model = Model("lamps")
-    light = model.function("light")
-    lamp = model.component("lamp")
-    light.design("by lamp", [lamp])
-    model.action("shine", requires=[light])
-    kb, clock, managed, manager = start(model)
-    kb.request_action("shine")
-    (plan,) = turn(manager, clock, 2)
-    assert plan.activate == ("lamp",)
-    assert kb.components["lamp"].is_active
-    kb.cancel_action("shine")
-    (plan,) = turn(manager, clock, 2)
-    assert plan.deactivate == ("lamp",)
-    assert not kb.components["lamp"].is_active
-    assert managed.log == []
-
-
-def test_all_is_switched_off_once_nothing_is_required():
-    kb, clock, managed, manager = start()
-    kb.request_action("explore")
-    turn(manager, clock, 2)
-    kb.cancel_action("explore", "completed")
-    (plan,) = turn(manager, clock, 3)
-    assert set(plan.deactivate) == {"camera", "lamp"}
-    assert managed.running == set()
-    assert kb.obsolete() == ((), (), ())
 
 
 def ranked(priorities, always_improve=False):
@@ -182,7 +153,7 @@ def test_best_priority_is_taken_none_last_and_ties_by_name(priorities, best):
 
 
 @pytest.mark.parametrize("always_improve", [True, False])
-def test_the_better_choice_is_taken_again_only_where_the_model_says_always_improve(always_improve):
+def test_better_design_is_taken_only_where_always_improve(always_improve):
     kb, clock, managed, manager = start(ranked({"good": 1, "poor": 2}, always_improve))
     kb.component_failed("part of good")
     kb.request_action("look")
@@ -207,7 +178,7 @@ def test_no_new_plan_is_made_before_the_pending_one_has_ended():
     assert managed.running == set()
 
 
-def test_parameters_chosen_in_a_plan_that_failed_elsewhere_still_reach_the_running_component():
+def test_parameters_of_a_plan_that_fails_elsewhere_are_set():
     model = rover()
     model.component("arm", kind="process")
     model.function("reach").design("by arm", ["arm"])
@@ -225,7 +196,7 @@ def test_parameters_chosen_in_a_plan_that_failed_elsewhere_still_reach_the_runni
     assert managed.parameters == {"camera": {"exposure": 0.2}}
 
 
-def test_parameters_that_could_not_be_set_are_set_once_they_are_released():
+def test_released_parameters_are_set():
     model = Model("one way")
     light = model.environmental_attribute("light")
     node = model.component("camera", kind="lifecycle")
@@ -265,7 +236,7 @@ def busy(always_improve):
         True,
     ],
 )
-def test_a_component_that_cannot_start_is_not_started_again_and_again(always_improve):
+def test_component_that_cannot_start_is_given_up(always_improve):
     kb, clock, managed, manager = start(busy(always_improve), {"activate broken": [Broken("no")]})
     kb.request_action("both")
     come_to_rest(manager, kb, clock)
@@ -421,15 +392,13 @@ PASSING, LASTING = (None, 1.0), (None, Broken("for ever"), (1.0, Broken("for eve
 
 @settings(in_life, phases=[Phase.generate])
 @given(models(), st.data(), st.sampled_from((PASSING, LASTING)))
-def test_troubles_never_raise_select_nothing_unfeasible_and_leave_the_loop_at_rest(
-    model, data, endings
-):
+def test_loop_comes_to_rest_after_any_trouble(model, data, endings):
     live_through(model, data, st.sampled_from(endings))
 
 
 @in_life
 @given(models(), st.data(), st.sampled_from((None, 0.0, 2.0)))
-def test_an_obedient_system_ends_as_the_knowledge_base_says_it_is(model, data, lasts):
+def test_obedient_system_ends_as_the_kb_says(model, data, lasts):
     twins = Twins(model)
     kb, clock = twins.kb, twins.clock
     managed = Scripted(clock, default=lasts)
@@ -523,7 +492,7 @@ def test_update_never_raises_whatever_an_operation_does(operation):
     assert kb.actions["explore"].status is Status.UNFEASIBLE
 
 
-def test_a_component_that_is_configured_and_given_up_in_one_plan_is_not_started_again():
+def test_component_given_up_by_a_plan_is_not_started_again():
     kb, clock, managed, manager = start(rover(stops_to_configure=True))
     kb.request_action("explore")
     turn(manager, clock, 2)
@@ -545,7 +514,7 @@ class Counting(PriorityPlanner):
         return super().plan(kb)
 
 
-def test_the_planner_is_not_asked_while_nothing_that_matters_to_it_has_changed():
+def test_planner_is_asked_only_after_a_change():
     planner = Counting()
     kb, clock, _, manager = start(planner=planner)
     kb.measure("light", 0.9)
@@ -562,7 +531,7 @@ def test_the_planner_is_not_asked_while_nothing_that_matters_to_it_has_changed()
     assert planner.asked > asked
 
 
-def test_a_later_plan_that_completes_loses_nothing_of_an_earlier_one_that_is_still_wanted():
+def test_later_plan_does_what_an_earlier_one_left_open():
     model = Model("two plans")
     lamp = model.component("lamp", kind="lifecycle")
     for number in (1, 2):

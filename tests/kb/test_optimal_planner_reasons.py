@@ -41,7 +41,7 @@ def model():
 
 @SLOW
 @given(robots(), criteria(), COSTS)
-def test_what_was_chosen_is_explained_by_its_reason_and_never_by_priority(kb, criterion, cost):
+def test_optimal_choice_is_explained_by_its_reason(kb, criterion, cost):
     kb.cancel_action("x0")
     kb.cancel_action("x1")
     assume(kb.request_action("x0", criterion.weights))
@@ -85,7 +85,7 @@ def test_plan_says_what_was_maximised_and_what_it_is_worth(model):
     )
 
 
-def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplog):
+def test_too_small_budget_is_explained_everywhere(model, caplog):
     kb = KnowledgeBase(model, clock=Clock())
     planner = OptimalPlanner(budgets={"power": 5.0})
     manager = ConfigurationManager(kb, Scripted(kb._knowledge.clock), planner=planner)
@@ -110,7 +110,7 @@ def test_what_a_budget_leaves_nothing_for_is_told_wherever_one_asks(model, caplo
     )
 
 
-def test_plan_that_only_starts_again_what_stopped_says_what_stopped(model):
+def test_plan_that_restarts_a_component_says_what_stopped(model):
     kb, _ = at_work(model, planner := OptimalPlanner())
     kb.component_active("lidar", False, "the process of lidar ended by itself")
     plan = carried_out(kb, planner)

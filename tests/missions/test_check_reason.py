@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kb import Model
-from kb.owl.queries import ROSA
+from kb.ontology import ROSA
 from missions.cli import app
 
 needs_java = pytest.mark.skipif(shutil.which("java") is None, reason="HermiT needs Java")
