@@ -388,6 +388,32 @@ def test_parameters_have_their_types_those_of_numpy_too():
     ]
 
 
+def test_tree_is_set_up_before_its_first_tick(monkeypatch, capsys, tmp_path):
+    (tmp_path / "digger.py").write_text(DIGGER)
+    monkeypatch.syspath_prepend(tmp_path)
+    host = RosbridgeDouble()
+    command = ("bridge", "digger:model", "--tree", "digger:tree", "--url", host.url)
+    code, out, _ = called(capsys, monkeypatch, *command, "--seconds", 0.5)
+    host.close()
+    assert code == 0
+    assert "horn is made" in out
+
+
+DIGGER = """
+from kb import Model
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+def model():
+    return Model("digger")
+class Horn(Behaviour):
+    def setup(self, **kwargs): self.horn = "made"
+    def update(self):
+        print("horn is", self.horn)
+        return Status.RUNNING
+def tree(kb, percepts): return Horn("horn")
+"""
+
+
 # ------------------------------------------------------------ what is wrong is told in a sentence
 
 
