@@ -156,6 +156,9 @@ def feasible_then_act(task: Behaviour, during: float = 0.0) -> Behaviour:
             in a subtree its leaves do.
         during: how long the action takes [s]; see `IsActionFeasible`.
     """
+    if not isinstance(task, Behaviour):
+        advice = "of several tasks, make one by a composite of py_trees"
+        raise TypeError(f"a task is a behaviour of py_trees, not {task!r}; {advice}")
     if not isinstance(task, RosaAction):
         if not during:
             return task
@@ -199,8 +202,8 @@ def do_until_unfeasible(
         during: how long the task takes [s], if it is an action; it starts only if it will stay
             feasible for that long.
     """
-    name = name or f"{task.name}, or else {meanwhile.name}"
     doing, instead = feasible_then_act(task, during), feasible_then_act(meanwhile)
+    name = name or f"{task.name}, or else {meanwhile.name}"
     return DoUntilUnfeasible(name, doing, instead, memory=memory)
 
 

@@ -34,8 +34,9 @@ class GuardedTree(BehaviourTree):
 
     If any behaviour raises, in `initialise`, `update`, `terminate` or `tick`, that behaviour fails,
     with the text of the exception as feedback, and its parent handles the failure. The first
-    exception of each behaviour is logged with its traceback. A behaviour that is taken out of the
-    tree is stopped before the next tick at the latest.
+    exception of each behaviour is logged with its traceback; visitors that have a method `error` are
+    called with each behaviour that raises, and its exception. A behaviour that is taken out of the tree
+    is stopped before the next tick at the latest.
 
     Args:
         clock: gives the time [s] to the behaviours that count time.
@@ -43,13 +44,11 @@ class GuardedTree(BehaviourTree):
 
     Attributes:
         errors: the behaviours that raised since the last tick began, with their exceptions.
-        error_handlers: called with each behaviour that raises, and its exception.
     """
 
     def __init__(self, root: Behaviour, clock: Clock, *, raises: bool = False) -> None:
         super().__init__(root)
         self.errors: list[tuple[Behaviour, Exception]] = []
-        self.error_handlers: list[Callable[[Behaviour, Exception], None]] = []
         self._clock = clock
         self._raises = raises
         self._present: dict[Behaviour, None] = {}
@@ -130,8 +129,8 @@ class GuardedTree(BehaviourTree):
 
     def _note_error(self, behaviour: Behaviour, error: Exception) -> None:
         self.errors.append((behaviour, error))
-        for handler in self.error_handlers:
-            handler(behaviour, error)
+        for visitor in self.visitors:
+            getattr(visitor, "error", _ignore)(behaviour, error)
 
     def _raise_error(self) -> None:
         if self._raises and self.errors:
@@ -176,6 +175,10 @@ class GuardedTree(BehaviourTree):
                 continue
             if behaviour.current_child not in behaviour.children:
                 halt(behaviour)
+
+
+def _ignore(*error: object) -> None:
+    """Do nothing: most visitors are not told of errors."""
 
 
 def _is_trusted(behaviour: Behaviour) -> bool:
@@ -272,6 +275,11 @@ class TreeRunner:
     ) -> None:
         if not period > 0:
             raise ValueError(f"the period of a tree is more than 0 s, not {period!r}")
+        if not callable(clock):
+            advice = "give a function without arguments, such as time.monotonic"
+            raise TypeError(
+                f"the clock of a tree gives the time [s], and {clock!r} cannot; {advice}"
+            )
         _check_choice("on_error", on_error, ("fail", "raise"))
         _check_choice("on_clock_set_back", on_clock_set_back, ("follow", "refuse"))
         self._clock = clock

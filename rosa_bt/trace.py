@@ -81,6 +81,8 @@ class Tick(NamedTuple):
     """The reason for each time that an action became unfeasible in these events."""
     is_interrupted: bool = False
     """Whether the tick was cut short, e.g. by Ctrl-C, and the tree halted; all its events count as before the tick."""
+    errors: tuple[tuple[str, str], ...] = ()
+    """The behaviours that raised since the tick before, by name, and the text of the exception."""
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
@@ -159,6 +161,7 @@ class TraceVisitor(VisitorBase):
         self._known: list[int] = []
         self._own: set[int] = set()
         self._reasons: dict[int, list[str]] = {}
+        self._errors: list[tuple[str, str]] = []
         self._thread: int | None = None
         kb.log.witnesses += (self._witness,)
 
@@ -178,6 +181,10 @@ class TraceVisitor(VisitorBase):
         self._seen.append((behaviour, behaviour.status, behaviour.feedback_message))
         known = behaviour.last_event if isinstance(behaviour, KbBehaviour) else None
         self._known.append(self._kb.log.last if known is None else known)
+
+    def error(self, behaviour: Behaviour, error: Exception) -> None:
+        """Note that a behaviour raised; the tree calls it."""
+        self._errors.append((behaviour.name, behaviour.feedback_message))
 
     def finalise(self) -> None:
         if not all(node in self._numbers for node, _, _ in self._seen):
@@ -207,8 +214,16 @@ class TraceVisitor(VisitorBase):
         if before is not None and visited == before.visited:
             visited = before.visited  # keep one copy in memory
         tick = Tick(
-            self._count, time, self._tree, visited, told, tuple(chain(*whys)), is_interrupted
+            self._count,
+            time,
+            self._tree,
+            visited,
+            told,
+            tuple(chain(*whys)),
+            is_interrupted,
+            tuple(self._errors),
         )
+        self._errors.clear()
         if self._file is not None:
             self._file.write(_tick_line(tick, before))
         self._ticks.append(tick)
@@ -294,6 +309,8 @@ def _tick_line(tick: Tick, before: Tick | None) -> str:
         line["reasons"] = tick.reasons
     if tick.is_interrupted:
         line["interrupted"] = True
+    if tick.errors:
+        line["errors"] = tick.errors
     return _line(line)
 
 
@@ -357,6 +374,7 @@ def _tick_of(line: dict[str, Any], before: Tick) -> Tick:
         told,
         reasons,
         line.get("interrupted") is True,
+        tuple((str(name), str(text)) for name, text in line.get("errors", ())),
     )
     tuple(tick.decisions)  # raises if an event lacks arguments
     return tick

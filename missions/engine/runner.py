@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from math import isfinite, nan
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -390,6 +390,7 @@ class RosaRun(MissionRun):
     Args:
         planner: chooses the configurations; None: by priority.
         hears: replaces each message before it is received.
+        on_error: as of `rosa_bt.TreeRunner`: a behaviour that raises fails, or the run raises.
 
     Attributes:
         percepts: what the task layer perceives besides what the knowledge base knows.
@@ -409,6 +410,7 @@ class RosaRun(MissionRun):
         manager: str = OURS,
         planner: ConfigurationPlanner | None = None,
         hears: Callable[[Message], Message] = lambda message: message,
+        on_error: Literal["fail", "raise"] = "fail",
     ) -> None:
         super().__init__(mission, world, settings, manager, task)
         self.percepts = Percepts()
@@ -423,7 +425,9 @@ class RosaRun(MissionRun):
             self._kb, lambda one: self.tell(lambda listener: listener.adaptation(one)), deciding
         )
         self.adaptations = self._log.adaptations
-        self._runner = TreeRunner(self._task.root, clock=self._now, period=settings.tick_period_s)
+        self._runner = TreeRunner(
+            self._task.root, clock=self._now, period=settings.tick_period_s, on_error=on_error
+        )
         self.tree = self._runner.tree
         self.tree.setup()
         self._answered = -1

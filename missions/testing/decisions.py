@@ -12,7 +12,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from difflib import ndiff, unified_diff
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeVar
 
 from py_trees.behaviour import Behaviour
 
@@ -366,6 +366,7 @@ def replay(
     managed: ScriptedManaged | None = None,
     watch: Callable[[MissionRun], object] | None = None,
     traced: bool = True,
+    on_error: Literal["fail", "raise"] = "raise",
 ) -> Decisions:
     """Replay a recording, and return what is decided now.
 
@@ -380,9 +381,10 @@ def replay(
         managed: the system that takes the commands, with its clock at 0; by default one that always obeys.
         watch: called with the run of the replay before it begins, e.g. to `listen` to it.
         traced: whether to keep the ticks of the tree, as `Decisions.trace`.
+        on_error: what a behaviour that raises does: "raise" ends the replay, "fail" is as on a robot.
 
     Raises:
-        MissionError: the recording cannot be read; there is no such mission, task layer or behaviour; or a part of a
+        MissionError: a behaviour raises; the recording cannot be read; there is no such mission, task layer or behaviour; or a part of a
             message cannot be used, if the messages themselves are given (of a recording it is in `problems`).
         kb.UnknownName: a script names a component that the model does not have.
     """
@@ -400,7 +402,8 @@ def replay(
             {name: str(value) for name, value in as_recorded.items()}
         )
     limits = replace(limits, duration_s=min(limits.duration_s, end_s))
-    run = RosaRun(_asked(mission, behaviour), "bt" if behaviour else task, world, limits)
+    kind = "bt" if behaviour else task
+    run = RosaRun(_asked(mission, behaviour), kind, world, limits, on_error=on_error)
     if watch is not None:
         watch(run)
     decisions = _decided(run, world, traced=traced)

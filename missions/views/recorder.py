@@ -346,6 +346,7 @@ class _TreeRows(VisitorBase):
         self._below: list[tuple[Behaviour, list[Behaviour]]] = []
         self._planning: list[Behaviour] = []
         self._ticked: dict[Behaviour, tuple[str, str]] = {}
+        self._raised: set[Behaviour] = set()
         self._count, self._numbers = 0, count()
         self.about: dict[int, list[int]] = {}
         self._describe()
@@ -361,6 +362,12 @@ class _TreeRows(VisitorBase):
 
     def run(self, behaviour: Behaviour) -> None:
         self._ticked[behaviour] = _LETTERS[behaviour.status], behaviour.feedback_message
+
+    def error(self, behaviour: Behaviour, error: Exception) -> None:
+        """Show a behaviour that raises, once; the tree calls it."""
+        if behaviour not in self._raised:
+            self._raised.add(behaviour)
+            self._recorder.trouble(f"{behaviour.name}: {behaviour.feedback_message}")
 
     def finalise(self) -> None:
         self._harmlessly(self._note)

@@ -130,6 +130,8 @@ class Entry:
     value: Any = EMPTY
     declared: Any = None
     version: int = 0
+    takes_any: bool = False
+    """Whether a port of a Python leaf that states no type names it: it takes whatever is written."""
     is_emptied: bool = False
     """Whether SetBlackboard emptied it by writing a text, as it does if no type is declared."""
 

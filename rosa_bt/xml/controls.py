@@ -316,9 +316,12 @@ class PipelineSequence(Control):
 
 
 class RoundRobin(Control):
-    """(Nav2) Ticks the next child, until one succeeds or all failed; without `wrap_around`, ends at the last."""
+    """(Nav2) Ticks the next child, until one succeeds or all failed; without `wrap_around`, ends at the last.
 
-    PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=True)}
+    As in Nav2 1.5.1, the last child ends it as a failure without `wrap_around`, also by its success.
+    """
+
+    PORTS: ClassVar = {"wrap_around": PortInformation(bool, default_value=False)}
     FORGETS = ("_next", "_failed")
     _next = 0
     _failed = 0
@@ -331,15 +334,103 @@ class RoundRobin(Control):
             if verdict is RUNNING:
                 return RUNNING
             self._next = (self._next + 1) % len(slots)
-            if verdict is SUCCESS:
-                self._failed = 0
-                self.reset_children()
-                return SUCCESS
             skipped += verdict is SKIPPED
             self._failed += verdict is FAILURE
             if self._next == 0 and not self.ports.get("wrap_around"):
                 break
+            if verdict is SUCCESS:
+                self._failed = 0
+                self.reset_children()
+                return SUCCESS
         return self.end(SKIPPED if skipped == len(slots) else FAILURE)
+
+
+class NonblockingSequence(Control):
+    """(Nav2) Ticks all children in each tick, until one fails or all have succeeded."""
+
+    runs = False
+
+    def decide(self) -> Ticking:
+        succeeded = 0
+        for slot in self.slots:
+            verdict = yield from slot.tick()
+            if verdict is FAILURE:
+                return self.end(FAILURE)
+            if verdict is SKIPPED:
+                raise NodeError(
+                    f"{slot.node.name!r} was skipped; {self.name!r} cannot skip a child"
+                )
+            succeeded += verdict is SUCCESS
+        return self.end(SUCCESS) if succeeded == len(self.slots) else RUNNING
+
+
+class PersistentSequence(Control):
+    """(Nav2) A sequence that keeps its place on the blackboard, also when it is halted."""
+
+    PORTS: ClassVar = {"current_child_idx": PortInformation(int)}
+
+    def decide(self) -> Ticking:
+        index = self.ports.get("current_child_idx")
+        for slot in self.slots[index:]:
+            verdict = yield from slot.tick()
+            if verdict is RUNNING:
+                return RUNNING
+            index = 0 if verdict is FAILURE else index + 1
+            self.ports.set("current_child_idx", index)
+            if verdict is FAILURE:
+                return self.end(FAILURE)
+        self.ports.set("current_child_idx", 0)
+        return self.end(SUCCESS)
+
+
+class PauseResumeController(Control):
+    """(Nav2) Ticks the first child; while paused, the second; the third on a pause, the fourth on resuming.
+
+    Nav2 pauses and resumes it by two services; here, `pause` and `resume` are called.
+    """
+
+    PORTS: ClassVar = {
+        "pause_service_name": PortInformation(str, required=False),
+        "resume_service_name": PortInformation(str, required=False),
+    }
+    CHILDREN = (1, 4)
+    FORGETS = ("_state", "_has_request")
+    _state = 0  # place of the child that is ticked: 0 resumed, 1 paused, 2 on pause, 3 on resume
+    _has_request = False
+
+    def pause(self) -> bool:
+        """Pause from the next tick on; return False if it is paused already."""
+        if self._state == 1:
+            return False
+        self._state = 2
+        self._has_request = True
+        return True
+
+    def resume(self) -> bool:
+        """Go on from the next tick on; return False if it is not paused."""
+        if self._state != 1:
+            return False
+        self._state = 3
+        self._has_request = True
+        return True
+
+    def initialise(self) -> None:
+        self.forget()
+
+    def decide(self) -> Ticking:
+        if self._has_request:
+            self._has_request = False
+            self.reset_children()
+        state = self._state
+        verdict = RUNNING if state == 1 else SKIPPED
+        if state < len(self.slots):
+            verdict = yield from self.slots[state].tick()
+        if verdict is RUNNING or verdict is FAILURE:
+            return verdict
+        if state == 0:
+            return SUCCESS  # as in Nav2, a finished child is not begun again by the next start
+        self._state = 0 if state == 3 else 1
+        return RUNNING
 
 
 def _switch(cases: int) -> dict[str, Any]:
@@ -594,7 +685,9 @@ class GoalUpdatedController(_Anew):
         return (yield from super().decide())
 
     def _goals(self) -> list[object]:
-        return [self.ports.get(name) if self.ports.exists(name) else None for name in self.PORTS]
+        """Return the values of the ports; of one that is not written, the key of its name."""
+        board = self.ports.blackboard
+        return [board.get(self.ports.keys.get(name, name)) for name in self.PORTS]
 
 
 _LOOPS: Final = {"Int": int, "Double": float, "Bool": bool, "String": str}
@@ -618,6 +711,8 @@ _KINDS: Final[dict[str, tuple[type[Control | OneChild], dict[str, Any]]]] = {
     "ReactiveFallback": (Reactive, {"goes_on": FAILURE}),
     **{kind.__name__: (kind, {}) for kind in (Parallel, ParallelAll, TryCatch)},
     **{kind.__name__: (kind, {}) for kind in (RecoveryNode, PipelineSequence, RoundRobin)},
+    **{kind.__name__: (kind, {}) for kind in (NonblockingSequence, PersistentSequence)},
+    "PauseResumeController": (PauseResumeController, {}),
     "IfThenElse": (_Conditional, {}),
     "WhileDoElse": (_Conditional, {"asks_always": True}),
     **{f"Switch{cases}": (Switch, _switch(cases)) for cases in range(2, 7)},

@@ -291,7 +291,7 @@ class SetBlackboard(XmlLeaf):
         entry = board.entry(key)
         if entry is None:
             board.make(key, given.declared).put(given.value)
-        elif isinstance(given.value, str) and entry.declared is None:
+        elif isinstance(given.value, str) and entry.declared is None and not entry.takes_any:
             if entry.is_emptied or entry.value is EMPTY:
                 raise NodeError(
                     f"{key!r} has no declared type, so the type of {given.value!r} is unknown"
@@ -300,7 +300,7 @@ class SetBlackboard(XmlLeaf):
             entry.put(EMPTY)
         elif isinstance(given.value, str):
             entry.take(given.value)
-        elif entry.declared in (None, given.declared, type(given.value)):
+        elif entry.takes_any or entry.declared in (None, given.declared, type(given.value)):
             entry.put(given.value)
         else:
             raise NodeError(

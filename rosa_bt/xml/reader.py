@@ -1,4 +1,4 @@
-"""Reads XML into elements that know their file and line, and makes behaviours of the elements."""
+"""Reads files of trees, and makes behaviours of their elements."""
 
 import logging
 import os
@@ -10,8 +10,6 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Final
-from xml.etree import ElementTree
-from xml.parsers.expat import ExpatError, ParserCreate
 
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import StatusQueue
@@ -21,55 +19,23 @@ from rosa_bt.decorators import Clock, ClockFollower
 from rosa_bt.exceptions import RosaBtError, XmlError, hint, in_words
 from rosa_bt.xml.blackboard import BOOLS, Blackboard, Ports, key_of
 from rosa_bt.xml.controls import NODES
+from rosa_bt.xml.elements import EXPLICIT, MAX_DEPTH, Element, parse, read_file
 from rosa_bt.xml.nodes import MAX_NODES, Branch, Rules, Slot, is_plain
 from rosa_bt.xml.registry import BehaviourRegistry, Entry
 from rosa_bt.xml.scripts import parse_script
+from rosa_bt.xml.version_3 import MARKS, convert, is_version_3
 
-MAX_SIZE: Final = 1_000_000
-"""Greatest size of a file or text [bytes]."""
-MAX_DEPTH: Final = 100
-"""Most levels of elements in a file, and of nodes in a tree with all its subtrees."""
-
-_FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
-_VALUE: Final = re.compile(r"""=\s*("[^"]*"|'[^']*')""")
-_PASSED_OVER: Final = re.compile(r"<!--.*?-->|\A\s*<\?xml.*?\?>", re.DOTALL)
-_BARE: Final = re.compile(r"&(?!#\d+;|#x[0-9a-fA-F]+;|(?:amp|lt|gt|quot|apos);)")
 _log = logging.getLogger(__name__)
-_EXPLICIT: Final = ("Action", "Condition", "Control", "Decorator")
-_MODELS: Final = (*_EXPLICIT, "SubTree")
-_OF_VERSION_3: Final = {"SubTreePlus": "SubTree", "SequenceStar": "SequenceWithMemory"} | {
-    "RetryUntilSuccesful": "RetryUntilSuccessful"
+_FORBIDDEN: Final = re.compile(r"[\s./\\:*?|<>&\"'\x00-\x1f]")
+_QUOTED: Final = re.compile(r"""'[^']*'|"[^"]*\"""")
+_MODELS: Final = (*EXPLICIT, "SubTree")
+_OF_EDITORS: Final = ("_autoremap", "_collapsed", "_description", "_fullpath", "_uid")
+"""Attributes, in small letters, that are no rules of a node and that editors write."""
+_SCRIPT_PORTS: Final = {
+    "Script": ("code",),
+    "ScriptCondition": ("code",),
+    "Precondition": ("if",),
 }
-
-
-class Element(ElementTree.Element):
-    """An element of a file; text in it is ignored, as in BehaviorTree.CPP."""
-
-    where = ""
-    """File and line where it starts; the file is `<text>` if the XML was given as a text."""
-
-    @property
-    def node(self) -> str:
-        """The name of the node: the ID of an explicit element such as `<Action ID=...>`, or else the tag."""
-        return self.needed("ID") if self.tag in _EXPLICIT else self.tag
-
-    @property
-    def children(self) -> list["Element"]:
-        return list(self)  # type: ignore[arg-type]  # the builder makes elements of this class
-
-    @property
-    def ports(self) -> dict[str, str]:
-        return {
-            key: text for key, text in self.items() if key not in ("name", "ID") and key[:1] != "_"
-        }
-
-    def needed(self, attribute: str) -> str:
-        if not self.get(attribute):
-            raise self.error(f"<{self.tag}> has no {attribute}; write {attribute}=... in it")
-        return self.attrib[attribute]
-
-    def error(self, problem: str) -> XmlError:
-        return XmlError(self.where, problem)
 
 
 class Document:
@@ -79,12 +45,14 @@ class Document:
         root: the outermost element of the file; of several files, of the one that names the main tree.
         trees: the `BehaviorTree` elements, by ID.
         models: the elements of the TreeNodesModels, by ID.
+        notes: what was read otherwise than it stands, or means nothing.
 
     Raises:
-        XmlError: a file is not of BehaviorTree.CPP 4, or exceeds a limit.
+        XmlError: a file is not of BehaviorTree.CPP, or exceeds a limit.
     """
 
     def __init__(self, sources: Iterable[str | Path]) -> None:
+        self.notes: list[str] = []
         self.trees: dict[str, Element] = {}
         self.models: dict[str, Element] = {}
         self._files: dict[Path, Element] = {}
@@ -106,7 +74,12 @@ class Document:
             )
         if not text.startswith("<"):
             return self._file(Path(text_or_path), str(text_or_path), [])
-        return self._collect(_parse(text, "<text>"), Path.cwd(), [])
+        return self._collect(parse(text, "<text>", self.note), Path.cwd(), [])
+
+    def note(self, where: str, text: str) -> None:
+        """Log a warning, and keep it."""
+        self.notes.append(f"{where}: {text}")
+        _log.warning("%s: %s", where, text)
 
     def _file(self, path: Path, where: str, chain: list[Path]) -> Element:
         """Return the outermost element of a file; a file is read once, even if it is included several times."""
@@ -120,7 +93,7 @@ class Document:
             raise XmlError(where, f"more than {MAX_DEPTH} files include each other in a row")
         if real not in self._files:
             self._files[real] = self._collect(
-                _parse(_read(path, where), str(path)), path.parent, [*chain, real]
+                parse(read_file(path, where), str(path), self.note), path.parent, [*chain, real]
             )
         return self._files[real]
 
@@ -145,8 +118,7 @@ class Document:
         """Add what a file defines and includes; return `root`, its outermost element."""
         if root.tag != "root":
             raise root.error(f"the outermost element is <root>, not <{root.tag}>")
-        if root.get("BTCPP_format", "4") != "4":
-            _log.warning("%s: read as of version 4, whose names its nodes need to have", root.where)
+        self._check_version(root)
         tags = [one.tag for one in root.children]
         for place, element in enumerate(root.children):
             if element.tag == "BehaviorTree":
@@ -155,7 +127,9 @@ class Document:
                         f"a tree has one child, not {len(element)}; put a Sequence around"
                     )
                 is_unnamed = tags.count("BehaviorTree") == 1 and "ID" not in element.attrib
-                _add(self.trees, "BehaviorTree" if is_unnamed else element.needed("ID"), element)
+                self._add(
+                    self.trees, "BehaviorTree" if is_unnamed else element.needed("ID"), element
+                )
             elif element.tag == "TreeNodesModel":
                 if "TreeNodesModel" in tags[:place]:
                     raise element.error(
@@ -166,21 +140,56 @@ class Document:
             elif element.tag == "include":
                 self._include(element, folder, chain)
             else:
-                _log.warning(
-                    "%s: <%s> means nothing in <root> and is passed over",
-                    element.where,
-                    element.tag,
-                )
+                self.note(element.where, f"<{element.tag}> means nothing in <root>")
         return root
+
+    def _check_version(self, root: Element) -> None:
+        version = root.get("BTCPP_format")
+        if is_version_3(root):
+            if version is None:
+                self.note(
+                    root.where, "it has no BTCPP_format; read as version 3, whose nodes it has"
+                )
+            trees = [tree.get("ID", "") for tree in root.children if tree.tag == "BehaviorTree"]
+            convert(root, trees, self.note)
+        elif version is None:
+            self.note(
+                root.where, 'it has no BTCPP_format; read as version 4: write BTCPP_format="4"'
+            )
+            for element in root.iter("SubTree"):
+                self._note_texts(element)  # type: ignore[arg-type]  # all are of this class
+        elif version != "4":
+            self.note(root.where, f"it has BTCPP_format {version!r}; read as version 4")
+
+    def _note_texts(self, element: Element) -> None:
+        for name, text in element.ports.items():
+            if key_of(text, name) is None:
+                self.note(
+                    element.where,
+                    f"{name}={text!r} is a text; if the file is of version 3, it means {{{text}}}",
+                )
 
     def _add_model(self, model: Element) -> None:
         if model.tag not in _MODELS:
-            raise model.error(f"a model is one of {', '.join(_MODELS)}, not <{model.tag}>")
+            self.note(model.where, f"<{model.tag}> means nothing in <TreeNodesModel>")
+            return
         for port in (one for one in model.children if one.tag.endswith("_port")):
             name = port.get("name") or "_"
             if name[0].isdigit() or name in (*Rules.NAMES, "name", "ID", "_autoremap"):
                 raise port.error(f"a port cannot be called {name!r}; write p_{name.lstrip('_')}")
-        _add(self.models, model.needed("ID"), model)
+        self._add(self.models, model.needed("ID"), model)
+
+    def _add(self, table: dict[str, Element], name: str, element: Element) -> None:
+        if not name.isprintable():
+            raise element.error(f"{name!r} cannot be printed; write another ID")
+        if name in table:
+            first = table[name].where
+            raise element.error(
+                f"{name!r} is defined twice, first in {first}; give one of them another ID"
+            )
+        if problem := wrong_id(name):
+            self.note(element.where, f"{problem}, as BehaviorTree.CPP wants it since 4.8.4")
+        table[name] = element
 
     def _include(self, element: Element, folder: Path, chain: list[Path]) -> None:
         if "ros_pkg" in element.attrib:
@@ -200,101 +209,14 @@ class Document:
 
 
 def wrong_id(name: str) -> str:
-    """Return why BehaviorTree.CPP refuses an ID, and what to write instead; empty if it accepts the ID."""
+    """Return why BehaviorTree.CPP refuses an ID, and what to write instead; empty if it accepts it."""
     wrong = _FORBIDDEN.search(name)
-    if not wrong and name != "Root":
-        return ""
-    what = (
-        f"{wrong[0]!r} cannot stand in an ID" if wrong else "the ID is taken by the library itself"
-    )
-    return f"{name!r}: {what}; write {_FORBIDDEN.sub('_', name) if wrong else 'Main'!r} instead"
-
-
-def _add(table: dict[str, Element], name: str, element: Element) -> None:
-    if problem := wrong_id(name):
-        raise element.error(problem)
-    if name in table:
-        raise element.error(
-            f"{name!r} is defined twice, first in {table[name].where}; give one of them another ID"
-        )
-    table[name] = element
-
-
-def _read(path: Path, where: str) -> bytes:
-    where = (
-        where if where.isprintable() and len(where) <= 200 else "<text>"
-    )  # it may not be a path at all
-    try:
-        with path.open("rb") as file:
-            return file.read(MAX_SIZE + 1)
-    except (OSError, ValueError) as error:
-        shown, problem = f"{path!s:.200}", getattr(error, "strerror", None) or error
-        advice = "give the path of one, or the XML itself as text"
-        raise XmlError(
-            where, f"there is no file {shown!r} that can be read ({problem}); {advice}"
-        ) from None
-
-
-def _parse(text: str | bytes, file: str) -> Element:
-    """Return the outermost element; log a warning if the text is not XML, but BehaviorTree.CPP would read it.
-
-    It reads raw `&&` and `<` in attributes, `--` in comments, and blanks before the declaration.
-    """
-    if len(text) > MAX_SIZE:
-        raise XmlError(file, f"it has more than {MAX_SIZE} bytes; divide it and include the parts")
-    try:
-        return _strictly(text, file)
-    except XmlError as error:
-        written = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
-        plain = _PASSED_OVER.sub(lambda one: "\n" * one[0].count("\n"), written)
-        escaped = _VALUE.sub(lambda value: _BARE.sub("&amp;", value[0]).replace("<", "&lt;"), plain)
-        if escaped == written:
-            raise
-        try:
-            root = _strictly(escaped, file)
-        except XmlError:
-            raise error from None
-        raw = "& and < in attributes, which XML wants as &amp; and &lt;"
-        what = raw if escaped != plain else "-- in a comment, or a late declaration"
-        _log.warning("%s: read as it stands, though it is no XML: %s", file, what)
-        return root
-
-
-def _strictly(text: str | bytes, file: str) -> Element:
-    parser, builder, depth = ParserCreate(), ElementTree.TreeBuilder(element_factory=Element), 0
-
-    def where() -> str:
-        return f"{file}:{parser.CurrentLineNumber}"
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_DEPTH + 3:  # the root, the tree and the contents of models are not nodes
-            raise XmlError(where(), f"more than {MAX_DEPTH} nested elements; use SubTree")
-        builder.start(tag, attributes).where = where()  # type: ignore[attr-defined]  # made by its factory
-
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
-        builder.end(tag)
-
-    def refuse(*declared: object) -> None:  # entities are declared in document types only
-        raise XmlError(where(), "a document type or entity is not read; write values out")
-
-    parser.StartElementHandler, parser.EndElementHandler, parser.StartDoctypeDeclHandler = (
-        start,
-        end,
-        refuse,
-    )
-    try:
-        parser.Parse(text, True)
-        return builder.close()  # type: ignore[return-value]  # made by its factory
-    except XmlError:
-        raise
-    except ExpatError as error:
-        raise XmlError(f"{file}:{error.lineno}", f"it is no XML: {error}") from None
-    except (ValueError, LookupError) as error:
-        raise XmlError(where(), f"it cannot be decoded: {error}") from None
+    if wrong:
+        better = _FORBIDDEN.sub("_", name)
+        return f"{name!r}: {wrong[0]!r} cannot stand in an ID; write {better!r} instead"
+    if name == "Root":
+        return "'Root': the ID is taken by the library itself; write 'Main' instead"
+    return ""
 
 
 class SubTree(Branch, ClockFollower):
@@ -304,6 +226,7 @@ class SubTree(Branch, ClockFollower):
         blackboard: the blackboard of its nodes; a mapping.
         tree: the ID of the tree.
         models: the elements of the TreeNodesModels of the file.
+        notes: what was read otherwise than it stands in the files; each was logged as a warning.
     """
 
     def __init__(
@@ -311,6 +234,7 @@ class SubTree(Branch, ClockFollower):
     ) -> None:
         super().__init__(name, [slot], Ports({}, {}, board))
         self.has_own_clock = False
+        self.notes: tuple[str, ...] = ()
         self.blackboard, self.tree, self.models = board, tree, models
 
     def follow(self, clock: Clock) -> None:
@@ -365,6 +289,7 @@ def load_xml(
     builder = _Builder(document, registry, substitutes or {})
     made = builder.tree(document.main(tree), document.root, None, board)
     made.has_own_clock = clock is not None
+    made.notes = tuple(document.notes)
     for pattern in builder.unused:
         raise document.root.error(
             f"no leaf matches {pattern!r}; {hint(pattern, builder.leaves, 'leaves')}"
@@ -400,7 +325,7 @@ class _Builder:
         if self._depth > MAX_DEPTH:
             raise element.error(f"the tree is more than {MAX_DEPTH} levels deep, subtrees included")
         try:
-            rules = _rules(element, board)
+            rules = self._rules(element, board)
             node, is_condition = self._node(element, board)
         except XmlError:
             raise
@@ -426,7 +351,11 @@ class _Builder:
             _check_children(element, *entry.children())
             slots = [self._slot(child, board) for child in element.children]
             branches = [Branch(slot.node.name, [slot], Ports({}, {}, board)) for slot in slots]
-            node = entry.make(name, element.ports, branches, board)
+
+            def note(text: str) -> None:
+                self._document.note(element.where, text)
+
+            node = entry.make(name, element.ports, branches, board, note)
             return node, not slots and self._is_condition(entry, element, node)
         if tag not in NODES:
             raise element.error(self._unknown(tag))
@@ -443,7 +372,7 @@ class _Builder:
         if entry is not None and entry.kind is not None:
             return entry.kind == "condition"
         model = self._document.models.get(element.node)
-        said = element.tag if element.tag in _EXPLICIT else model.tag if model is not None else ""
+        said = element.tag if element.tag in EXPLICIT else model.tag if model is not None else ""
         return said == "Condition" or (said != "Action" and is_plain(leaf))
 
     def _stand_in(
@@ -511,23 +440,37 @@ class _Builder:
         return found
 
     def _unknown(self, tag: str) -> str:
-        if tag in _OF_VERSION_3:
-            return f"<{tag}> is of version 3 of BehaviorTree.CPP; write <{_OF_VERSION_3[tag]}>"
+        if tag in MARKS:
+            return f'<{tag}> is of version 3; write BTCPP_format="3", or its name in version 4'
         if tag in self._document.trees:
             return f'<{tag}> is a tree; write <SubTree ID="{tag}"/>'
         near = get_close_matches(tag, [*NODES, "SubTree"], 1)
         guess = f"did you mean the node {near[0]!r}? " if near else ""
         return f"<{tag}> is unknown; {guess}{hint(tag, self._registry.entries, 'registered behaviours')}"
 
+    def _rules(self, element: Element, board: Blackboard) -> Rules | None:
+        """Return the rules of an element; note attributes that look like rules, and double quotes."""
+        scripts, written = {}, {}
+        for name in (*Rules.NAMES, *_SCRIPT_PORTS.get(element.node, ())):
+            if name in element.attrib:
+                self._convert_quotes(element, name)
+        for name, text in element.items():
+            if name in Rules.NAMES:
+                scripts[name] = parse_script(text)
+                written[name] = text
+            elif name.startswith("_") and name.lower() not in _OF_EDITORS:
+                near = get_close_matches(name, (*Rules.NAMES, "_autoremap"), 1, 0.0)
+                nearest = "_autoremap" if name == "__shared_blackboard" else near[0]
+                self._document.note(element.where, f"{name} means nothing; did you mean {nearest}?")
+        return Rules(board, scripts, written) if scripts else None
 
-def _rules(element: Element, board: Blackboard) -> Rules | None:
-    scripts, written = {}, {}
-    for name, text in element.items():
-        if name in Rules.NAMES:
-            scripts[name], written[name] = parse_script(text), text
-        elif name.startswith("_") and (near := get_close_matches(name, Rules.NAMES, 1)):
-            _log.warning("%s: %s is passed over; did you mean %s?", element.where, name, near[0])
-    return Rules(board, scripts, written) if scripts else None
+    def _convert_quotes(self, element: Element, name: str) -> None:
+        """Write the texts of a script in single quotes, as BehaviorTree.CPP wants them since 4.9."""
+        old = element.attrib[name]
+        new = _QUOTED.sub(lambda match: match[0] if "'" in match[0] else f"'{match[0][1:-1]}'", old)
+        if new != old:
+            element.set(name, new)
+            self._document.note(element.where, f"{name}: texts stand in single quotes: {new}")
 
 
 def _check_children(element: Element, least: int, most: int) -> None:

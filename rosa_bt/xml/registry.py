@@ -1,6 +1,7 @@
 """Registers behaviours under the names that files use, and makes them, with arguments and ports from attributes."""
 
 import inspect
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -11,12 +12,13 @@ from py_trees.ports import PortInformation, PortsMixin
 
 from rosa_bt.behaviours import ActionBehaviour, HasStatus, IsActionFeasible, Measurement
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
-from rosa_bt.decorators import ForAction, UntilSuccess
+from rosa_bt.decorators import ForAction, Retry, UntilSuccess
 from rosa_bt.exceptions import RegistryError
 from rosa_bt.xml.blackboard import Blackboard, Declared, PortError, Ports, key_of, ports_of
 from rosa_bt.xml.controls import NODES
 from rosa_bt.xml.nodes import MAX_NODES, Branch
 
+_log = logging.getLogger(__name__)
 Factory = Callable[..., Behaviour]
 F = TypeVar("F", bound=Factory)
 Kind = Literal["action", "condition"]
@@ -30,6 +32,9 @@ _OF_NAV2: Final = frozenset(
         "RateController",
         "SingleTrigger",
         "GoalUpdatedController",
+        "NonblockingSequence",
+        "PersistentSequence",
+        "PauseResumeController",
     )
 )
 BUILT_IN: Final = frozenset({*NODES, *_FORMS}) - _OF_NAV2
@@ -54,23 +59,44 @@ class Entry:
         return (1, MAX_NODES) if "children" in self._parameters else (least, least)
 
     def make(
-        self, name: str, written: Mapping[str, str], branches: Sequence[Branch], board: Blackboard
+        self,
+        name: str,
+        written: Mapping[str, str],
+        branches: Sequence[Branch],
+        board: Blackboard,
+        note: Callable[[str], object] = _log.warning,
     ) -> Behaviour:
         """Make the behaviour; raise PortError if an attribute is unknown, missing, or of a wrong type."""
-        declared = self.arguments
-        mine = {key: text for key, text in written.items() if key in declared}
-        for key in ports_of(self.made)[
-            0
-        ]:  # a port with a key is read later, unless the constructor needs it now
-            if key in mine and not declared[key].required and key_of(mine[key], key) is not None:
-                del mine[key]
-        given = _values(declared, mine, board)
-        behaviour = self.factory(**self._offered(name, branches, board), **given)
+        arguments = self.arguments
+        ports_of_class = ports_of(self.made)[0]
+        mine: dict[str, str] = {}
+        later: dict[str, str] = {}
+        for key, text in written.items():
+            if key in arguments:
+                is_key = key_of(text, key) is not None
+                is_later = is_key and not arguments[key].required
+                (later if is_later else mine)[key] = text
+        values = _values(arguments, mine, board)
+        behaviour = self.factory(**self._offered(name, branches, board), **values)
         known, outputs = ports_of(behaviour)
-        rest = {key: text for key, text in written.items() if key not in declared or key in known}
-        ports = Ports(
-            {**declared, **known}, rest, board
-        )  # raises if an attribute is not a port, and lists the ports
+        rest = {key: text for key, text in written.items() if key not in arguments or key in known}
+        ports = Ports({**arguments, **known}, rest, board)  # raises if one is no port
+        for key, name_on_board in ports.keys.items():
+            entry = board.entry(name_on_board)
+            if entry is not None and known[key].data_type in (Any, object):
+                entry.takes_any = True
+        attributes = vars(behaviour)
+        read_at_start = {}
+        for key, text in later.items():
+            if key in attributes:
+                read_at_start[key] = text
+            elif key not in ports_of_class:
+                kind = type(behaviour).__name__
+                note(
+                    f"{key}={text!r} is not read: {kind} keeps no attribute {key!r}; declare a port"
+                )
+        if read_at_start:
+            _read_at_start(behaviour, Ports(arguments, read_at_start, board))
         if isinstance(behaviour, PortsMixin):
             ports.check_required(frozenset(outputs) | mine.keys())
             ports.connect(behaviour)
@@ -140,6 +166,18 @@ def _values(declared: Declared, mine: Mapping[str, str], board: Blackboard) -> d
     return {name: ports.get(name) for name in mine}
 
 
+def _read_at_start(behaviour: Behaviour, ports: Ports) -> None:
+    """Let a behaviour read its attributes that are keys, each time before `initialise` is called."""
+    initialise = behaviour.initialise
+
+    def read_and_initialise() -> None:
+        values = {name: ports.get(name) for name in ports.keys if ports.exists(name)}
+        vars(behaviour).update(values)
+        initialise()
+
+    vars(behaviour)["initialise"] = read_and_initialise
+
+
 def _check_action(leaf: ActionBehaviour, rest: Mapping[str, str], ports: Ports) -> None:
     """Raise now, not during a mission, if the action is missing, given twice, or not in the model."""
     said = leaf.named_action
@@ -177,22 +215,26 @@ def _safe_switch(
     )
 
 
+_ALWAYS: Final[Mapping[str, Factory]] = {"Retry": Retry, "UntilSuccess": UntilSuccess}
 _OURS: Final[Mapping[str, Factory]] = {
-    **{
-        kind.__name__: kind
-        for kind in (HasStatus, IsActionFeasible, Measurement, ForAction, UntilSuccess)
-    },
-    **{"DoUntilUnfeasible": _do_until_unfeasible, "SafeSwitch": _safe_switch},
+    **_ALWAYS,
+    "HasStatus": HasStatus,
+    "IsActionFeasible": IsActionFeasible,
+    "Measurement": Measurement,
+    "ForAction": ForAction,
+    "DoUntilUnfeasible": _do_until_unfeasible,
+    "SafeSwitch": _safe_switch,
 }
+"""What is registered from the start, with a knowledge base or without."""
 
 
 class BehaviourRegistry:
     """The behaviours that files of trees can use, by name.
 
     Args:
-        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`. With a `kb`,
-            IsActionFeasible, HasStatus, Measurement, ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch are
-            registered from the start, and the clock of the knowledge base is the default clock of the trees.
+        bound: arguments for every factory that has a parameter of the same name, e.g. `kb=kb`. Retry
+            and UntilSuccess are registered from the start; with a `kb` also IsActionFeasible,
+            HasStatus, Measurement, ForAction, DoUntilUnfeasible and SafeSwitch.
 
     Attributes:
         entries: the registered behaviours, by name.
@@ -207,7 +249,7 @@ class BehaviourRegistry:
 
     def __init__(self, **bound: Any) -> None:  # noqa: ANN401  # whatever the behaviours of the user need
         self.bound: Final = dict(bound)
-        own = _OURS if "kb" in bound else {}
+        own = _OURS if "kb" in bound else _ALWAYS
         self.entries: Final = {
             name: Entry(factory, None, self.bound) for name, factory in own.items()
         }

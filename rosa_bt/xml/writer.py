@@ -1,13 +1,13 @@
 """Writes trees as XML.
 
-`export_xml` writes trees that can be read again exactly, and refuses others; a `NumberedTree` shows any tree.
+`export_xml` writes trees that can be read again exactly, and refuses others; a `NumberedTree` shows any.
 """
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from itertools import count
 from math import inf
-from typing import Final
+from typing import Any, Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from py_trees.behaviour import Behaviour
@@ -17,16 +17,14 @@ from py_trees.decorators import Decorator, FailureIsSuccess, Inverter, SuccessIs
 
 from rosa_bt.behaviours import ActionBehaviour, RosaAction
 from rosa_bt.composites import DoUntilUnfeasible, SafeSwitch
-from rosa_bt.decorators import ForAction, UntilSuccess
+from rosa_bt.decorators import Delay, ForAction, Retry, Timeout, Timer, UntilSuccess
 from rosa_bt.exceptions import ExportError, XmlError
 from rosa_bt.xml.blackboard import ports_of
 from rosa_bt.xml.nodes import Branch, Slot, XmlNode, is_plain
 from rosa_bt.xml.reader import Document, SubTree, wrong_id
 from rosa_bt.xml.registry import BUILT_IN, BehaviourRegistry, Entry
 
-_SAME: Final[
-    Mapping[type[Behaviour], tuple[str, ...]]
-] = {  # of composites: the tag without memory, and with it
+_SAME: Final[Mapping[type[Behaviour], tuple[str, ...]]] = {
     Inverter: ("Inverter",),
     FailureIsSuccess: ("ForceSuccess",),
     SuccessIsFailure: ("ForceFailure",),
@@ -34,42 +32,43 @@ _SAME: Final[
     Failure: ("AlwaysFailure",),
     Sequence: ("ReactiveSequence", "Sequence"),
     Selector: ("ReactiveFallback", "Fallback"),
+    Timer: ("Sleep",),
+    Timeout: ("Timeout",),
+    Delay: ("Delay",),
 }
-_IDIOMS: Final = (ForAction, UntilSuccess, DoUntilUnfeasible, SafeSwitch)
+"""The tags of behaviours that mean exactly the same; of composites without memory, and with it."""
+_DURATIONS: Final = {Timer: "msec", Timeout: "msec", Delay: "delay_msec"}
+_IDIOMS: Final = (ForAction, UntilSuccess, DoUntilUnfeasible, SafeSwitch, Retry)
 MAIN: Final = "MainTree"
 MOST_NODES: Final = 2**16 - 1
 """Most nodes of a NumberedTree: a number has 16 bits."""
 _TYPES: Final = {int: "int", float: "double", bool: "bool", str: "std::string"}
 
-_NAMES: Final = (
-    "action",
-    "preference",
-    "wait",
-    "timeout",
-    "even_if_unfeasible",
-    "exclusive",
-    "halting_timeout",
-    "during",
-    "memory",
-    "after",
+_ARGUMENTS: Final = (
+    *("action", "preference", "wait", "timeout", "even_if_unfeasible", "exclusive"),
+    *("halting_timeout", "during", "memory", "after", "num_failures", "pause"),
 )
-"""Parameters of our behaviours that are written as attributes; the behaviours have attributes of these names."""
-_UNSAID: Final = (None, False, inf, RosaAction.halting_timeout)
+"""Parameters of our behaviours that are attributes, of the element as of the behaviour."""
+_DEFAULTS: Final = (None, False, inf, RosaAction.halting_timeout)
 
 
-def _said(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
+def _attributes(node: Behaviour, maker: Callable[..., Behaviour]) -> dict[str, str]:
     """Return the arguments of a behaviour of ours beside its name, as far as `maker` takes them."""
-    names: Iterable[str] = _NAMES if type(node) in _IDIOMS else ()
+    kind = type(node)
+    if kind in _DURATIONS:
+        milliseconds = node.duration * 1000  # type: ignore[attr-defined]  # all three have it
+        return {_DURATIONS[kind]: f"{milliseconds:.12g}"}
+    names: tuple[str, ...] = _ARGUMENTS if kind in _IDIOMS else ()
     if isinstance(node, ActionBehaviour) and node.named_action is not None:
-        taken = {*inspect.signature(maker).parameters, *node.input_ports()}
-        names = ("action", *(name for name in _NAMES[1:] if name in taken))
-    said = {name: getattr(node, name, None) for name in names}
-    said = {name: ";".join(one) if isinstance(one, tuple) else one for name, one in said.items()}
-    return {
-        name: "true" if one is True else str(one)
-        for name, one in said.items()
-        if one not in _UNSAID
-    }
+        taken = {"action", *inspect.signature(maker).parameters, *node.input_ports()}
+        names = tuple(name for name in _ARGUMENTS if name in taken)
+    attributes = {}
+    for name in names:
+        value: Any = getattr(node, name, None)
+        if value not in _DEFAULTS:
+            text = ";".join(value) if isinstance(value, tuple) else str(value)
+            attributes[name] = "true" if value is True else text
+    return attributes
 
 
 def export_xml(
@@ -77,16 +76,17 @@ def export_xml(
 ) -> str:
     """Write a tree as XML of BehaviorTree.CPP 4.
 
-    It writes trees from `load_xml`, also changed ones, and trees of those behaviours of py_trees that mean exactly the
-    same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess, SuccessIsFailure, Success,
-    Failure, and leaves that need no arguments but a name, a knowledge base and the action. The idioms are written as
-    the nodes that they consist of; ForAction, UntilSuccess, DoUntilUnfeasible and SafeSwitch are in every registry with
-    a knowledge base. The contents of blackboards are not written.
+    It writes trees from `load_xml`, also changed ones, and trees of behaviours that mean exactly the
+    same: Sequence and Selector (with and without memory), Inverter, FailureIsSuccess,
+    SuccessIsFailure, Success, Failure, our Timer, Timeout and Delay, and leaves that need no arguments
+    but a name, a knowledge base and the action. The idioms are written as the nodes that they consist
+    of; ForAction, UntilSuccess, Retry, DoUntilUnfeasible and SafeSwitch are in every registry with a
+    knowledge base. The contents of blackboards are not written.
 
     Args:
         behaviour: the root of the tree.
-        registry: gives leaves that are not from a file their tags; without it, the tag is the name of the class.
-        models: add a TreeNodesModel of all registered behaviours, with their ports, as Groot2 needs it.
+        registry: gives leaves that are not from a file their tags; without it, the name of the class.
+        models: add a TreeNodesModel of all registered behaviours, with their ports, for Groot2.
 
     Raises:
         ExportError: a behaviour has no exact counterpart; the message names it.
@@ -104,18 +104,22 @@ def export_xml(
     indent(root)
     text = tostring(root, encoding="unicode") + "\n"
     try:
-        Document([text])
+        notes = Document([text]).notes
     except XmlError as error:
+        notes = [str(error)]
+    if notes:
         raise ExportError(
-            f"{behaviour.name!r} cannot be written so that it can be read again: {error}"
-        ) from error
+            f"{behaviour.name!r} cannot be written so that it can be read again: {notes[0]}"
+        )
     return text
 
 
-def _names(wanted: str) -> Iterator[str]:
-    """Yield a name, and then what to use if it is taken: Dock, Dock_2, Dock_3."""
-    yield wanted
-    yield from (f"{wanted}_{number}" for number in count(2))
+def _free_name(name: str, taken: Callable[[str], bool]) -> str:
+    """Return a name, or the first of Dock_2, Dock_3, ... that is not taken."""
+    names = (f"{name}_{number}" for number in count(2))
+    while taken(name):
+        name = next(names)
+    return name
 
 
 class _Writer:
@@ -127,14 +131,18 @@ class _Writer:
         """Whether the written leaves are conditions, by tag."""
 
     def tree(self, subtree: SubTree | None, slot: Slot) -> str:
-        """Write a tree; return its ID, which is a new one if the ID belongs to a tree with other content."""
+        """Write a tree; return its ID, which is new if its own belongs to a tree with other content."""
         if subtree is not None:
             self.models.update({model.attrib["ID"]: model for model in subtree.models})
             slot = subtree.child
         content = self.element(slot)
-        for name in _names(MAIN if subtree is None else subtree.tree):
-            if tostring(self.trees.setdefault(name, content)) == tostring(content):
-                break
+        text = tostring(content)
+
+        def is_taken(name: str) -> bool:
+            return name in self.trees and tostring(self.trees[name]) != text
+
+        name = _free_name(MAIN if subtree is None else subtree.tree, is_taken)
+        self.trees.setdefault(name, content)
         return name
 
     def element(self, slot: Slot) -> Element:
@@ -143,9 +151,8 @@ class _Writer:
             return self.element(node.child)
         tag, attributes = slot.source or self._of_py_trees(slot)
         element = Element(tag, dict(attributes))
-        self.conditions[attributes.get("ID", tag)] = (
-            slot.is_condition if slot.source else is_plain(node)
-        )
+        is_condition = slot.is_condition if slot.source else is_plain(node)
+        self.conditions[attributes.get("ID", tag)] = is_condition
         if isinstance(node, SubTree):
             if tag == "SubTree":
                 element.set("ID", self.tree(node, slot))
@@ -158,64 +165,65 @@ class _Writer:
 
     def _of_py_trees(self, slot: Slot) -> tuple[str, dict[str, str]]:
         """Return tag and attributes of a behaviour that is not from a file."""
-        node, maker = slot.node, type(slot.node)
-        is_empty = maker in (Sequence, Selector) and not node.children
-        is_same = maker in (*_SAME, *_IDIOMS) and not is_empty
-        if not is_same and (node.children or is_empty or isinstance(node, XmlNode)):
-            known = ", ".join(sorted(one.__name__ for one in _SAME))
-            what = f"{maker.__name__} {node.name!r}{'' if node.children else ' without children'}"
+        node = slot.node
+        kind = type(node)
+        is_empty = kind in (Sequence, Selector) and not node.children
+        if kind in (*_SAME, *_IDIOMS) and not is_empty:
+            tag, attributes = tag_of(node), _attributes(node, kind)
+            if kind in _DURATIONS and not attributes[_DURATIONS[kind]].isdigit():
+                raise ExportError(
+                    f"{node.name!r} does not take whole milliseconds, as XML has them"
+                )
+        elif node.children or is_empty or isinstance(node, XmlNode):
+            written = ", ".join(sorted(same.__name__ for same in _SAME))
+            what = f"{kind.__name__} {node.name!r}{'' if node.children else ' without children'}"
             raise ExportError(
-                f"{what} has no exact counterpart in BehaviorTree.CPP; of py_trees, written are {known}"
+                f"{what} has no exact counterpart in BehaviorTree.CPP; written are {written}"
             )
-        tag, said = (_tag_of(node), _said(node, maker)) if is_same else self._leaf(node)
-        return tag, {"name": node.name, **said, **(slot.rules.written if slot.rules else {})}
+        else:
+            tag, attributes = self._leaf(node)
+        rules = slot.rules.written if slot.rules else {}
+        return tag, {"name": node.name, **attributes, **rules}
 
     def _leaf(self, leaf: Behaviour) -> tuple[str, dict[str, str]]:
         kind = type(leaf)
         tag = kind.__name__ if self._registry is None else self._registry.name_of(leaf)
         if tag is None:
-            raise ExportError(
-                f"{kind.__name__} {leaf.name!r} is not registered; register its class"
-            )
-        if problem := wrong_id(tag):
-            raise ExportError(
-                f"{leaf.name!r} is registered under a name that is refused: {problem}"
-            )
-        if tag in BUILT_IN:
-            raise ExportError(
-                f"{tag!r} is a node of BehaviorTree.CPP itself; register the class under another name"
-            )
-        if isinstance(leaf, ActionBehaviour) and leaf.named_action is None:
-            raise ExportError(f"{leaf.name!r} names no action; make it with one")
-        maker = kind if self._registry is None else self._registry.entries[tag].factory
-        if maker is kind:
-            self._check_arguments(leaf)
-        return tag, _said(leaf, maker)
+            problem = f"{kind.__name__} {leaf.name!r} is not registered; register its class"
+        elif wrong := wrong_id(tag):
+            problem = f"{leaf.name!r} is registered under a name that is refused: {wrong}"
+        elif tag in BUILT_IN:
+            problem = f"{tag!r} is a node of BehaviorTree.CPP itself; register another name"
+        elif isinstance(leaf, ActionBehaviour) and leaf.named_action is None:
+            problem = f"{leaf.name!r} names no action; make it with one"
+        else:
+            maker = kind if self._registry is None else self._registry.entries[tag].factory
+            if maker is kind:
+                self._check_arguments(leaf)
+            return tag, _attributes(leaf, maker)
+        raise ExportError(problem)
 
     def _check_arguments(self, leaf: Behaviour) -> None:
-        """Raise if the constructor has parameters that are neither written nor bound in the registry."""
-        known = {
-            "name",
-            "behaviour_class_name",
-            *({"kb"} if self._registry is None else self._registry.bound),
-        }
-        known |= (
-            {name for name in _NAMES if hasattr(leaf, name)}
-            if isinstance(leaf, ActionBehaviour)
-            else set()
-        )
-        if not ports_of(leaf)[0].keys() <= known:
+        """Raise if the constructor has parameters that are neither written nor bound."""
+        bound = {"kb"} if self._registry is None else {*self._registry.bound}
+        writable = {"name", "behaviour_class_name", *bound}
+        if isinstance(leaf, ActionBehaviour):
+            writable |= {name for name in _ARGUMENTS if hasattr(leaf, name)}
+        if not ports_of(leaf)[0].keys() <= writable:
             raise ExportError(
                 f"{leaf.name!r} has ports on py_trees' own blackboard, which cannot be written"
             )
-        parameters = inspect.signature(type(leaf)).parameters.values()
-        unknown = ", ".join(
-            one.name for one in parameters if one.name not in known and one.kind not in (2, 4)
-        )
+        unknown = [
+            parameter.name
+            for parameter in inspect.signature(type(leaf)).parameters.values()
+            if parameter.name not in writable and parameter.kind not in (2, 4)
+        ]
         if unknown:
+            kind = type(leaf).__name__
             raise ExportError(
-                f"{type(leaf).__name__} {leaf.name!r} was made with {unknown}, which cannot be written; "
-                "register a function under the name of the leaf that makes it, and hand the registry to export_xml"
+                f"{kind} {leaf.name!r} was made with {', '.join(unknown)}, which cannot be written; "
+                "register a function under the name of the leaf that makes it, and hand the registry "
+                "to export_xml"
             )
 
 
@@ -231,48 +239,43 @@ def slots_of(node: Behaviour) -> list[Slot]:
     return node.slots if isinstance(node, XmlNode) else [slot_of(child) for child in node.children]
 
 
-def _tag_of(node: Behaviour) -> str:
+def tag_of(node: Behaviour) -> str:
+    """Return the tag of a behaviour of py_trees."""
     tags = _SAME.get(type(node), (type(node).__name__.lstrip("_"),))
-    return tags[getattr(node, "memory", False) if len(tags) > 1 else 0]
+    return tags[-1] if getattr(node, "memory", False) else tags[0]
 
 
 def _model(tag: str, entry: Entry, is_condition: bool | None) -> Element:
-    """Return the model of a registered behaviour for Groot2; `is_condition` is None if no leaf of it was written."""
+    """Return the model of a registered behaviour; `is_condition` is None if no leaf was written."""
     most = entry.children()[1]
     if is_condition is None and entry.made is not None:
         is_condition = is_plain(entry.made)
-    leaf = (
-        "Condition"
-        if entry.kind == "condition" or (is_condition and entry.kind is None)
-        else "Action"
-    )
-    element = Element(leaf if most == 0 else "Decorator" if most == 1 else "Control", ID=tag)
-    known, outputs = ports_of(entry.made)
-    for name, port in {**known, **entry.arguments}.items():
-        direction = "output_port" if name in outputs else "input_port"
-        said = {
+    is_asked = entry.kind == "condition" or (is_condition and entry.kind is None)
+    kinds = {0: "Condition" if is_asked else "Action", 1: "Decorator"}
+    element = Element(kinds.get(most, "Control"), ID=tag)
+    ports, outputs = ports_of(entry.made)
+    for name, port in {**ports, **entry.arguments}.items():
+        facts = {
+            "name": name,
             "type": _TYPES.get(port.data_type),
             "default": port.default_value if port.has_default else None,
         }
-        SubElement(
-            element,
-            direction,
-            {"name": name, **{key: str(one) for key, one in said.items() if one}},
-        )
+        direction = "output_port" if name in outputs else "input_port"
+        SubElement(element, direction, {key: str(fact) for key, fact in facts.items() if fact})
     return element
 
 
 class NumberedTree:
-    """A tree as XML with numbered nodes, for programs that watch it; make a new one when the tree has changed.
+    """A tree as XML with numbered nodes, for programs that watch it; make a new one when it changed.
 
     Args:
         root: the root of any tree of py_trees.
 
     Attributes:
-        xml: the text. The number of a node is its attribute `_uid`; each subtree is a `BehaviorTree` element of its
-            own, with its place in `_fullpath`.
+        xml: the text. The number of a node is its attribute `_uid`; each subtree is a `BehaviorTree`
+            element of its own, with its place in `_fullpath`.
         numbers: the numbers by behaviour, from 1, in the order of the text.
-        subtrees: the subtrees by the name of their blackboard; None for a tree that was not read from XML.
+        subtrees: the subtrees by the name of their blackboard; None for one that is not from XML.
 
     Raises:
         ExportError: the tree has more than 65,535 nodes.
@@ -300,23 +303,18 @@ class NumberedTree:
         )
 
     def _tree(self, tree: str, path: str, slot: Slot, subtree: SubTree | None) -> None:
-        self.subtrees[next(one for one in _names(path or tree) if one not in self.subtrees)] = (
-            subtree
-        )
-        SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path).append(
-            self._element(slot, path)
-        )
+        self.subtrees[_free_name(path or tree, self.subtrees.__contains__)] = subtree
+        element = SubElement(self._whole, "BehaviorTree", ID=tree, _fullpath=path)
+        element.append(self._element(slot, path))
 
     def _element(self, slot: Slot, path: str) -> Element:
         node = slot.node
         if type(node) is Branch:
             return self._element(node.child, path)  # not in the file
-        tag, attributes = slot.source or (_tag_of(node), _said(node, type(node)))
+        tag, attributes = slot.source or (tag_of(node), _attributes(node, type(node)))
         number = self.numbers.setdefault(node, len(self.numbers) + 1)
         if number > MOST_NODES:
-            raise ExportError(
-                f"the tree has more than {MOST_NODES} nodes; their numbers have 16 bits"
-            )
+            raise ExportError(f"the tree has more than {MOST_NODES} nodes, with numbers of 16 bits")
         element = Element(tag, {**attributes, "name": node.name, "_uid": str(number)})
         if isinstance(node, SubTree):
             element.set("ID", node.tree)

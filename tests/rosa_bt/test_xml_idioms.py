@@ -214,6 +214,11 @@ def test_models_of_what_is_registered_are_written_with_their_ports():
     }
     assert root[-1].tag == "TreeNodesModel"
     assert models == {
+        "Retry": (
+            "Decorator",
+            [("input_port", "num_failures", "int"), ("input_port", "pause", "double")],
+        ),
+        "UntilSuccess": ("Decorator", []),
         "Turn": ("Action", []),
         "Ported": (
             "Condition",

@@ -184,7 +184,22 @@ EXAMPLES = {
     "RoundRobin": (
         "<RoundRobin><a/><b/></RoundRobin>",
         "a:SF b:FS",
-        "a:s:S => S | b:s:F a:s:F => F | a:s:S => S",
+        "a:s:S => S | b:s:F => F | a:s:F b:s:S => F",
+    ),
+    "NonblockingSequence": (
+        "<NonblockingSequence><a/><c/><b/></NonblockingSequence>",
+        "a:RS b:SRRF c:S",
+        "a:s:R c:S b:s:S | a:r:S c:S => S | a:s:R c:S b:s:R | a:r:S c:S b:r:R | c:S b:r:F => F",
+    ),
+    "PersistentSequence": (
+        '<PersistentSequence current_child_idx="{i}"><a/><b/></PersistentSequence>',
+        "a:SS b:RFS",
+        "i=0 a:s:S b:s:R | i=1 b:r:F => F | i=1 b:s:S => S | i=0 a:s:S b:s:R",
+    ),
+    "PauseResumeController": (
+        "<PauseResumeController><a/><b/></PauseResumeController>",
+        "a:RS b:R",
+        "a:s:R | a:r:S => S",
     ),
 }
 SHORT = {"S": "SUCCESS", "F": "FAILURE"}
@@ -295,7 +310,7 @@ SKIPPED = {
     "Parallel": '<Parallel success_count="1"><a _skipIf="v == 0"/><b _skipIf="v == 0"/></Parallel>',
     "ParallelAll": '<ParallelAll><a _skipIf="v == 0"/><b _skipIf="v == 0"/></ParallelAll>',
     "PipelineSequence": '<PipelineSequence><a _skipIf="v == 0"/><b _skipIf="v == 0"/></PipelineSequence>',
-    "RoundRobin": '<RoundRobin><a _skipIf="v == 0"/><b _skipIf="v == 0"/></RoundRobin>',
+    "RoundRobin": '<RoundRobin wrap_around="true"><a _skipIf="v == 0"/><b _skipIf="v == 0"/></RoundRobin>',
     "RecoveryNode": '<RecoveryNode><a _skipIf="v == 0"/><b/></RecoveryNode>',
     "Switch2": '<Switch2 variable="{v}" case_1="1" case_2="2"><b/><b/><a _skipIf="v == 0"/></Switch2>',
     "Repeat": '<Repeat num_cycles="3"><a _skipIf="v == 0"/></Repeat>',
@@ -347,11 +362,6 @@ MIXED = {
         '<RecoveryNode><a/><b _skipIf="true"/></RecoveryNode>',
         "a:F b:S",
         "a:s:F => F | a:s:F => F",
-    ),
-    "RoundRobin": (
-        "<RoundRobin><a/><b/></RoundRobin>",
-        "a:F b:SF",
-        "a:s:F b:s:S => S | a:s:F b:s:F => F",
     ),
     "Timeout that found nothing to halt": (
         '<Timeout msec="100"><a _skipIf="v == 0"/></Timeout>',
@@ -605,10 +615,36 @@ def test_branch_that_runs_is_halted_before_a_skipped_condition_is_an_error():
     assert said == ["a:halt"]
 
 
-def test_round_robin_that_does_not_wrap_around_fails_after_its_last_child():
+def test_round_robin_that_wraps_goes_on_with_the_first():
     said = []
     registry = registry_of({"a": ("A", "SF"), "b": ("A", "FS")}, said)
-    tree = load_xml(wrapped('<RoundRobin wrap_around="false"><a/><b/></RoundRobin>'), registry)
+    tree = load_xml(wrapped('<RoundRobin wrap_around="true"><a/><b/></RoundRobin>'), registry)
     assert [line.partition(" => ")[2] for line in trace(tree.tick_once, tree, said, 4)] == [
         *("SUCCESS", "FAILURE", "SUCCESS", "SUCCESS")
     ]
+
+
+def test_pause_and_resume_tick_their_children_to_the_end():
+    said = []
+    leaves = {
+        name: ("A", script) for name, script in {"a": "R", "b": "R", "c": "RS", "d": "S"}.items()
+    }
+    text = wrapped("<PauseResumeController><a/><b/><c/><d/></PauseResumeController>")
+    tree = load_xml(text, registry_of(leaves, said))
+    node = tree.child.node
+    assert not node.resume()
+    happened = []
+    for call in (None, node.pause, None, None, node.resume, None, None):
+        if call is not None:
+            assert call()
+        said.clear()
+        tree.tick_once()
+        happened.append(" ".join(said))
+    assert happened == ["a:s:R", "a:halt c:s:R", "c:r:S", "b:s:R", "b:halt d:s:S", "a:s:R", "a:r:R"]
+    assert not node.resume()
+
+
+def test_nonblocking_sequence_cannot_skip_a_child():
+    text = wrapped('<NonblockingSequence><a _skipIf="true"/></NonblockingSequence>')
+    with pytest.raises(RosaBtError, match="'a' was skipped"):
+        load_xml(text, registry_of({"a": ("A", "R")}, [])).tick_once()

@@ -7,6 +7,7 @@ from itertools import cycle
 
 import pytest
 from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Running
 from py_trees.blackboard import Blackboard as ProcessBlackboard
 from py_trees.common import Status
 from py_trees.decorators import Decorator
@@ -179,7 +180,6 @@ BAD_PORTS = {
     '<Add one="x"/>': "the port 'one' takes a value of type float, not 'x'",
     '<Add one="1" twoo="1"/>': "it has no port 'twoo'; ports: one, other, total",
     "<Say/>": "'what' is missing",
-    '<Say what="1" times="{n}"/>': "'times' is needed when the tree is made, but {n} is known when it is ticked",
     '<Say what="1" loud="maybe"/>': "the port 'loud' takes a value of type bool, not 'maybe'",
     '<Say what="1" volume="3"/>': "it has no port 'volume'; ports: loud, times, what",
 }
@@ -537,7 +537,7 @@ NAVIGATION = """
       </PipelineSequence>
       <ReactiveFallback name="or give up">
         <GoalUpdated/>
-        <RoundRobin name="ways out">
+        <RoundRobin name="ways out" wrap_around="true">
           <ClearMap name="clear local" service_name="local"/>
           <Spin spin_dist="1.57"/>
         </RoundRobin>
@@ -598,3 +598,41 @@ def test_script_writes_over_a_value_whose_class_is_derived_from_a_number_or_a_te
     tree.blackboard["x"] = held
     tree.tick_once()
     assert tree.blackboard["x"] == expected
+
+
+def test_parameter_with_a_default_may_be_a_key_that_is_read_at_each_start():
+    heard = []
+    tree = load('<Say what="1" times="{n}"/>', heard)
+    for value in (None, 3, "4"):
+        if value is not None:
+            tree.blackboard["n"] = value
+        tree.tick_once()
+    assert [times for _, times, _ in heard] == [1, 3, 4]
+    assert tree.notes == ()
+
+
+def test_key_that_no_attribute_takes_is_noted():
+    registry = BehaviourRegistry()
+    registry.register("Stand", lambda name, place="here": Running(name))
+    tree = load_xml(
+        '<root BTCPP_format="4"><BehaviorTree><Stand place="{p}"/></BehaviorTree></root>', registry
+    )
+    assert "place='{p}' is not read: Running keeps no attribute 'place'" in tree.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("writer", "expected"),
+    [
+        ('<SetBlackboard value="dock 3" output_key="what"/>', "dock 3"),
+        ('<Script code="what := 2"/>', 2),
+        ("<Script code=\"what := 'dock'\"/>", "dock"),
+        ('<Add one="1" other="2" total="{what}"/>', 3.0),
+    ],
+)
+def test_port_without_a_type_gets_whatever_was_written(writer, expected):
+    heard = []
+    tree = load(f'<Sequence>{writer}<Say what="{{what}}"/></Sequence>', heard)
+    for _ in range(2):
+        tree.tick_once()
+        assert tree.status is Status.SUCCESS, tree.tip().feedback_message
+    assert [what for what, _, _ in heard] == [expected, expected]

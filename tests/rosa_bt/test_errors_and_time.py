@@ -1,0 +1,265 @@
+"""Nothing is swallowed, durations follow the runner's clock, and `setup` reaches every behaviour."""
+
+import logging
+
+import pytest
+from acting import Clock
+from py_trees import decorators, timers
+from py_trees.behaviour import Behaviour
+from py_trees.behaviours import Running, StatusQueue
+from py_trees.common import Status
+from py_trees.composites import Selector, Sequence
+
+from kb import KnowledgeBase, Model
+from rosa_bt import (
+    BehaviourRegistry,
+    ClockError,
+    Delay,
+    ExportError,
+    Retry,
+    RosaAction,
+    Timeout,
+    Timer,
+    TraceVisitor,
+    TreeChangeError,
+    TreeRunner,
+    do_until_unfeasible,
+    export_xml,
+    load_xml,
+    read_trace,
+)
+
+RAISING = ("initialise", "update", "terminate")
+
+
+class Slip(Behaviour):
+    """Raises in one of its hooks."""
+
+    def __init__(self, hook, name="slip"):
+        super().__init__(name)
+        self.hook = hook
+
+    def initialise(self):
+        self._raise("initialise")
+
+    def update(self):
+        self._raise("update")
+        return Status.FAILURE
+
+    def terminate(self, new_status):
+        self._raise("terminate")
+
+    def _raise(self, hook):
+        if hook == self.hook:
+            raise AttributeError("no spnge")
+
+
+def slipping(hook, **arguments):
+    root = Selector("clean", memory=False, children=[Slip(hook), Running("wait for help")])
+    return TreeRunner(root, clock=Clock(), **arguments)
+
+
+# ---------------------------------------------------------------- errors
+
+
+@pytest.mark.parametrize("hook", RAISING)
+def test_exception_is_logged_once_with_its_traceback(hook, caplog):
+    runner = slipping(hook)
+    for _ in range(3):
+        runner.tick()
+    assert runner.status is Status.RUNNING
+    (record,) = caplog.records
+    assert record.levelno == logging.ERROR
+    assert record.exc_info[0] is AttributeError
+    assert "Slip 'slip': AttributeError: no spnge" in record.getMessage()
+
+
+@pytest.mark.parametrize("hook", RAISING)
+def test_exception_is_raised_when_the_tree_is_stopped(hook):
+    runner = slipping(hook, on_error="raise")
+    with pytest.raises(AttributeError, match="no spnge"):
+        runner.tick()
+    assert all(node.status is not Status.RUNNING for node in runner.tree.root.iterate())
+
+
+def test_exception_of_an_action_is_raised_and_its_request_released():
+    class Act(RosaAction):
+        def update(self):
+            raise OSError("no arm")
+
+    model = Model("rover")
+    model.action("dig")
+    kb = KnowledgeBase(model, clock=Clock())
+    runner = TreeRunner(Act("dig", kb, "dig"), clock=Clock(), on_error="raise")
+    with pytest.raises(OSError, match="no arm"):
+        runner.tick()
+    assert [request.result for request in kb.history.actions] == ["failed"]
+
+
+def test_exception_at_the_end_is_raised_by_shutdown():
+    runner = TreeRunner(Slip("terminate"), clock=Clock(), on_error="raise")
+    runner.tree.root.update = lambda: Status.RUNNING
+    runner.tick()
+    with pytest.raises(AttributeError, match="no spnge"):
+        runner.shutdown()
+
+
+def test_exception_is_in_the_trace_and_in_its_file(tmp_path):
+    kb = KnowledgeBase(Model("rover"), clock=Clock())
+    runner = slipping("terminate")
+    with TraceVisitor(kb, tmp_path / "run.jsonl") as visitor:
+        runner.tree.add_visitor(visitor)
+        runner.tick()
+    ((name, text),) = visitor.trace.ticks[0].errors
+    assert (name, text.partition(";")[0]) == ("slip", "AttributeError: no spnge")
+    assert read_trace(tmp_path / "run.jsonl") == visitor.trace
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: TreeRunner(Running("r"), clock=0.0), "0.0 cannot; give a function"),
+        (lambda: slipping("x", on_error="ignore"), "on_error is 'fail' or 'raise', not 'ignore'"),
+        (lambda: slipping("x", on_clock_set_back="no"), "on_clock_set_back is 'follow' or"),
+        (lambda: do_until_unfeasible([], Running("r")), r"a task is a behaviour .* not \[\]"),
+    ],
+)
+def test_mistake_in_a_call_is_answered_with_what_to_write(make, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        make()
+
+
+# ---------------------------------------------------------------- time
+
+
+def run(root, clock, until, period=1.0, **arguments):
+    """Return the statuses of the root at each second from 0 on."""
+    runner = TreeRunner(root, clock=clock, period=period, **arguments)
+    statuses = []
+    while clock.now <= until:
+        runner.update()
+        statuses.append(runner.status.name[0])
+        clock.now += 1.0
+    return "".join(statuses)
+
+
+def child(*statuses):
+    return StatusQueue("child", [Status[name] for name in statuses], eventually=Status.RUNNING)
+
+
+TIMED = {
+    "timer": (lambda: Timer("wait", 3.0), "RRRSRR"),
+    "timeout": (lambda: Timeout("at most", child(), 3.0), "RRRFRR"),
+    "timeout in time": (lambda: Timeout("at most", child("RUNNING", "SUCCESS"), 3.0), "RSRRRF"),
+    "delay": (lambda: Delay("later", child("SUCCESS"), 2.0), "RRSRRR"),
+    "retry": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3, pause=2.0), "RRSRRR"),
+    "retry in vain": (lambda: Retry("again", child("FAILURE", "FAILURE"), 2, pause=2.0), "RRFRRR"),
+    "retry at once": (lambda: Retry("again", child("FAILURE", "SUCCESS"), 3), "RSRRRR"),
+    "py_trees timer": (lambda: timers.Timer("wait", 3.0), "RRRRSR"),
+    "py_trees timeout": (lambda: decorators.Timeout("at most", child(), 3.0), "RRRRFR"),
+}
+
+
+@pytest.mark.parametrize("case", TIMED)
+def test_duration_is_counted_by_the_clock_of_the_runner(case):
+    make, expected = TIMED[case]
+    assert run(make(), Clock(), 5.0) == expected
+
+
+@pytest.mark.parametrize("case", [name for name in TIMED if "py_trees" not in name])
+def test_timed_behaviour_that_is_written_and_read_does_the_same(case):
+    make, expected = TIMED[case]
+    registry = BehaviourRegistry()
+    registry.register("child", lambda name: make_child())
+
+    def make_child():
+        leaves = [node for node in make().iterate() if isinstance(node, StatusQueue)]
+        return leaves[0]
+
+    tree = load_xml(export_xml(make(), registry), registry)
+    assert run(tree, Clock(), 5.0) == expected
+
+
+def test_duration_that_xml_cannot_say_is_refused():
+    with pytest.raises(ExportError, match="whole milliseconds"):
+        export_xml(Timer("wait", 0.0004))
+
+
+@pytest.mark.parametrize("base", [timers.Timer, decorators.Timeout])
+def test_subclass_that_reads_the_computers_clock_is_refused(base):
+    class Mine(base):
+        def update(self):
+            return super().update()
+
+    root = Mine("m", 3.0) if base is timers.Timer else Mine("m", child(), 3.0)
+    with pytest.raises(TreeChangeError, match=f"derive it from rosa_bt.decorators.{base.__name__}"):
+        TreeRunner(root, clock=Clock())
+
+
+def test_tree_from_xml_follows_the_runner_unless_it_was_given_a_clock():
+    text = '<root BTCPP_format="4"><BehaviorTree><Sleep msec="3000"/></BehaviorTree></root>'
+    assert run(load_xml(text, BehaviourRegistry()), Clock(), 4.0) == "RRRSR"
+    stopped = load_xml(text, BehaviourRegistry(), clock=lambda: 0.0)
+    assert run(stopped, Clock(), 4.0) == "RRRRR"
+
+
+@pytest.mark.parametrize("make", [lambda: Timer("t", 5.0), lambda: timers.Timer("t", 4.0)])
+def test_clock_that_is_set_back_is_logged_and_followed(make, caplog):
+    clock = Clock()
+    runner = TreeRunner(make(), clock=clock, period=1.0)
+    statuses = []
+    for clock.now in (100.0, 101.0, 102.0, 0.0, 1.0, 2.0, 3.0):  # the clock is set
+        assert runner.update()
+        statuses.append(runner.status.name[0])
+    assert "".join(statuses) == "RRRRRRS"[: len(statuses)]
+    assert caplog.messages == [
+        f"the clock of {runner.tree.root.name!r} was set back from 102 s to 0 s; "
+        "the tree goes on from there"
+    ]
+
+
+def test_clock_that_is_set_back_is_refused_if_chosen():
+    clock = Clock()
+    runner = TreeRunner(Running("r"), clock=clock, on_clock_set_back="refuse")
+    clock.now = 5.0
+    runner.update()
+    clock.now = 1.0
+    with pytest.raises(ClockError, match="set back from 5 s to 1 s; make a new TreeRunner"):
+        runner.update()
+    assert runner.status is Status.INVALID
+
+
+# ---------------------------------------------------------------- setup
+
+
+class Horn(Behaviour):
+    sound = "none"
+
+    def setup(self, **kwargs):
+        self.sound = kwargs["sound"]
+
+    def update(self):
+        return Status.RUNNING
+
+
+def test_setup_reaches_every_behaviour_also_one_that_is_inserted_later():
+    first, second = Horn("first"), Horn("second")
+    root = Sequence("root", memory=True, children=[first])
+    runner = TreeRunner(root, clock=Clock())
+    runner.setup(sound="toot")
+    runner.tick()
+    runner.tree.insert_subtree(second, root.id, 1)
+    runner.tick()
+    assert (first.sound, second.sound) == ("toot", "toot")
+
+
+def test_setup_that_fails_later_is_reported():
+    root = Sequence("root", memory=True, children=[Horn("first")])
+    runner = TreeRunner(root, clock=Clock(), on_error="raise")
+    runner.setup(sound="toot")
+    late = Horn("late")
+    late.setup = lambda **kwargs: 1 / 0
+    root.add_child(late)
+    with pytest.raises(ZeroDivisionError):
+        runner.tick()
+    assert late.feedback_message.endswith("(in setup)")
