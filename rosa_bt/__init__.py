@@ -20,7 +20,7 @@ from rosa_bt.exceptions import (
 from rosa_bt.requests import forget_progress
 from rosa_bt.runner import TreeRunner
 from rosa_bt.trace import Trace, TraceVisitor, read_trace, replay_trace
-from rosa_bt.worth import Decision, Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner
+from rosa_bt.worth import Decision, Detour, Gain, Lookahead, MissionValue, ValueSelector
 from rosa_bt.xml import BehaviourRegistry, export_xml, load_xml
 
 __all__ = [
@@ -28,13 +28,14 @@ __all__ = [
     "ClockError",
     "Decision",
     "Delay",
-    "Errand",
+    "Detour",
     "ExportError",
     "ForAction",
     "Gain",
     "HasStatus",
     "IsActionFeasible",
     "Lookahead",
+    "MissionValue",
     "Measurement",
     "RegistryError",
     "Retry",
@@ -48,9 +49,7 @@ __all__ = [
     "TreeChangeError",
     "TreeRunner",
     "UntilSuccess",
-    "WhatNext",
-    "Worth",
-    "WorthPlanner",
+    "ValueSelector",
     "XmlError",
     "do_until_unfeasible",
     "export_xml",

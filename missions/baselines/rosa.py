@@ -8,7 +8,6 @@ different programs do not delay each other, and a round of planning that finds n
 
 from collections import deque
 from collections.abc import Callable
-from math import pi, tan
 from typing import ClassVar
 
 from py_trees.behaviour import Behaviour
@@ -27,7 +26,7 @@ from missions.engine.mission import Message, Percepts
 from missions.engine.settings import Setting
 from missions.engine.task_layer import build_task
 from missions.suave.tree import InspectPipeline
-from rosa_bt import Errand, Gain, Lookahead, TreeRunner, WhatNext, Worth, WorthPlanner
+from rosa_bt import Detour, Gain, Lookahead, MissionValue, TreeRunner, ValueSelector
 
 INSERTING = 1
 """Calls until the knowledge base has what was published."""
@@ -175,49 +174,32 @@ FOLLOWING_M_S = 0.27
 """Inspected metres per second: half a metre at each tick of the follower, more where points are closer."""
 TRANSIT_SHARE = 0.85
 """Mean speed of a drive to the station, as a share of the speed limit."""
-CLIMBING_S = 1.5
-"""Extra time of a spiral step for each metre by which its altitude changes [s]."""
 SEEN_POINTS = 6
 """How many points show whether the pipeline leads to the station; before that, it is taken to lead away."""
-SETTLING_S = 10.0
+SETTLING_S = 4.0
 """Time from the end of a drive back until the follower counts again [s]."""
 
 
-class AheadManager(OwnTree):
-    """Ticks the tree of the mission below a lookahead, which also decides how to configure the vehicle.
+class LookaheadManager(OwnTree):
+    """Ticks the tree of the mission below a lookahead: it recharges when that is worth most.
 
-    It recharges when that is worth most, and searches at the altitude that is worth most. It knows what is published,
-    the model, the deadline, its distance from the station and how its own nodes move it; of the water, the pipeline and
-    the battery it knows only what is published.
+    It knows what is published, the model, the deadline, its distance from the station and how its own nodes move it;
+    of the pipeline and the battery it knows only what is published. The search is that of the tree.
     """
 
     def __init__(self, robot: Robot) -> None:
         super().__init__(robot)
-        self._manager = ConfigurationManager(self.kb, robot, planner=WorthPlanner(self._lookahead))
+        self._manager = ConfigurationManager(self.kb, robot)
 
     def tree(self) -> Behaviour:
-        mission, kb, settings = super().tree(), self.kb, self.robot.settings
+        mission = super().tree()
         self._inspect = next(one for one in mission.iterate() if isinstance(one, InspectPipeline))
         self._seen = deque([(0.0, self.robot.way_m())], SEEN_POINTS)
-        turns_s = settings.spiral_angle_step_rad / (2 * pi) / settings.spiral_period_s
-        views = (kb.configurations[name] for name in kb.components["spiral_search"].configurations)
-        heights = {one.name: float(str(one.parameters["spiral_altitude"])) for one in views}
-        widths = {
-            name: 2 * height * tan(settings.half_view_angle_rad) * turns_s
-            for name, height in heights.items()
-        }
-        self._search = Gain("search_pipeline", widths, 0.5, switching_s=CLIMBING_S)
-        drive_s = self._drive_s
-        recharge = Errand(
-            "recharge",
-            {"battery_level": 1.0},
-            drive_s,
-            lambda away: drive_s(away) + SETTLING_S,
-            0.2,
-        )
-        self._errands: tuple[Errand, ...] = (recharge,) if recharge.action in kb.actions else ()
-        self._lookahead = Lookahead(kb, self._worth, period=2.0)
-        return WhatNext("what next", self._lookahead, [mission])
+        restores = {"battery_level": 1.0}
+        detour = Detour("recharge", restores, self._there_s, self._back_s, 0.2)
+        self._detours = (detour,) if detour.action in self.kb.actions else ()
+        self._lookahead = Lookahead(self.kb, self._value, period=2.0)
+        return ValueSelector("what next", self._lookahead, [mission])
 
     def receive(self, message: Message) -> None:
         self.percepts.receive(message)
@@ -228,25 +210,27 @@ class AheadManager(OwnTree):
         super().update()
         self._manager.update()
 
-    def _worth(self) -> Worth:
-        """Return what the mission is worth: inspected metres; during the search, metres by which the spiral widens.
-
-        With each turn the spiral widens by the width that the camera sees from its altitude; it makes a step in a
-        period. It never recharges early during a search, because nobody knows how near the search is to its end.
-        """
-        gain, way_m = self._search, self.robot.way_m()
-        errands: tuple[Errand, ...] = ()
-        if self.percepts.holds("pipeline_found"):
-            if self._inspect.inspected_m > self._seen[-1][0]:
-                self._seen.append((self._inspect.inspected_m, way_m))
-            (before_m, before), (now_m, now) = self._seen[0], self._seen[-1]
-            away = (now - before) / (now_m - before_m) if len(self._seen) == SEEN_POINTS else 1.0
-            gain, errands = (
-                Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S),
-                self._errands,
-            )
-        return Worth(self.robot.deadline_s, (gain,), errands, away=way_m, unit="m")
+    def _value(self) -> MissionValue:
+        """Return what is gained from now on: inspected metres; nothing before the pipeline is found."""
+        if not self.percepts.holds("pipeline_found"):
+            return MissionValue(self.robot.deadline_s)
+        way_m = self.robot.way_m()
+        if self._inspect.inspected_m > self._seen[-1][0]:
+            self._seen.append((self._inspect.inspected_m, way_m))
+        before_m, before = self._seen[0]
+        now_m, now = self._seen[-1]
+        away = 1.0
+        if len(self._seen) == SEEN_POINTS:
+            away = (now - before) / (now_m - before_m)
+        gain = Gain("inspect_pipeline", FOLLOWING_M_S, 0.1, away * FOLLOWING_M_S)
+        deadline = self.robot.deadline_s
+        return MissionValue(deadline, (gain,), self._detours, away=way_m, unit="m")
 
     def _drive_s(self, away: float) -> float:
-        settings = self.robot.settings
-        return settings.recharge_period_s + away / (TRANSIT_SHARE * settings.speed_limit_m_s)
+        return away / (TRANSIT_SHARE * self.robot.settings.speed_limit_m_s)
+
+    def _there_s(self, away: float) -> float:
+        return self._drive_s(away) + self.robot.settings.recharge_period_s
+
+    def _back_s(self, away: float) -> float:
+        return self._drive_s(away) + SETTLING_S

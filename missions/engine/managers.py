@@ -27,7 +27,7 @@ SEA_MANAGERS: Final = {
     "bt": "missions.baselines.modes:TreeManager",
     "metacontrol": "missions.baselines.modes:Metacontrol",
     "rosa": "missions.baselines.rosa:RosaManager",
-    "ahead": "missions.baselines.rosa:AheadManager",
+    "ahead": "missions.baselines.rosa:LookaheadManager",
 }
 """Where the managers of the sea's vehicle are defined, except ours."""
 

@@ -9,7 +9,7 @@ from running import run_mission
 from missions.baselines import open_run
 from missions.engine.mission import find_mission
 from missions.engine.task_layer import mission_domain
-from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth
+from rosa_bt import Detour, Gain, Lookahead, MissionValue, ValueSelector
 from rosa_pddl import PlanExecutor
 
 EXTENDED = find_mission("suave_extended")
@@ -31,10 +31,10 @@ def test_it_recharges_in_time_and_inspects_more_than_the_tree():
 
 
 def test_the_plan_executor_plans_for_what_is_worth_doing():
-    errand = Errand(
+    detour = Detour(
         "recharge", {"battery_level": 1.0}, lambda away: 30 + away, lambda away: 30 + away
     )
-    inspecting = Worth(300.0, [Gain("inspect_pipeline", 0.3, away=0.3)], [errand])
+    inspecting = MissionValue(300.0, [Gain("inspect_pipeline", 0.3, away=0.3)], [detour])
 
     def tree(kb, percepts):
         executor = PlanExecutor(
@@ -49,9 +49,11 @@ def test_the_plan_executor_plans_for_what_is_worth_doing():
             clock=lambda: kb.now,
         )
         lookahead = Lookahead(
-            kb, lambda: inspecting if percepts.holds("pipeline_found") else Worth(300.0), period=5.0
+            kb,
+            lambda: inspecting if percepts.holds("pipeline_found") else MissionValue(300.0),
+            period=5.0,
         )
-        return FailureIsRunning("go on", WhatNext("what next", lookahead, [executor]))
+        return FailureIsRunning("go on", ValueSelector("what next", lookahead, [executor]))
 
     run = open_run(replace(EXTENDED, tree=tree), seed=7, settings={"duration": "160"})
     run.run()

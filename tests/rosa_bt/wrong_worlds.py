@@ -7,7 +7,7 @@ from acting import Act
 
 from kb import ConfigurationManager, KnowledgeBase, Model
 from kb.elements import Rate
-from rosa_bt import Errand, Gain, Lookahead, WhatNext, Worth, WorthPlanner, first_feasible
+from rosa_bt import Detour, Gain, Lookahead, MissionValue, ValueSelector, first_feasible
 
 FAULTS = ("bias", "spikes", "dead sensor", "clock")
 
@@ -68,26 +68,17 @@ class Robot:
         chance, self.now = Random(case), 0.0
         self.kb = kb = KnowledgeBase(model_of(chance), clock=lambda: self.now)
         tasks = [Act(kb, "mow"), Act(kb, "dock")]
-        rate = {"fast": chance.uniform(0, 2), "slow": chance.uniform(0, 2)}
-        gains = [
-            Gain(
-                "mow",
-                rate,
-                chance.random(),
-                chance.choice((-0.1, 0.3, 1.0)),
-                chance.choice((0.0, 3.0)),
-            )
-        ]
+        away = chance.choice((-0.1, 0.3, 1.0))
+        gains = [Gain("mow", chance.uniform(0, 2), chance.random(), away)]
         takes, spread = chance.uniform(0, 8), chance.uniform(0, 0.5)
-        dock = Errand(
+        dock = Detour(
             "dock", {"charge": 1.0}, lambda away: takes + away, lambda away: takes + away, spread
         )
         keep = {"charge": 0.1} if chance.random() < 0.3 else {}
-        self.lookahead = Lookahead(kb, Worth(chance.uniform(40, 120), gains, [dock], keep))
-        planner = WorthPlanner(self.lookahead) if looks_ahead else None
-        self.manager = ConfigurationManager(kb, Managed(), planner=planner)
+        self.lookahead = Lookahead(kb, MissionValue(chance.uniform(40, 120), gains, [dock], keep))
+        self.manager = ConfigurationManager(kb, Managed())
         tree = (
-            WhatNext("what next", self.lookahead, tasks)
+            ValueSelector("what next", self.lookahead, tasks)
             if looks_ahead
             else first_feasible("what next", tasks)
         )
