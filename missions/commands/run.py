@@ -3,22 +3,20 @@
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, nullcontext, suppress
-from functools import partial
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from kb import KnowledgeBaseError
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.faults import FORMS, inject, read_fault
 from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
 from missions.engine.runner import MissionRun, RosaRun
-from missions.views.breakpoints import Breakpoint
+from missions.views.breakpoints import watch_breakpoints
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
 from missions.views.output import as_json, files_tried, open_files, summary, timing_of
@@ -147,10 +145,11 @@ def run(
         if is_drawn or is_mcap or is_shown or stop_at:
             keep = KEEP if live is not None and not is_drawn else None
             page = RunRecorder(opened, seed, changed, keep, what_if=report is not None)
-            steering.stop_at(*stop_at or ())
-            steering.breakpoints.watch(page.recorder.rows)
-            if not is_shown:
-                steering.breakpoints.met = partial(_end_at, opened)
+            if is_shown:
+                steering.breakpoints.watch(page.recorder.rows)
+                steering.stop_at(*stop_at or ())
+            else:
+                watch_breakpoints(opened, page.recorder.rows, stop_at or ())
         opened.listen(steering)
         if page and live is not None:
             view = LiveView(
@@ -195,15 +194,6 @@ def run(
             files["plot"].finish(draw(page.recorder.recorded))
     if not verdict.success:
         raise typer.Exit(FAILED)
-
-
-def _end_at(run: MissionRun, breakpoint: Breakpoint, time_s: float) -> None:
-    """End a run that nobody watches at a breakpoint, and explain the element."""
-    explained = ""
-    with suppress(MissionError, KnowledgeBaseError):  # a behaviour, or a manager without a base
-        explained = str(run.kb.explain(breakpoint.name))
-    words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
-    run.trouble = Verdict("aborted", words, explained)
 
 
 def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
