@@ -1,4 +1,4 @@
-"""`rosa run` and `rosa watch`: run a mission, show what happens and why, and write files; or watch one that runs."""
+"""`rosa run`: run a mission, show what happens and why, and write files."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -215,9 +215,9 @@ def _print_refused(console: Console, refused: Mapping[str, int]) -> None:
 
 def _watched(run: MissionRun, page: RunRecorder, steering: Steering) -> Verdict:
     """Run in a thread beside the view in the terminal; leaving the view stops the run."""
-    from missions.views.terminal import RecorderFeed, TerminalView
+    from missions.views.terminal import TerminalView
 
-    view = TerminalView(RecorderFeed(page.recorder), steering)
+    view = TerminalView(page.recorder, steering)
     with ThreadPoolExecutor(1, "mission") as pool:
         going = pool.submit(run.run)
         try:
@@ -236,18 +236,3 @@ def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     if run.tree is None:
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
     stack.callback(Groot2Publisher(run.tree, port).close)
-
-
-def watch(
-    address: Annotated[
-        str,
-        typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed."),
-    ],
-    token: Annotated[
-        str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")
-    ] = "",
-) -> None:
-    """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
-    from missions.views.terminal import SocketFeed, TerminalView
-
-    TerminalView(SocketFeed(address, token)).run()

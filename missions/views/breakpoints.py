@@ -24,7 +24,8 @@ _COMPARISONS: Final[dict[str, Callable[[float, float], bool]]] = {
     ">": operator.gt,
 }
 _LETTERS: Final = {"running": "R", "success": "S", "failure": "F"}
-_STATUSES: Final = sorted([*map(str, Status), "running", "success"], key=len, reverse=True)
+_SAME: Final = {"failed": "failure"}
+_STATUSES: Final = sorted([*map(str, Status), "running", "success", *_SAME], key=len, reverse=True)
 _FORM: Final = (
     "write ELEMENT STATUS, ATTRIBUTE < VALUE or BEHAVIOUR STATUS, "
     'such as "inspect_pipeline unfeasible" or "battery_level < 0.25"'
@@ -56,7 +57,9 @@ class Breakpoint:
             return
         words = text.strip()
         self.status = next((status for status in _STATUSES if words.endswith(f" {status}")), "")
-        self.name = words.removesuffix(self.status).strip(" '\"")
+        name = words.removesuffix(self.status).strip()
+        self.name = name.removesuffix(" has").removesuffix(" is").strip(" '\"")
+        self.status = _SAME.get(self.status, self.status)
         if not self.status or not self.name:
             raise MissionError(f"{text!r} is no breakpoint; {_FORM}")
 

@@ -125,6 +125,7 @@ def test_replay_stops_at_a_breakpoint(capsys, monkeypatch, tmp_path):
     ("text", "rows", "met"),
     [
         ("a unfeasible", [("status", "feasible"), ("status", "unfeasible")], [1]),
+        ("a has failed", [("status", "feasible"), ("status", "failure")], [1]),
         ("a < 0.25", [("value", 0.2), ("value", 0.1), ("value", 0.3), ("value", 0.2)], [0, 3]),
         ("'a' success", [("node", ["R", ""]), ("node", ["S", ""])], [1]),
         ("a implicit configuration error", [("status", "configuration error")], []),
