@@ -30,6 +30,7 @@ EXTRAS = {
     **{
         "--live": "live",
         "--tui": "tui",
+        "watch": "tui",
         "--groot2": "groot2",
         "mcp": "mcp",
         "bridge": "ros2",

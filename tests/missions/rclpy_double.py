@@ -6,9 +6,8 @@ meet; callbacks run in the thread that spins, and what a callback raises ends it
 """
 
 import sys
-import time
 from base64 import b64encode
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from enum import IntEnum
 from queue import Empty, Queue
 from threading import RLock
@@ -288,16 +287,18 @@ class SingleThreadedExecutor:
         return True
 
     def spin(self):
-        due = 0.0
+        waited = 0.0
         while not self.is_shut:
             if not self.context.is_open:
                 raise ExternalShutdownException
-            with suppress(Empty):
+            try:
                 self.node.todo.get(timeout=0.02)()
-            if time.monotonic() >= due:
-                for period, callback in self.node.timers:
-                    callback()
-                    due = time.monotonic() + period
+            except Empty:
+                waited += 0.02
+            for period, callback in self.node.timers if waited >= 0.2 else ():
+                assert period > 0
+                callback()
+                waited = 0.0
 
     def shutdown(self, timeout_sec=None):
         self.is_shut = True
