@@ -30,7 +30,6 @@ EXTRAS = {
     **{
         "--live": "live",
         "--tui": "tui",
-        "watch": "tui",
         "--groot2": "groot2",
         "mcp": "mcp",
         "bridge": "ros2",

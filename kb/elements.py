@@ -54,10 +54,12 @@ def finite_number(value: Any) -> float:  # noqa: ANN401  # whatever is given
 
 def table(caption: str, head: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
     """Return a table as notebooks show it, in HTML with every text escaped; what is None stays empty."""
-    titles = "".join(f'<th scope="col">{escape(one)}</th>' for one in head)
+    cell = 'style="text-align: left; padding: 2px 12px; border-bottom: 1px solid #8888"'
+    titles = "".join(f'<th scope="col" {cell}>{escape(one)}</th>' for one in head)
     cells = (("" if one is None else escape(str(one)) for one in row) for row in rows)
-    lines = "".join(f"<tr>{''.join(f'<td>{one}</td>' for one in row)}</tr>" for row in cells)
-    return f"<table><caption>{escape(caption)}</caption><thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>"
+    lines = "".join(f"<tr>{''.join(f'<td {cell}>{one}</td>' for one in row)}</tr>" for row in cells)
+    title = f'<caption style="text-align: left; font-weight: bold">{escape(caption)}</caption>'
+    return f"<table>{title}<thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>"
 
 
 class Rate(NamedTuple):
@@ -434,6 +436,15 @@ class Element:
 
     name: str
     model: Owner = field(repr=False, compare=False)
+
+    def __reduce__(self) -> tuple[Callable[..., "Element"], tuple[object, ...]]:
+        return _element_of, (self.model, KINDS[type(self)], self.name)
+
+
+def _element_of(model: Any, kind: str, name: str) -> Element:  # noqa: ANN401  # a model, read anew
+    """Return the element of a model that was pickled or copied."""
+    tables: Mapping[type, Mapping[str, Element]] = model.tables
+    return next(table[name] for cls, table in tables.items() if KINDS[cls] == kind)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

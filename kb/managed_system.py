@@ -8,11 +8,13 @@ from inspect import (
     isgeneratorfunction,
     signature,
 )
-from typing import Protocol
+from typing import Final, Protocol
 
 from kb.elements import ComponentKind, Parameters
 from kb.exceptions import ProtocolError, UnknownName
 from kb.knowledge_base import KnowledgeBase
+
+_LATE: Final = (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)
 
 
 class Operation(Protocol):
@@ -71,13 +73,11 @@ def words_of(error: BaseException) -> str:
 
 def operation_of(answer: object, call: str, managed: ManagedSystem) -> Operation | None:
     """Return the answer to a command if it is None or an operation; else raise `ProtocolError`."""
-    if answer is None or (
-        callable(getattr(answer, "done", None)) and callable(getattr(answer, "exception", None))
-    ):
+    methods = (getattr(answer, "done", None), getattr(answer, "exception", None))
+    if answer is None or all(map(callable, methods)):
         return answer  # type: ignore[return-value]  # checked by the condition
-    raise wrong_answer(
-        call, managed, answer, "None if it is done, or an operation with done() and exception()"
-    )
+    expected = "None if it is done, or an operation with done() and exception()"
+    raise wrong_answer(call, managed, answer, expected)
 
 
 def wrong_answer(call: str, given: object, answer: object, expected: str) -> ProtocolError:
@@ -89,46 +89,42 @@ def wrong_answer(call: str, given: object, answer: object, expected: str) -> Pro
     )
 
 
-def check_methods(what: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
+def check_methods(role: str, given: object, protocol: type, optional: tuple[str, ...] = ()) -> None:
     """Raise `ProtocolError` unless an object has the methods of a protocol, with the same arguments.
 
     Args:
-        what: the role of the object, in words, such as "a planner".
+        role: of the object, in words, such as "a planner".
         given: the object.
         protocol: the class whose public methods the object must have.
         optional: calls of further methods that are checked if the object has them, such as "choose(kb)".
     """
+    owner = type(given).__name__
     if isinstance(given, type):
-        raise ProtocolError(
-            f"{what} is an object; {given.__name__} is a class: write {given.__name__}(...)"
-        )
-    wanted = {
-        name: list(signature(one).parameters)[1:]
-        for name, one in vars(protocol).items()
-        if name[0] != "_"
-    }
-    extra = {
-        call.partition("(")[0]: call.partition("(")[2].rstrip(")").split(", ") for call in optional
-    }
-    for name, arguments in (
-        wanted | {name: one for name, one in extra.items() if hasattr(given, name)}
-    ).items():
-        method, call = getattr(given, name, None), f"{name}({', '.join(arguments)})"
+        name = given.__name__
+        raise ProtocolError(f"{role} is an object; {name} is a class: write {name}(...)")
+    calls = {}
+    for name, function in vars(protocol).items():
+        if not name.startswith("_"):
+            calls[name] = list(signature(function).parameters)[1:]
+    for text in optional:
+        name, _, arguments = text.rstrip(")").partition("(")
+        if hasattr(given, name):
+            calls[name] = arguments.split(", ")
+    for name, parameters in calls.items():
+        method = getattr(given, name, None)
+        call = f"{name}({', '.join(parameters)})"
         if not callable(method):
-            raise ProtocolError(f"{what} has a method {call}; {given!r:.80} has none")
-        if any(
-            is_late(method)
-            for is_late in (iscoroutinefunction, isasyncgenfunction, isgeneratorfunction)
-        ):
+            raise ProtocolError(f"{role} has a method {call}; {given!r:.80} has none")
+        if any(is_late(method) for is_late in _LATE):
             raise ProtocolError(
-                f"{call} of {type(given).__name__} is async or a generator; {what} answers at once"
+                f"{call} of {owner} is async or a generator; {role} answers at once"
             )
         with suppress(ValueError):  # a method in C may have no signature
             try:
-                signature(method).bind(*arguments)
+                signature(method).bind(*parameters)
             except TypeError as error:
                 raise ProtocolError(
-                    f"{what} is called as {call}; {type(given).__name__}.{name}: {error}"
+                    f"{role} is called as {call}; {owner}.{name}: {error}"
                 ) from None
 
 
@@ -136,58 +132,70 @@ class ActivityMonitor:
     """A monitor that asks the managed system whether components run as the knowledge base has it, between plans.
 
     A component that was started by the last command to it, and does not run, has failed. In any other case only
-    `component_active` is corrected, since the component may have stopped while this program was not running. Failed
-    components are asked about too, because a start may succeed after its time-out.
+    `component_active` is corrected, since the component may have stopped while this program was not running.
+    Failed components are asked about too, because a start may succeed after its time-out.
     """
 
     def __init__(self, managed: ManagedSystem) -> None:
         self._managed = managed
         self._unmanaged: set[str] = set()
-        self._believed: list[tuple[str, bool]] = []
-        self._believed_at = -1
+        self._expected: dict[str, bool] = {}
+        self._revision = -1
 
     def observe(self, kb: KnowledgeBase) -> None:
+        """Record which components run against expectation; see `Monitor`."""
         if kb.pending_plan is not None:
             return
-        is_first = self._believed_at < 0
-        if kb.revision != self._believed_at:
-            with kb.reading() as state:
-                nodes = [
-                    one
-                    for one in state.network.components.values()
-                    if one.element.kind is not ComponentKind.PLAIN
-                ]
-                active = [(one.name, True) for one in nodes if state.active[one.index]]
-                failed = [
-                    one for one in nodes if state.failed[one.index] and not state.active[one.index]
-                ]
-            self._believed = [*active, *((one.name, False) for one in failed)]
-            self._believed_at = kb.revision
-        for name in [name for name, active in self._believed if active and self._is(name, False)]:
+        is_first = self._revision < 0
+        revision = kb.revision
+        if revision != self._revision:
+            self._expected = _expected_activity(kb)
+            self._revision = revision
+        for name, is_expected in self._expected.items():
+            is_running = self._look(name)
+            if is_running is None or is_running is is_expected:
+                continue
+            if is_running:
+                kb.component_active(name, True)
+                continue
             reason = f"{name} is not running, though nobody has stopped it"
             was_started = _was_started(kb, name)
             kb.component_active(name, False, reason)
             if was_started and not is_first:
                 kb.component_failed(name, reason)
-        for name in [
-            name for name, active in self._believed if not active and self._is(name, True)
-        ]:
-            kb.component_active(name, True)
 
-    def _is(self, name: str, active: bool) -> bool:
+    def _look(self, name: str) -> bool | None:
+        if name in self._unmanaged:
+            return None
         try:
-            return name not in self._unmanaged and is_active(self._managed, name) is active
+            return is_active(self._managed, name)
         except ProtocolError:
             raise
         except UnknownName:  # another system manages it
             self._unmanaged.add(name)
-        except Exception:
-            return False  # not known at this moment
-        return False
+        except Exception:  # not known at this moment
+            return None
+        return None
+
+
+def _expected_activity(kb: KnowledgeBase) -> dict[str, bool]:
+    """Return whether each active and each failed component is expected to run, by name."""
+    active = {}
+    failed = {}
+    with kb.reading() as state:
+        for name, node in state.network.components.items():
+            if node.element.kind is ComponentKind.PLAIN:
+                continue
+            if state.active[node.index]:
+                active[name] = True
+            elif state.failed[node.index]:
+                failed[name] = False
+    return {**active, **failed}
 
 
 def _was_started(kb: KnowledgeBase, component: str) -> bool:
     """Return whether the last command that switched a component started it."""
-    switches = (one for one in reversed(kb.history.attempts) if one.component == component)
-    last = next((one for one in switches if one.operation != "configure"), None)
-    return last is not None and (last.operation, last.result) == ("activate", "completed")
+    for attempt in reversed(kb.history.attempts):
+        if attempt.component == component and attempt.operation != "configure":
+            return (attempt.operation, attempt.result) == ("activate", "completed")
+    return False

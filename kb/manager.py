@@ -62,19 +62,20 @@ class VetoGate:
 
     def check(self) -> bool:
         """Ask about the plans not yet asked about; abandon the forbidden ones, and return whether there was one."""
-        kb, is_vetoed = self._kb, False
-        while (plan := kb.pending_plan) is not None and all(
-            one.plan is not plan for one in reversed(kb.history.answers)
-        ):
+        kb = self._kb
+        is_vetoed = False
+        while True:
+            plan = kb.pending_plan
+            if plan is None or any(answer.plan is plan for answer in reversed(kb.history.answers)):
+                return is_vetoed
             objection = self._objection(plan)
             kb.record_answer(plan, is_vetoed=bool(objection), reason=objection)
             if not objection:
-                break
+                return is_vetoed
             _log.info("vetoed: %s, because %s", plan, objection)
             self._take_back(plan, f"vetoed: {objection}")
             kb.finish_plan(plan, "abandoned")
             is_vetoed = True
-        return is_vetoed
 
     def _objection(self, plan: ReconfigurationPlan) -> str:
         try:
@@ -87,18 +88,18 @@ class VetoGate:
             return "no reason was given"
         if isinstance(answer, str):
             return answer
-        return f"the veto function answered {answer!r}; it is to answer None or True to let a plan pass, else a reason"
+        allowed = "None or True to let a plan pass, else a reason"
+        return f"the veto function answered {answer!r}; it is to answer {allowed}"
 
     def _take_back(self, plan: ReconfigurationPlan, reason: str) -> None:
         """Undo exactly the selection that the event of the plan made, because it is not carried out."""
-        made = (
-            event.effects for event in self._kb.log.since(plan.cause or 0) if event.plan is plan
-        )
-        for kind, name, is_selected in next(made, ()):
-            with suppress(UnknownName):  # it was removed from the model
-                self._kb.assert_selected(
-                    (kind, name), not is_selected, reason if is_selected else ""
-                )
+        for event in self._kb.log.since(plan.cause or 0):
+            if event.plan is not plan:
+                continue
+            for kind, name, is_selected in event.effects:
+                with suppress(UnknownName):  # it was removed from the model
+                    why_not = reason if is_selected else ""
+                    self._kb.assert_selected((kind, name), not is_selected, why_not)
 
 
 class ConfigurationManager:
@@ -156,9 +157,9 @@ class ConfigurationManager:
         """
         choose = getattr(self._planner, "choose", None)
         if choose is None:
-            what = type(self._planner).__name__
+            name = type(self._planner).__name__
             raise InvalidValue(
-                f"{what} cannot be tried: a dry run asks its method choose(kb), which it does not have"
+                f"{name} cannot be tried: it has no method choose(kb), which a dry run asks"
             )
         choice = choose(self._kb)
         return None if choice is None else self._kb.select(*choice, dry_run=True)

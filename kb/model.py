@@ -319,13 +319,80 @@ class Model:
         return load_typeql(cls, files, name)
 
     def save(self, path: str | Path) -> None:
-        """Write the model to a file (`.tql`, `.owl`), whole or not at all; `load` reads back the same model."""
+        """Write the model to an OWL file, whole or not at all; `load` reads back the same model."""
         file = Path(path)
-        if _suffix(file) == ".owl":
-            from kb.ontology import owl_text as written
-        else:
-            from kb.typeql import typeql_text as written
-        write_text(file, written(self))
+        if _suffix(file) != ".owl":
+            why = "a model is saved as .owl; TypeQL files are only read"
+            raise ModelFileError(why, str(file))
+        from kb.ontology import owl_text
+
+        write_text(file, owl_text(self))
+
+    def plain(self) -> list[Any]:
+        """Return all that the model says as values that JSON can hold; `from_plain` reads it back."""
+        positions = {constraint: place for place, constraint in enumerate(self.constraints)}
+
+        def reference(element: Element | Constraint) -> list[Any]:
+            name = positions[element] if isinstance(element, Constraint) else element.name
+            return [KINDS[type(element)], name]
+
+        def value_of(value: Any) -> Any:  # noqa: ANN401
+            if isinstance(value, Element | Constraint):
+                return reference(value)
+            if isinstance(value, tuple | list):
+                return [value_of(each) for each in value]
+            return dict(value) if isinstance(value, Mapping) else value
+
+        rows: list[Any] = [["model", {"name": self.name}]]
+        for each in (
+            *(each for table in self.tables.values() for each in table.values()),
+            *self.facts,
+        ):
+            values = {
+                field.name: value_of(getattr(each, field.name))
+                for field in fields(each)
+                if field.name != "model" and getattr(each, field.name) != field.default
+            }
+            rows.append([facts.ROSA[type(each)], values])
+        return rows
+
+    @classmethod
+    def from_plain(cls, rows: Sequence[Any]) -> Self:
+        """Return the model that `plain` described.
+
+        Raises:
+            ModelError, LookupError, TypeError, ValueError: it describes none.
+        """
+        (_, own), *others = rows
+        model = cls(own["name"])
+        classes = {words: each for each, words in facts.ROSA.items()}
+        kinds = {kind: each for each, kind in KINDS.items()}
+
+        def element_of(reference: Sequence[Any]) -> Any:  # noqa: ANN401
+            kind, name = reference
+            return (
+                model.constraints[name] if kind == "constraint" else model.tables[kinds[kind]][name]
+            )
+
+        for kind, given in others:
+            values = dict(given)
+            for name in {"constrained", "restores"} & values.keys():
+                values[name] = [element_of(each) for each in values[name]]
+            for name in {"causer", "element"} & values.keys():
+                values[name] = element_of(values[name])
+            declared = classes[kind]
+            if declared is Constraint:
+                model.constrain(values.pop("constrained"), Expression(**values))
+            elif declared is Estimation:
+                model.add_estimation(**values)
+            elif issubclass(declared, Element):
+                model.declare(declared, values.pop("name"), **values)
+            else:
+                model.add_fact(declared(**values))
+        return model
+
+    def __reduce__(self) -> tuple[Callable[[list[Any]], "Model"], tuple[list[Any]]]:
+        return type(self).from_plain, (self.plain(),)
 
     def check(self, names: Iterable[str] | None = None) -> tuple[Finding, ...]:
         """Find what can never work, what contradicts itself and what is likely a mistake, with advice for each.
@@ -414,7 +481,7 @@ class Model:
 
     def __eq__(self, other: object) -> bool:
         """Tell whether two models have the same name and content, in the same order within each kind."""
-        return isinstance(other, Model) and (self is other or _described(self) == _described(other))
+        return isinstance(other, Model) and (self is other or self.plain() == other.plain())
 
     def __hash__(self) -> int:
         return hash(self.name)
@@ -665,11 +732,6 @@ def _concerns(fact: Fact, removed: Collection[Changeable]) -> bool:
         return fact.element in removed
     gone = {(type(one), one.name) for one in removed if isinstance(one, Element)}
     return any(one in gone for one in _named_by(fact))
-
-
-def _described(model: Contents) -> list[Any]:
-    """Return the content of a model as plain values that can be compared."""
-    return owl.plain_json(owl.individuals(model))
 
 
 def _facts(element: Element) -> str:

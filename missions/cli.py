@@ -24,10 +24,6 @@ COMMANDS: Final = {
         "run:run",
         "Run a mission, say what happened and why, and exit with 0 if it did what it was for.",
     ),
-    "watch": (
-        "run:watch",
-        "Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements.",
-    ),
     "bridge": (
         "robots:bridge",
         "Manage a robot in ROS 2: hear its diagnostics, switch its nodes, run its tree.",

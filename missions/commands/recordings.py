@@ -20,6 +20,7 @@ from missions.engine.recording import line_of, read_recording
 from missions.engine.runner import MissionRun
 from missions.testing.decisions import Decisions
 from missions.testing.decisions import replay as decide
+from missions.views.breakpoints import watch_breakpoints
 from missions.views.output import files_tried
 from missions.views.recorder import RunRecorder
 from missions.views.report import write_report
@@ -52,6 +53,14 @@ def replay(
     heard: Annotated[
         bool, typer.Option("--heard", help="Show also what was heard, not only what is decided.")
     ] = False,
+    stop_at: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--break",
+            metavar="CONDITION",
+            help='Stop at a condition, such as "explore unfeasible".',
+        ),
+    ] = None,
 ) -> None:
     """Decide once more what was recorded; exit with 1 if that differs from what was decided then.
 
@@ -75,19 +84,25 @@ def replay(
                 f"{recording} is of a mission {asked!r} of your own; name it with --mission module:NAME"
             )
         pages: list[RunRecorder] = []
+        runs: list[MissionRun] = []
 
         def watch(run_anew: MissionRun) -> None:
+            runs.append(run_anew)
             pages.append(RunRecorder(run_anew, run.get("seed") or 0, {}))
+            watch_breakpoints(run_anew, pages[0].recorder.rows, stop_at or ())
 
         by = task or run.get("task", "bt")
-        decisions = decide(bag, asked, task=by, watch=watch if report else None, traced=False)
+        watched = watch if report or stop_at else None
+        decisions = decide(bag, asked, task=by, watch=watched, traced=False)
     finally:
         gc.enable()
+    stopped = runs[0].trouble if runs else None
     if report is not None:
-        pages[0].end(Verdict("replayed", f"decided once more from {recording.name}"))
+        words = f"decided once more from {recording.name}"
+        pages[0].end(stopped or Verdict("replayed", words))
         write_report(report, pages[0].recorder.recorded)
     console = open_console()
-    if "typeql" in bag.run:
+    if "elements" in bag.run:
         model = decisions.kb.model
         try:
             changed = differences(recorded_model(bag), model, "recording")
@@ -105,6 +120,9 @@ def replay(
         console.print(
             f"{len(decisions.problems)} parts of messages could not be used, e.g. {decisions.problems[0][1]}"
         )
+    if stopped is not None:
+        console.print(f"{stopped.reason}\n{stopped.detail}".rstrip(), markup=False)
+        return
     silence = _silence(bag, decisions, asked)
     if silence:
         console.print(f"{recording} {silence}", markup=False)

@@ -16,7 +16,7 @@ import typer
 from py_trees.behaviour import Behaviour
 from py_trees.behaviours import Running
 
-from kb import ConfigurationManager, Event, EventKind, KnowledgeBase
+from kb import ConfigurationManager, Event, EventKind, KnowledgeBase, Model
 from missions.commands import ROBOT, assignments, open_console, tree_builder
 from missions.engine.mission import MissionError, Percepts, built, find_robot
 from missions.wires.assistant import Assistant, mcp_server, serve_http
@@ -78,26 +78,21 @@ def bridge(
     with ExitStack() as stack:
         ended_as_before = signal.signal(signal.SIGTERM, signal.default_int_handler)
         stack.callback(signal.signal, signal.SIGTERM, ended_as_before)
-        node = _node(settings, token, rclpy=rclpy)
-        stack.callback(node.close)
-        clock = SimulatedClock(node) if settings.use_sim_time else None
-        kb = KnowledgeBase(model, store=store, clock=clock or time.time)
-        stack.callback(kb.close)
+        node: Node = RclpyNode() if rclpy else Rosbridge(settings.url, token)
+        kb, connected = _connect(stack, node, model, settings, store, percepts)
         kb.subscribe(say)
-        connected = Bridge(kb, node, settings, percepts, clock and clock.stamp_time)
-        stack.callback(connected.close)
         node.watch(lambda _, text: console.print(text, markup=False))
         manager = ConfigurationManager(kb, connected.managed)
         root: Behaviour = Running("others decide")
         if make_tree is not None and not answer:
             make, what = partial(make_tree, kb, percepts), f"the tree of {tree or robot}"
             root = built(what, Behaviour, make)  # type: ignore[type-abstract]  # only asked about
-        runner = TreeRunner(root, clock=clock or time.time, period=_TICK_S)
+        runner = TreeRunner(root, clock=lambda: kb.now, period=_TICK_S)
         runner.setup()
         end = math.inf if seconds is None else time.monotonic() + seconds
         try:
             while time.monotonic() < end:
-                if connected.is_connected and (clock is None or clock.has_begun):
+                if connected.is_connected:
                     manager.update()
                     runner.update()
                 time.sleep(_TICK_S / 2)
@@ -123,8 +118,22 @@ def _settings(config: Path | None, url: str | None, attributes: list[str]) -> Br
     return replace(settings, url=url or settings.url, attributes={**settings.attributes, **given})
 
 
-def _node(settings: BridgeSettings, token: str, *, rclpy: bool) -> Node:
-    return RclpyNode() if rclpy else Rosbridge(settings.url, token)
+def _connect(
+    stack: ExitStack,
+    node: Node,
+    model: Model,
+    settings: BridgeSettings,
+    store: Path | None,
+    percepts: Percepts | None = None,
+) -> tuple[KnowledgeBase, Bridge]:
+    """Return a knowledge base that is connected to its robot, and the bridge; the stack closes all."""
+    stack.callback(node.close)
+    clock = SimulatedClock(node) if settings.use_sim_time else None
+    kb = KnowledgeBase(model, store=store, clock=clock or time.time)
+    stack.callback(kb.close)
+    bridge = Bridge(kb, node, settings, percepts, clock)
+    stack.callback(bridge.close)
+    return kb, bridge
 
 
 def mcp(
@@ -146,10 +155,14 @@ def mcp(
     """Serve the questions of a robot's knowledge base to assistants (Model Context Protocol), over stdio."""
     model, mission = find_robot(robot)
     with ExitStack() as stack:
-        kb = KnowledgeBase(model, store=store, clock=time.time)
-        stack.callback(kb.close)
-        if config is not None:
-            _connect(kb, config, token, stack)
+        if config is None:
+            kb = KnowledgeBase(model, store=store, clock=time.time)
+            stack.callback(kb.close)
+        else:
+            settings = BridgeSettings.load(config)
+            node = Rosbridge(settings.url, token)
+            kb, bridge = _connect(stack, node, model, settings, store)
+            _manage(kb, bridge, stack)
         server = mcp_server(Assistant(kb, mission), allow_actions=allow_actions)
         if http is None:
             server.run("stdio")
@@ -157,11 +170,9 @@ def mcp(
             serve_http(server, http, token)
 
 
-def _connect(kb: KnowledgeBase, config: Path, token: str, stack: ExitStack) -> None:
-    """Connect the knowledge base with its robot, and manage its components in a thread."""
-    settings, over = BridgeSettings.load(config), Flag()
-    bridge = Bridge(kb, Rosbridge(settings.url, token), settings)
-    stack.callback(bridge.close)
+def _manage(kb: KnowledgeBase, bridge: Bridge, stack: ExitStack) -> None:
+    """Manage the robot's components in a thread."""
+    over = Flag()
     manager = ConfigurationManager(kb, bridge.managed)
 
     def manage() -> None:

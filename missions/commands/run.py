@@ -1,24 +1,22 @@
-"""`rosa run` and `rosa watch`: run a mission, show what happens and why, and write files; or watch one that runs."""
+"""`rosa run`: run a mission, show what happens and why, and write files."""
 
 import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, nullcontext, suppress
-from functools import partial
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from kb import KnowledgeBaseError
 from missions.baselines import open_run
 from missions.commands import FAILED, MISSION, assignments, open_console
 from missions.engine.faults import FORMS, inject, read_fault
 from missions.engine.mission import MissionError, Verdict, find_mission, needs
 from missions.engine.recording import LineRecorder, header
 from missions.engine.runner import MissionRun, RosaRun
-from missions.views.breakpoints import Breakpoint
+from missions.views.breakpoints import watch_breakpoints
 from missions.views.console import Narrator, print_result
 from missions.views.live import KEEP, LiveView, Steering
 from missions.views.output import as_json, files_tried, open_files, summary, timing_of
@@ -147,10 +145,11 @@ def run(
         if is_drawn or is_mcap or is_shown or stop_at:
             keep = KEEP if live is not None and not is_drawn else None
             page = RunRecorder(opened, seed, changed, keep, what_if=report is not None)
-            steering.stop_at(*stop_at or ())
-            steering.breakpoints.watch(page.recorder.rows)
-            if not is_shown:
-                steering.breakpoints.met = partial(_end_at, opened)
+            if is_shown:
+                steering.breakpoints.watch(page.recorder.rows)
+                steering.stop_at(*stop_at or ())
+            else:
+                watch_breakpoints(opened, page.recorder.rows, stop_at or ())
         opened.listen(steering)
         if page and live is not None:
             view = LiveView(
@@ -197,15 +196,6 @@ def run(
         raise typer.Exit(FAILED)
 
 
-def _end_at(run: MissionRun, breakpoint: Breakpoint, time_s: float) -> None:
-    """End a run that nobody watches at a breakpoint, and explain the element."""
-    explained = ""
-    with suppress(MissionError, KnowledgeBaseError):  # a behaviour, or a manager without a base
-        explained = str(run.kb.explain(breakpoint.name))
-    words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
-    run.trouble = Verdict("aborted", words, explained)
-
-
 def _lines_written(path: Path, stack: ExitStack) -> Callable[[str], None]:
     """Return a function that writes a line at once, so that a program that is killed leaves what it has heard."""
     with files_tried(f"write {path}"):
@@ -225,9 +215,9 @@ def _print_refused(console: Console, refused: Mapping[str, int]) -> None:
 
 def _watched(run: MissionRun, page: RunRecorder, steering: Steering) -> Verdict:
     """Run in a thread beside the view in the terminal; leaving the view stops the run."""
-    from missions.views.terminal import RecorderFeed, TerminalView
+    from missions.views.terminal import TerminalView
 
-    view = TerminalView(RecorderFeed(page.recorder), steering)
+    view = TerminalView(page.recorder, steering)
     with ThreadPoolExecutor(1, "mission") as pool:
         going = pool.submit(run.run)
         try:
@@ -246,18 +236,3 @@ def _publish(run: MissionRun, port: int, stack: ExitStack) -> None:
     if run.tree is None:
         raise MissionError(f"manager {run.manager} ticks no tree that Groot2 could watch")
     stack.callback(Groot2Publisher(run.tree, port).close)
-
-
-def watch(
-    address: Annotated[
-        str,
-        typer.Argument(metavar="HOST:PORT", help="Of `rosa run --live`, or the link it printed."),
-    ],
-    token: Annotated[
-        str, typer.Option(envvar="ROSA_TOKEN", help="Of the live view, if it asks for one.")
-    ] = "",
-) -> None:
-    """Watch a robot in the terminal: tree, statuses, adaptations with reasons, measurements."""
-    from missions.views.terminal import SocketFeed, TerminalView
-
-    TerminalView(SocketFeed(address, token)).run()

@@ -35,12 +35,28 @@ if TYPE_CHECKING:
 
 
 CSS = """
-body { font: 15px/1.45 sans-serif; color: #222; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
-table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; }
-th, td { border-bottom: 1px solid #ddd; padding: .25rem .7rem; text-align: right; }
-th { border-bottom: 2px solid #888; } th:first-child, td:first-child { text-align: left; }
-img { max-width: 100%; } code { background: #f3f3f3; padding: 0 .2rem; }
+:root {
+  color-scheme: light dark;
+  --line: light-dark(#d3d9e0, #2c353e); --panel: light-dark(#ffffff, #151a1f);
+  --ink: light-dark(#171c21, #e4e9ed); --muted: light-dark(#525d68, #a0acb8);
+  --accent: light-dark(#0b5cad, #79b8ff);
+}
+body {
+  font: 14px/1.45 system-ui, "DejaVu Sans", sans-serif; font-variant-numeric: tabular-nums;
+  color: var(--ink); background: light-dark(#eceff2, #0d1114);
+  max-width: 76rem; margin: 1rem auto; padding: 0 1rem; overflow-wrap: anywhere;
+}
+h1 { font-size: 20px; } h2 { font-size: 15px; margin-top: 2rem; } a { color: var(--accent); }
+table {
+  display: block; overflow-x: auto; border-collapse: collapse; margin: 1rem 0; padding: 8px;
+  background: var(--panel); border: 1px solid var(--line); border-radius: 7px;
+}
+th, td { border-bottom: 1px solid var(--line); padding: .25rem .7rem; text-align: right; }
+th { color: var(--muted); font-weight: 600; } th:first-child, td:first-child { text-align: left; }
+img { max-width: 100%; background: #ffffff; border: 1px solid var(--line); border-radius: 7px; }
+code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 12px; }
 """
+"""The look of the page of a run, see `missions/views/page/src/theme.css`."""
 
 
 class Document:
@@ -87,7 +103,8 @@ class Document:
             data = f"data:image/svg+xml;base64,{base64.b64encode(self.pictures[name]).decode()}"
             body = body.replace(f'src="{name}"', f'src="{data}"')
         head = (
-            f'<meta charset="utf-8"><title>{html.escape(self._title)}</title><style>{CSS}</style>'
+            '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+            f"<title>{html.escape(self._title)}</title><style>{CSS}</style>"
         )
         return (
             f'<!DOCTYPE html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}</body></html>\n'

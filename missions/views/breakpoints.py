@@ -8,11 +8,13 @@ battery_level < 0.25             a measurement crosses a value
 import operator
 import re
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from difflib import get_close_matches
 from typing import Any, Final
 
-from kb import Model, Status
-from missions.engine.mission import MissionError
+from kb import KnowledgeBaseError, Model, Status
+from missions.engine.mission import MissionError, Verdict
+from missions.engine.runner import MissionRun
 from missions.views.report import Row, Rows
 
 _COMPARISONS: Final[dict[str, Callable[[float, float], bool]]] = {
@@ -22,7 +24,8 @@ _COMPARISONS: Final[dict[str, Callable[[float, float], bool]]] = {
     ">": operator.gt,
 }
 _LETTERS: Final = {"running": "R", "success": "S", "failure": "F"}
-_STATUSES: Final = sorted([*map(str, Status), "running", "success"], key=len, reverse=True)
+_SAME: Final = {"failed": "failure"}
+_STATUSES: Final = sorted([*map(str, Status), "running", "success", *_SAME], key=len, reverse=True)
 _FORM: Final = (
     "write ELEMENT STATUS, ATTRIBUTE < VALUE or BEHAVIOUR STATUS, "
     'such as "inspect_pipeline unfeasible" or "battery_level < 0.25"'
@@ -54,7 +57,9 @@ class Breakpoint:
             return
         words = text.strip()
         self.status = next((status for status in _STATUSES if words.endswith(f" {status}")), "")
-        self.name = words.removesuffix(self.status).strip(" '\"")
+        name = words.removesuffix(self.status).strip()
+        self.name = name.removesuffix(" has").removesuffix(" is").strip(" '\"")
+        self.status = _SAME.get(self.status, self.status)
         if not self.status or not self.name:
             raise MissionError(f"{text!r} is no breakpoint; {_FORM}")
 
@@ -95,7 +100,7 @@ class Breakpoints:
 
     def __init__(self, met: Callable[[Breakpoint, float], object]) -> None:
         self.all: list[Breakpoint] = []
-        self.met = met
+        self._met = met
         self._names: dict[tuple[str, int | str], str] = {}
 
     def watch(self, rows: Rows) -> None:
@@ -120,4 +125,28 @@ class Breakpoints:
             name = self._names.get((kind, key), "")
             for breakpoint in self.all:
                 if breakpoint.is_met(track, key, name, value):
-                    self.met(breakpoint, time)
+                    self._met(breakpoint, time)
+
+
+def read_breakpoints(run: MissionRun, texts: Iterable[str]) -> list[Breakpoint]:
+    """Return breakpoints of a run; MissionError if one has no meaning, or nothing has its name."""
+    behaviours = [] if run.tree is None else [node.name for node in run.tree.root.iterate()]
+    breakpoints = [Breakpoint(text) for text in texts]
+    for breakpoint in breakpoints:
+        breakpoint.check(run.model, behaviours)
+    return breakpoints
+
+
+def watch_breakpoints(run: MissionRun, rows: Rows, texts: Iterable[str]) -> None:
+    """End a run at the first breakpoint that is met, with the explanation of its element."""
+
+    def end(breakpoint: Breakpoint, time_s: float) -> None:
+        explained = ""
+        with suppress(MissionError, KnowledgeBaseError):  # a behaviour, or a run without a base
+            explained = str(run.kb.explain(breakpoint.name))
+        words = f"stopped at breakpoint {breakpoint.text!r} after {time_s:.1f} s"
+        run.trouble = Verdict("aborted", words, explained)
+
+    breakpoints = Breakpoints(end)
+    breakpoints.all = read_breakpoints(run, texts)
+    breakpoints.watch(rows)

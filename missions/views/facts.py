@@ -1,7 +1,7 @@
 """What a page shows of a knowledge base, as plain data: elements, reasons, what-if cases, causes of adaptations."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from math import inf
 from typing import Any, Final
@@ -28,6 +28,9 @@ _FACTS: Final = {
     "constraint": {},
 }
 """The tracks of a page by kind of element, each with the property of a view that it shows."""
+
+
+KINDS: Final = frozenset(_FACTS)
 
 
 def views_of(base: Base) -> dict[str, Mapping[str, Any]]:
@@ -87,10 +90,14 @@ class ElementTable:
         for number in sorted(before - set(self._views)):
             yield number, None
 
-    def standing(self) -> Iterator[tuple[int, str, str, bool | str]]:
-        """Yield what holds of each element now: its number, its kind, a track of the page, and the value."""
+    def standing(self, kinds: Collection[str]) -> Iterator[tuple[int, str, str, bool | str]]:
+        """Yield what holds of each element now: its number, its kind, a track of the page, and the value.
+
+        Args:
+            kinds: the kinds of elements whose statuses may have changed; other statuses are left out.
+        """
         for number, (kind, view) in self._views.items():
-            if kind != "attribute":
+            if kind in kinds and kind != "attribute":
                 yield number, kind, "status", str(view.status)
             for track, fact in _FACTS[kind].items():
                 yield number, kind, track, getattr(view, fact)

@@ -24,7 +24,7 @@ from kb.elements import finite_number
 from missions.engine.faults import Fault, inject
 from missions.engine.mission import MissionError, needs
 from missions.engine.runner import Listener, MissionRun
-from missions.views.breakpoints import Breakpoint, Breakpoints
+from missions.views.breakpoints import Breakpoint, Breakpoints, read_breakpoints
 from missions.views.facts import supposed
 from missions.views.recorder import Recorder
 from missions.views.report import VERSION, encoded, page_of
@@ -132,12 +132,7 @@ class Steering(Listener):
 
     def stop_at(self, *texts: str) -> None:
         """Replace the breakpoints; see `Breakpoint` for how one is written."""
-        run = self._open_run()
-        behaviours = [] if run.tree is None else [node.name for node in run.tree.root.iterate()]
-        breakpoints = [Breakpoint(text) for text in texts]
-        for breakpoint in breakpoints:
-            breakpoint.check(run.model, behaviours)
-        self.breakpoints.all = breakpoints
+        self.breakpoints.all = read_breakpoints(self._open_run(), texts)
 
     def _stop_at(self, breakpoint: Breakpoint, time_s: float) -> None:
         with self._change:

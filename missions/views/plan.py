@@ -1,10 +1,10 @@
 """Shows a plan to people: its steps with what they need, and a picture of their causal order.
 
-The picture goes from top to bottom, to the goal: a step that waits for another is below it and further to the right.
+The picture goes from top to bottom, to the goal: a step that waits for another is in a layer below it.
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from textwrap import wrap
 from typing import Final, NamedTuple
@@ -17,7 +17,7 @@ from rosa_pddl.validate import binding_of, ended, mentioned_atoms, started
 
 _LETTERS: Final = 38
 """The longest line in a box [characters]."""
-_GAP, _ROW_GAP, _INDENT = 24.0, 14.0, 40.0
+_GAP, _ROW_GAP, _ENTRY = 24.0, 14.0, 12.0
 """Sizes in pixels."""
 _MARKER: Final = (
     '<defs><marker id="{}" markerWidth="8" markerHeight="8" refX="7" refY="4" orient="auto">'
@@ -162,44 +162,48 @@ def _beyond(
 
 
 def svg_of(order: CausalOrder, title: str) -> str:
-    """Draw a plan: an arrow for what one step makes true for another, a dashed one for a step that must wait."""
-    goal, boxes, depths, height = len(order.steps), list[_Box](), list[int](), 2 * _GAP
-    for number in range(goal + 1):
-        links = [link for link in order.links if link.target == number]
-        before = [link.source for link in links] + [
-            earlier for earlier, later in order.orders if later == number
-        ]
-        depths.append(
-            max((depths[one] + 1 for one in (range(goal) if number == goal else before)), default=0)
-        )
-        lines = _lines(order, number, links)
-        boxes.append(_Box(_GAP + depths[number] * _INDENT, height, lines, *svg_size(lines)))
-        height += boxes[-1].height + _ROW_GAP
-    width = max(box.x + box.width for box in boxes) + _GAP
-    width = max(
-        width, 2 * _GAP + LETTER * max(1.1 * len(title), len(_LEGEND) if order.orders else 0)
-    )
-    height += LINE if order.orders else 0.0
-    arrows = [_arrow(boxes, link.source, link.target, is_order=False) for link in order.links]
-    arrows += [_arrow(boxes, earlier, later, is_order=True) for earlier, later in order.orders]
+    """Draw a plan in layers, from top to bottom: each step is below all that it waits for.
+
+    An arrow has the facts that one step makes true for another; a dashed one is for a step that only has to wait.
+    """
+    arrows = [(link.source, link.target, " ".join(link.needs)) for link in order.links]
+    arrows += [(earlier, later, "") for earlier, later in order.orders]
+    layers = _layers(len(order.steps), arrows)
+    boxes: dict[int, _Box] = {}
+    top = 2 * _GAP
+    for layer in layers:
+        enter = {number: [arrow for arrow in arrows if arrow[1] == number] for number in layer}
+        middles = {number: _middle(boxes, enter[number]) for number in layer}
+        top += LINE * max(map(len, enter.values()), default=0) + _GAP
+        x = _GAP
+        for number in sorted(layer, key=lambda number: (middles[number], number)):
+            lines = _lines(order, number)
+            width, height = svg_size(lines)
+            labels = [
+                LETTER * len(words) + _ENTRY * place
+                for place, (*_, words) in enumerate(enter[number])
+            ]
+            boxes[number] = _Box(x, top, lines, max([width, *labels]), height)
+            x += boxes[number].width + _GAP
+        top += max(boxes[number].height for number in layer) + _ROW_GAP
+    legend = LETTER * len(_LEGEND) if order.orders else 0.0
+    widest = max([box.x + box.width for box in boxes.values()])
+    width = max(widest + _GAP, 2 * _GAP + max(1.1 * LETTER * len(title), legend))
+    height = top + _GAP + (LINE if order.orders else 0.0)
+    body = [part for arrow in arrows for part in _arrow(boxes, arrows, arrow)]
+    for number, box in sorted(boxes.items()):
+        body += svg_box(*box[:3], _GOAL if number == len(order.steps) else _STEP)
+    if order.orders:
+        body.append(f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>')
+    markers = [_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))]
     return "\n".join(
         [
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}" {FONT}>',
             f"<title>{escape(title)}</title>",
-            *(_MARKER.format(name, colour) for name, colour in (("so", _EDGE), ("wait", _LATER))),
+            *markers,
             f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
             f'<text x="{_GAP:g}" y="{_GAP:g}" font-weight="bold">{escape(title)}</text>',
-            *arrows,
-            *(
-                line
-                for box in boxes
-                for line in svg_box(*box[:3], _GOAL if box is boxes[-1] else _STEP)
-            ),
-            *(
-                [f'<text x="{_GAP:g}" y="{height - 8:g}" fill="{_LATER}">{_LEGEND}</text>']
-                if order.orders
-                else []
-            ),
+            *body,
             "</svg>",
             "",
         ]
@@ -216,27 +220,48 @@ class _Box(NamedTuple):
     height: float
 
 
-def _lines(order: CausalOrder, number: int, links: Iterable[Link]) -> list[str]:
-    lines = ["goal"]
-    if number < len(order.steps):
-        step = order.steps[number]
-        lines = [f"{number + 1}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
-    return lines + [
-        line
-        for link in links
-        for need in link.needs
-        for line in wrap(f"{link.source + 1} → {need}", _LETTERS)
-    ]
+_Arrow = tuple[int, int, str]
+"""The earlier step, the later one, and the facts; no facts if the later one only has to wait."""
 
 
-def _arrow(boxes: Sequence[_Box], earlier: int, later: int, *, is_order: bool) -> str:
+def _layers(goal: int, arrows: Sequence[_Arrow]) -> list[list[int]]:
+    """Return the steps of each layer; a step is one layer below the lowest that it waits for, the goal is last."""
+    depths: list[int] = []
+    for number in range(goal):
+        before = [depths[earlier] + 1 for earlier, later, _ in arrows if later == number]
+        depths.append(max(before, default=0))
+    depths.append(max(depths, default=-1) + 1)
+    layers: list[list[int]] = [[] for _ in range(depths[-1] + 1)]
+    for number, depth in enumerate(depths):
+        layers[depth].append(number)
+    return layers
+
+
+def _middle(boxes: Mapping[int, _Box], arrows: Sequence[_Arrow]) -> float:
+    """Return where the steps before stand on average [px], so that arrows are short."""
+    places = [boxes[earlier].x for earlier, *_ in arrows]
+    return sum(places) / len(places) if places else 0.0
+
+
+def _lines(order: CausalOrder, number: int) -> list[str]:
+    if number == len(order.steps):
+        return ["goal"]
+    step = order.steps[number]
+    return [f"{number + 1}  {step.schema}", *wrap(", ".join(step.arguments), _LETTERS)]
+
+
+def _arrow(boxes: Mapping[int, _Box], arrows: Sequence[_Arrow], arrow: _Arrow) -> Iterator[str]:
+    """Yield an arrow and the facts beside its end; the arrows to a step end beside one another."""
+    earlier, later, words = arrow
     source, target = boxes[earlier], boxes[later]
-    x, y = (
-        source.x + 8 + 6 * (earlier % 5) + 3 * is_order,
-        target.y + LINE * (1.1 if is_order else 0.6),
-    )
-    style = f'stroke="{_LATER}" stroke-dasharray="5 4"' if is_order else f'stroke="{_EDGE}"'
-    way = f"M{x:g} {source.y + source.height:g}V{y:g}H{target.x:g}"
-    return (
-        f'<path d="{way}" fill="none" {style} marker-end="url(#{"wait" if is_order else "so"})"/>'
-    )
+    place = [each for each in arrows if each[1] == later].index(arrow)
+    x = target.x + 8 + _ENTRY * place
+    start, end = source.y + source.height, target.y
+    turn = end - LINE * (place + 1)
+    way = f"M{source.x + 8:g} {start:g}C{source.x + 8:g} {turn:g} {x:g} {start:g} {x:g} {turn:g}V{end:g}"
+    style = f'stroke="{_EDGE}"' if words else f'stroke="{_LATER}" stroke-dasharray="5 4"'
+    marker = "so" if words else "wait"
+    yield f'<path d="{way}" fill="none" {style} marker-end="url(#{marker})"/>'
+    if words:
+        halo = 'stroke="white" stroke-width="3" paint-order="stroke"'
+        yield f'<text x="{x + 5:g}" y="{turn + LINE * 0.7:g}" {halo}>{escape(words)}</text>'

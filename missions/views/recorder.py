@@ -2,7 +2,7 @@
 
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from itertools import count
 from math import inf, isfinite
 from typing import Any, Final
@@ -20,7 +20,7 @@ from missions.engine.adaptations import Adaptation, AdaptationLog, is_news, plan
 from missions.engine.mission import Message, MissionError, Sample, Verdict
 from missions.engine.runner import Listener, MissionRun, RosaRun
 from missions.engine.task_layer import has_plans
-from missions.views.facts import ElementTable, Names, cases, chain_of, level_of
+from missions.views.facts import KINDS, ElementTable, Names, cases, chain_of, level_of
 from missions.views.output import figure_in_words, plain
 from missions.views.report import Recorded, Rows, framed, write_report
 from rosa_bt import HasStatus, IsActionFeasible, TreeRunner
@@ -118,7 +118,7 @@ class Recorder:
             raise MissionError(
                 f"{tree.name!r} is a behaviour; give the TreeRunner or py_trees tree that ticks it"
             )
-        self._look(kb.now, is_amended=True)
+        self._look(kb.now)
         for one in kb.required_actions:
             self.acted(one.number, one)
         self._tree = (
@@ -173,7 +173,7 @@ class Recorder:
         time = event.time
         if event.verb == "measure":
             if ("attribute", event.subject) not in self.names:
-                self._look(time, is_amended=True)
+                self._look(time)
             self.rows.put(time, "value", self.names["attribute", event.subject], event.arguments[1])
             if not event.changes:
                 return
@@ -184,7 +184,7 @@ class Recorder:
             name: one for name, one in event.to_json().items() if name in ("cause", "changes")
         }
         self.rows.put(time, "event", event.number, shown)
-        self._look(time, is_amended=event.verb == "amend")
+        self._look(time, event)
         self._note_records(event)
         if (
             self._what_if
@@ -196,13 +196,15 @@ class Recorder:
             self._own.ticking(time)
             self._own.settle()
 
-    def _look(self, time: float, *, is_amended: bool = False) -> None:
-        """Write rows for what has changed of any element, and why."""
-        if is_amended:
+    def _look(self, time: float, event: Event | None = None) -> None:
+        """Write rows for what an event has changed of any element, and why; without an event, for all there is."""
+        kinds: Collection[str] = {change.kind for change in event.changes} if event else KINDS
+        if event is None or event.verb == "amend":
+            kinds = KINDS
             for number, element in self._elements.describe(self.header["units"]):
                 self.rows.put(time, "element", number, element)
         changed: dict[int, str] = {}
-        for number, kind, track, value in self._elements.standing():
+        for number, kind, track, value in self._elements.standing(kinds):
             before = self._standing.get((number, track))
             if value == before:
                 continue

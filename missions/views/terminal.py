@@ -3,13 +3,11 @@
 It shows the same rows as the page: the last row of each track and key.
 """
 
-import json
 from collections import deque
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Final
-from urllib.parse import urlsplit
 
-from missions.engine.mission import MissionError, needs
+from missions.engine.mission import needs
 from missions.views.live import Steering
 from missions.views.recorder import Recorder
 from missions.views.report import NUMBERED
@@ -32,70 +30,6 @@ _STYLES: Final = {
 _LOGGED: Final = {"event": "info", "taskplan": "info", "disturbance": "warning", "problem": "error"}
 """The tracks that the log shows, each with its level unless the entry has its own."""
 _LEVELS: Final = {"info": "blue", "warning": "yellow", "error": "bold red"}
-
-
-class RecorderFeed:
-    """The rows of a robot in this process."""
-
-    def __init__(self, recorder: Recorder) -> None:
-        self.title = str(recorder.header.get("title", ""))
-        self._rows, self._next = recorder.rows, 0
-
-    def take(self) -> tuple[list[Any], str]:
-        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
-        first, rows = self._rows.since(self._next)
-        self._next = first + len(rows)
-        return rows, ""
-
-
-class SocketFeed:
-    """The rows of a live view in another process: `rosa run … --live`, or `LiveView` in a robot's program.
-
-    Args:
-        address: HOST:PORT, or the link that the live view printed, with its token.
-        token: the token that the live view asks for.
-
-    Raises:
-        MissionError: the address is malformed, no live view is there, or it refuses the token.
-    """
-
-    def __init__(self, address: str, token: str = "") -> None:
-        with needs("tui", "the view in a terminal"):
-            from websockets.sync.client import connect
-        place = urlsplit(address if "//" in address else f"http://{address}")
-        try:
-            secure, port = place.scheme in ("https", "wss"), place.port
-        except ValueError:
-            port = None
-        if not place.hostname or port is None:
-            raise MissionError(
-                f"{address!r} is not the address of a live view; write HOST:PORT, or the printed link"
-            )
-        query = f"token={token}" if token else place.query
-        url = f"{'wss' if secure else 'ws'}://{place.hostname}:{port}/ws" + (
-            f"?{query}" if query else ""
-        )
-        self.title = f"{place.hostname}:{port}"
-        self._wrong = ""
-        try:
-            self._socket = connect(url, max_size=None, open_timeout=5)
-        except Exception as error:  # nobody there, no WebSocket, token refused
-            raise MissionError(f"no live view at {self.title}: {error}") from None
-
-    def take(self) -> tuple[list[Any], str]:
-        """Return the rows that have come since it was asked last, and what is wrong, if anything is."""
-        rows: list[Any] = []
-        try:
-            while True:
-                given = json.loads(self._socket.recv(timeout=0))
-                rows += given.get("rows") or []
-                dropped = given.get("dropped")
-                self._wrong = f"{dropped} rows were dropped on the way" if dropped else ""
-        except TimeoutError:  # no more rows yet
-            pass
-        except Exception as error:  # closed by the view, or cut off; the error says which
-            self._wrong = f"the connection has ended: {error}"
-        return rows, self._wrong
 
 
 class Fold:
@@ -211,7 +145,7 @@ def _course(values: deque[float], width: int) -> str:
 
 
 class TerminalView(App[None]):
-    """Shows the rows of a feed until the user leaves with `q`.
+    """Shows the rows of a recorder until the user leaves with `q`.
 
     Args:
         steering: pauses the run and has it go on; None for a run that can only be watched.
@@ -233,10 +167,11 @@ class TerminalView(App[None]):
     ]
     PANES: Final = ("tree", "known", "adaptations", "measurements", "log")
 
-    def __init__(self, feed: RecorderFeed | SocketFeed, steering: Steering | None = None) -> None:
+    def __init__(self, recorder: Recorder, steering: Steering | None = None) -> None:
         super().__init__()
-        self.title = feed.title
-        self._feed = feed
+        self.title = str(recorder.header.get("title", ""))
+        self._rows = recorder.rows
+        self._next = 0
         self._steering = steering
         self._fold = Fold()
         self._shown = {name: Static(id=name) for name in self.PANES}
@@ -277,7 +212,8 @@ class TerminalView(App[None]):
             self._steering.do({"do": "resume" if self._steering.state["paused"] else "pause"})
 
     def look(self) -> None:
-        rows, wrong = self._feed.take()
+        first, rows = self._rows.since(self._next)
+        self._next = first + len(rows)
         for row in rows:
             self._fold.put(row)
         ended = self._fold.track("result").get(0)
@@ -286,7 +222,7 @@ class TerminalView(App[None]):
             words.append(f"{ended['outcome']}: {ended['reason']}")
         elif self._steering is not None and self._steering.state["paused"]:
             words.append(f"paused {self._steering.state['stopped']}".strip())
-        self.sub_title = "  ".join([*words, wrong]).strip()
+        self.sub_title = "  ".join(words)
         lines = {
             "tree": self._fold.tree(),
             "known": self._fold.known(),

@@ -17,7 +17,7 @@ from missions.engine.mission import MissionError, Percepts
 from missions.wires import ros
 from missions.wires.actions import connect
 from missions.wires.components import RosComponents
-from missions.wires.node import Clock, Message, Node, Refusals
+from missions.wires.node import Message, Node, Refusals
 from missions.wires.services import LOG, RosaServices
 from missions.wires.settings import BridgeSettings
 
@@ -53,10 +53,6 @@ class SimulatedClock:
     def __call__(self) -> float:
         return self.now_s + self._offset_s
 
-    def stamp_time(self) -> float:
-        """Return the time as it is in the header stamps now [s]."""
-        return self.now_s
-
     def _hear(self, message: Message) -> None:
         time_s = _seconds(message["clock"])
         if time_s < self.now_s:
@@ -75,13 +71,12 @@ class Bridge:
 
     Args:
         percepts: get the diagnostics too, for the conditions of a mission.
-        now: gives the time of the header stamps [s]; by default the knowledge base's clock.
+        clock: the simulated one, if the knowledge base and the header stamps go by it.
 
     Attributes:
         managed: the robot's nodes, as the managed system of a `ConfigurationManager`.
         heard: how many messages were used.
         refused: how many were not used, by what was wrong.
-        is_connected: whether the robot is connected; while it is not, do not update the manager.
 
     Raises:
         MissionError, kb.UnknownName: the settings name a place that is malformed, or an unknown element.
@@ -93,16 +88,15 @@ class Bridge:
         node: Node,
         settings: BridgeSettings | None = None,
         percepts: Percepts | None = None,
-        now: Clock | None = None,
+        clock: SimulatedClock | None = None,
     ) -> None:
         settings = settings or BridgeSettings()
         self.heard = 0
         self.refused = Refusals()
-        self.is_connected = False
         self.managed = RosComponents(kb, node, settings, self._observe)
         self._kb = kb
         self._node = node
-        self._now = now or (lambda: kb.now)
+        self._clock = clock
         self._percepts = percepts
         self._stamps = dict.fromkeys(settings.attributes, -math.inf)
         for name, place in settings.attributes.items():
@@ -119,6 +113,16 @@ class Bridge:
         self._unsubscribe = kb.subscribe(self._publish)
         node.watch(self._change)
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether the robot is connected and its clock runs; while not, do not update the manager."""
+        return self._node.is_connected and (self._clock is None or self._clock.has_begun)
+
+    @property
+    def _now(self) -> float:
+        """The time as it is in header stamps [s]."""
+        return self._kb.now if self._clock is None else self._clock.now_s
+
     def close(self) -> None:
         """Stop publishing, and close the node."""
         self._unsubscribe()
@@ -127,7 +131,7 @@ class Bridge:
 
     def _observe(self) -> None:
         """Notice measurements whose stamps are too old; called at each update of the manager."""
-        now = self._now()
+        now = self._now
         for name, stamp in self._stamps.items():
             view = self._kb.attributes[name]
             if math.isfinite(stamp) and now - stamp > view.max_age and not view.is_stale:
@@ -154,7 +158,7 @@ class Bridge:
             for part in path:
                 value = value[int(part)] if isinstance(value, list) else value[part]
             stamp = _stamp(message)
-            now = self._now()
+            now = self._now
             if stamp is not None and stamp < self._stamps[name] <= now:
                 raise ValueError("a message is older than the one before it")
             if stamp is not None and now - stamp > self._kb.attributes[name].max_age:
@@ -188,7 +192,6 @@ class Bridge:
 
     def _change(self, is_connected: bool, text: str) -> None:
         _log.log(logging.INFO if is_connected else logging.WARNING, "%s", text)
-        self.is_connected = is_connected
         if not is_connected:
             self.managed.forget()
             for name in self._stamps:

@@ -136,8 +136,10 @@ class RosComponents:
     # ---------------------------------------------------------------- watching
 
     def forget(self) -> None:
-        """Forget the states of all nodes, as the connection is lost."""
-        for watch in self._watches.values():
+        """Forget the states of all nodes, as the connection is lost; those that are gone have failed."""
+        for component, watch in self._watches.items():
+            if watch.is_published and self._publishers(watch) == 0:
+                self._lose(component, watch, f"{watch.place} is gone")
             watch.state = None
             watch.poll = None
             watch.alive_s = math.inf
@@ -156,7 +158,7 @@ class RosComponents:
             if watch.is_process:
                 continue
             watch.alive_s = min(watch.alive_s, now)
-            count = self._node.publishers(f"{watch.place}/transition_event")
+            count = self._publishers(watch)
             if watch.is_published and count == 0:
                 watch.silence = f"{watch.place} is gone"
             watch.is_published = bool(count)
@@ -165,12 +167,16 @@ class RosComponents:
             watch.silence = ""
             if watch.commands:
                 continue
-            if watch.poll is not None and watch.poll.done():
-                self._take(component, watch, watch.poll)
+            poll = watch.poll
+            if poll is not None and poll.done():
                 watch.poll = None
+                self._take(component, watch, poll)
             if watch.poll is None and now >= watch.asked_s + self._settings.poll_s:
                 watch.asked_s = now
                 watch.poll = self._state_call(watch)
+
+    def _publishers(self, watch: _Watch) -> int | None:
+        return self._node.publishers(f"{watch.place}/transition_event")
 
     def _state_call(self, watch: _Watch) -> "Future[Message]":
         """Ask a node for its state; it is overdue when the node has been silent for too long."""
@@ -206,6 +212,7 @@ class RosComponents:
         _log.warning("%s has failed: %s", component, reason)
         watch.is_lost = True
         watch.state = None
+        watch.poll = None  # its answer may be older
         if self._kb.components[component].is_active:
             self._kb.component_active(component, False, reason)
         if self._kb.components[component].status is not Status.FAILURE:

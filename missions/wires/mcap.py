@@ -14,7 +14,6 @@ from math import inf
 from os.path import exists, isdir
 from pathlib import Path
 from queue import SimpleQueue
-from tempfile import TemporaryDirectory
 from threading import Thread
 from typing import Any, BinaryIO, Final, NamedTuple
 
@@ -23,7 +22,6 @@ from py_trees.trees import BehaviourTree
 
 from kb import Event, EventKind, KnowledgeBase, Model
 from kb.files import draft
-from kb.typeql import typeql_text
 from missions.engine.mission import Message, MissionError, needs
 from missions.engine.runner import Listener
 from missions.views.recorder import Recorder
@@ -263,7 +261,7 @@ class McapRecorder(Listener, AbstractContextManager["McapRecorder"]):
         header = {
             "rosa": VERSION,
             "model": kb.model.name,
-            "typeql": typeql_text(kb.model),
+            "elements": kb.model.plain(),
             **(run or {}),
         }
         self._file.most = inf  # all that is known already is recorded, however long that takes
@@ -459,10 +457,7 @@ def read_page(path: str | Path) -> Recorded:
 
 def recorded_model(bag: Bag) -> Model:
     """Return the model of one of our recordings; kb.ModelError if it cannot be read any more."""
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "recorded.tql"
-        file.write_text(bag.run["typeql"], encoding="utf-8")
-        return Model.load(file, name=bag.run["model"])
+    return Model.from_plain(bag.run["elements"])
 
 
 def _run_of(run: object, place: str | Path) -> dict[str, Any]:
@@ -471,7 +466,7 @@ def _run_of(run: object, place: str | Path) -> dict[str, Any]:
         raise MissionError(
             f"{place} is a recording of version {version!r}; this program reads version {VERSION}"
         )
-    if missing := {"model", "typeql", "page"} - run.keys():
+    if missing := {"model", "elements", "page"} - run.keys():
         raise MissionError(f"{place} is damaged: its header lacks {', '.join(sorted(missing))}")
     return run
 

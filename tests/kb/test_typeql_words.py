@@ -1,16 +1,11 @@
 """The spellings in which types, roles, attributes and values may come, and what `match` finds."""
 
-from datetime import UTC, datetime
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from kb import Model
-from kb.facts import MeasurementFact, ProcessFact, RequiredActionFact
+from kb.facts import MeasurementFact, ProcessFact
 from kb.files import ModelFileError
-from kb.typeql import quoted, written_time
-from kb.typeql.things import ATTRIBUTES, ROLES, Vocabulary, field_of, seconds
+from kb.typeql import ATTRIBUTES, ROLES, field_of, roles_of, type_of
 
 ROBOT = """insert
 $a isa Action, has action-name 'go'; $f isa Function, has function-name 'move';
@@ -32,10 +27,9 @@ def load(tmp_path):
 
 @pytest.mark.parametrize("kind", ROLES)
 def test_every_role_is_known_by_its_own_name(kind):
-    vocabulary = Vocabulary()
-    relation = vocabulary.type(kind, None)
+    relation = type_of(kind, None)
     for role in ROLES[kind]:
-        assert role in vocabulary.roles(relation, role.name, None)
+        assert role in roles_of(relation, role.name, None)
 
 
 @pytest.mark.parametrize("kind", ATTRIBUTES)
@@ -152,13 +146,6 @@ def test_newest_measurement_is_the_latest_unless_the_file_says_which(load, told,
     assert [fact.latest for fact in facts] == latest
 
 
-def test_preference_may_be_weighted(load):
-    told = "($a, $q) isa required-action, has preference-weights '[0.5]', has result 'success';"
-    assert load(ROBOT + told).facts == (
-        RequiredActionFact("go", {"charge": 0.5}, result="completed"),
-    )
-
-
 def test_component_with_a_pid_is_a_process(load):
     assert load(ROBOT + "$c has pid 12;").facts == (ProcessFact("motor", 12),)
 
@@ -219,72 +206,16 @@ def test_text_is_read_with_its_escapes(load, written, meant):
     assert list(load(f"insert $a isa Action, has action-name {written};").actions) == [meant]
 
 
-@given(st.text(st.characters(exclude_categories=())))
-def test_quoted_text_holds_no_quote_and_no_line_end(text):
-    inner = quoted(text)[1:-1].replace("\\\\", "").replace('\\"', "")
-    assert '"' not in inner
-    assert not any(character in inner for character in "\n\r\0")
-    assert inner.encode().decode() == inner
-
-
-@given(st.datetimes(datetime(1900, 1, 1), datetime(2500, 1, 1), timezones=st.just(UTC)))
-def test_time_that_is_written_as_a_date_is_read_back_exactly(moment):
-    time = round(seconds(moment), 3)
-    assert written_time(time) is not None
-
-
-@pytest.mark.parametrize("time", [1e-9, 1e300, float("inf")])
-def test_time_that_no_date_says_exactly_is_not_written_as_one(time):
-    assert written_time(time) is None
-
-
-MATCHES = {
-    "match $c isa Component; insert $c has always-improve true;": {"motor", "node"},
-    "match $c isa ROSNode; insert $c has always-improve true;": {"node"},
-    "match $c has component-name 'motor'; insert $c has always-improve true;": {"motor"},
-    "match (function: $f, component: $c) isa function-design; insert $c has always-improve true;": {
-        "motor"
-    },
-    "match ($f, $c) isa function-design; $f has function-name 'move'; insert $c has always-improve true;": {
-        "motor"
-    },
-    "match $d ($f, required-component: $c) isa function-design, has name 'by motor';"
-    " insert $c has always-improve true;": {"motor"},
-    "match $c isa Component, has is-active true; insert $c has always-improve true;": {"node"},
-}
-
-
-@pytest.mark.parametrize("text", MATCHES)
-def test_match_finds_all_that_its_patterns_say(load, text):
-    model = load(ROBOT + "$n isa ROSNode, has component-name 'node', has is-active true;", text)
-    assert {name for name, one in model.components.items() if one.always_improve} == MATCHES[text]
-
-
-def test_each_answer_inserts_once(load):
-    text = "match $c isa Component; $q isa Attribute; insert (causer: $c, affected: $q) isa estimation, has value 1;"
-    model = load(ROBOT + "$n isa ROSNode, has component-name 'node';", text)
-    assert [(one.causer.name, one.attribute) for one in model.estimations] == [
-        ("motor", "charge"),
-        ("node", "charge"),
-    ]
-
-
-def test_players_that_are_found_in_two_ways_insert_once(load):
-    more = "(function: $f, component: $c) isa function-design, has function-design-name 'again';"
-    text = "match (function: $f, component: $c) isa function-design; insert $x ($c) isa component-configuration;"
-    assert list(load(ROBOT + more, text).configurations) == ["motor configuration 1"]
-
-
-def test_relation_that_is_matched_can_be_given_more_players(load):
-    text = "match $d isa function-design; insert $d (component: $c); $c isa Component, has component-name 'gear';"
-    assert load(ROBOT, text).designs["by motor"].components == ("motor", "gear")
-
-
-def test_schema_in_a_file_of_its_own_counts_for_all(load):
-    schema = "define Wheel sub Driver; Driver sub ROSNode; wheel-name sub component-name;"
-    model = load("insert $w isa Wheel, has wheel-name 'left';", schema)
-    assert model.components["left"].kind == "process"
-    assert not model.notes
+def test_match_finds_things_by_type_and_name(load):
+    found = "match $c isa Component, has component-name 'motor'; insert $c has always-improve true;"
+    assert load(ROBOT, found).components["motor"].always_improve
+    for pattern in (
+        "$c isa Component",
+        "$c has component-name 'motor'",
+        "($c) isa function-design",
+    ):
+        with pytest.raises(ModelFileError, match="`match` finds things by type and name"):
+            load(ROBOT, f"match {pattern}; insert $c has always-improve true;")
 
 
 def test_schema_that_declares_what_rosa_has_changes_nothing(load):

@@ -6,8 +6,9 @@ meet; callbacks run in the thread that spins, and what a callback raises ends it
 """
 
 import sys
+import time
 from base64 import b64encode
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import IntEnum
 from queue import Empty, Queue
 from threading import RLock
@@ -287,18 +288,16 @@ class SingleThreadedExecutor:
         return True
 
     def spin(self):
-        waited = 0.0
+        due = 0.0
         while not self.is_shut:
             if not self.context.is_open:
                 raise ExternalShutdownException
-            try:
+            with suppress(Empty):
                 self.node.todo.get(timeout=0.02)()
-            except Empty:
-                waited += 0.02
-            for period, callback in self.node.timers if waited >= 0.2 else ():
-                assert period > 0
-                callback()
-                waited = 0.0
+            if time.monotonic() >= due:
+                for period, callback in self.node.timers:
+                    callback()
+                    due = time.monotonic() + period
 
     def shutdown(self, timeout_sec=None):
         self.is_shut = True

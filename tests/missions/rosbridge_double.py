@@ -186,7 +186,7 @@ class Player(Host):
     """Plays what a real rosbridge said in one recorded case, whenever a client asks as it was asked then."""
 
     def __init__(self, case):
-        self._left = [one for one in case["messages"] if one["from"] != "world"]
+        self._left = [one for one in case if one["from"] != "world"]
         self._ids = {}
         super().__init__()
 

@@ -142,13 +142,41 @@ def test_simulated_clock_follows_and_never_goes_back(wire, caplog):
         for sec in (126, 127, 3, 5):
             message = {"clock": {"sec": sec, "nanosec": 500_000_000}}
             until(
-                lambda sec=sec: clock.stamp_time() == sec + 0.5,
+                lambda sec=sec: clock.now_s == sec + 0.5,
                 turn=lambda m=message: host.publish("/clock", "rosgraph_msgs/msg/Clock", m),
             )
             seen.append(clock())
         assert seen == [126.5, 127.5, 127.5, 129.5]
         assert clock.has_begun
         assert "/clock went back from 127.5 s to 3.5 s" in caplog.text
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_bridge_waits_for_the_simulated_clock_and_ages_by_it(wire):
+    with connected(wire) as (host, node):
+        host.advertise("/clock", "rosgraph_msgs/msg/Clock")
+        host.advertise("/battery_state", BATTERY)
+        clock = SimulatedClock(node)
+        kb = KnowledgeBase(rover(), clock=clock)
+        settings = BridgeSettings(attributes={"energy": f"/battery_state.percentage {BATTERY}"})
+        bridge = Bridge(kb, node, settings, clock=clock)
+        assert not bridge.is_connected
+
+        def tell(sec):
+            message = {"clock": {"sec": sec, "nanosec": 0}}
+            host.publish("/clock", "rosgraph_msgs/msg/Clock", message)
+
+        until(lambda: bridge.is_connected, turn=lambda: tell(126))
+        stamp = {"stamp": {"sec": 124, "nanosec": 0}, "frame_id": ""}
+        reading = {"header": stamp, "percentage": 0.5}
+        until(
+            lambda: kb.attributes["energy"].value == 0.5,
+            turn=lambda: host.publish("/battery_state", BATTERY, reading),
+        )
+        until(lambda: kb.now == 130.0, turn=lambda: tell(130))
+        bridge.managed.observe(kb)
+        assert kb.attributes["energy"].is_stale, "it is 6 s old by the clock of the simulation"
+        kb.close()
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -358,6 +386,32 @@ def test_parameters_have_their_types_those_of_numpy_too():
         {"type": 9, "string_array_value": ["x"]},
         {"type": 8, "double_array_value": []},
     ]
+
+
+def test_tree_is_set_up_before_its_first_tick(monkeypatch, capsys, tmp_path):
+    (tmp_path / "digger.py").write_text(DIGGER)
+    monkeypatch.syspath_prepend(tmp_path)
+    host = RosbridgeDouble()
+    command = ("bridge", "digger:model", "--tree", "digger:tree", "--url", host.url)
+    code, out, _ = called(capsys, monkeypatch, *command, "--seconds", 0.5)
+    host.close()
+    assert code == 0
+    assert "horn is made" in out
+
+
+DIGGER = """
+from kb import Model
+from py_trees.behaviour import Behaviour
+from py_trees.common import Status
+def model():
+    return Model("digger")
+class Horn(Behaviour):
+    def setup(self, **kwargs): self.horn = "made"
+    def update(self):
+        print("horn is", self.horn)
+        return Status.RUNNING
+def tree(kb, percepts): return Horn("horn")
+"""
 
 
 # ------------------------------------------------------------ what is wrong is told in a sentence

@@ -65,6 +65,17 @@ TREE = Sequence("empty", memory=False)
 """
 
 
+EXPLORER = """insert
+$model isa RobotModel, has model-name "explorer";
+$camera isa Component, has component-name "camera";
+$see isa Function, has function-name "see";
+(function: $see, required-component: $camera) isa function-design,
+    has function-design-name "by camera", has priority 1;
+$explore isa Action, has action-name "explore";
+(action: $explore, required-function: $see) isa functional-requirement;
+"""
+
+
 def explorer():
     model = Model("explorer")
     see = model.function("see")
@@ -82,7 +93,7 @@ def rosa(capsys, monkeypatch, tmp_path):
     (tmp_path / "trees.py").write_text(TREES)
     (tmp_path / "domain.pddl").write_text(DOMAIN)
     (tmp_path / "problem.pddl").write_text(PROBLEM)
-    explorer().save("explorer.tql")
+    (tmp_path / "explorer.tql").write_text(EXPLORER)
 
     return partial(called, capsys, monkeypatch, "check")
 
@@ -132,8 +143,8 @@ def test_findings_are_grouped_with_what_to_do_and_counted(rosa):
     for name in ("fog", "wind"):
         model.quality_attribute(name)
     model.action("dive", requires=[model.function("sink")])
-    model.save("slips.tql")
-    code, out, err = rosa("slips.tql")
+    model.save("slips.owl")
+    code, out, err = rosa("slips.owl")
     assert (code, err) == (1, "")
     assert (
         out.splitlines()
@@ -154,9 +165,9 @@ def test_findings_are_grouped_with_what_to_do_and_counted(rosa):
 def test_warnings_alone_exit_with_0_unless_strict(rosa):
     model = explorer()
     model.quality_attribute("fog")
-    model.save("foggy.tql")
-    assert rosa("foggy.tql")[0] == 0
-    assert rosa("foggy.tql", "--strict")[0] == 1
+    model.save("foggy.owl")
+    assert rosa("foggy.owl")[0] == 0
+    assert rosa("foggy.owl", "--strict")[0] == 1
 
 
 def test_json_carries_every_part_of_a_finding(rosa):

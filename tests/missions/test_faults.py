@@ -108,10 +108,24 @@ def test_run_ends_at_a_breakpoint(capsys, monkeypatch):
     assert "because battery_level 0.1 violates >= 0.25" in out
 
 
+def test_replay_stops_at_a_breakpoint(capsys, monkeypatch, tmp_path):
+    recording = tmp_path / "run.jsonl"
+    fault = ("--measure", "battery_level=0.1@30", "--set", "duration=40", "--no-progress")
+    called(capsys, monkeypatch, "run", "suave_extended", *fault, "--record", recording)
+    code, out, _ = called(
+        capsys, monkeypatch, "replay", recording, "--break", "battery_level < 0.2"
+    )
+    assert code == 0
+    assert "stopped at breakpoint 'battery_level < 0.2' after 30.0 s" in out
+    assert "decided as recorded" not in out
+    assert all(float(line.split()[0]) <= 30.0 for line in out.splitlines() if " s  " in line[:16])
+
+
 @pytest.mark.parametrize(
     ("text", "rows", "met"),
     [
         ("a unfeasible", [("status", "feasible"), ("status", "unfeasible")], [1]),
+        ("a has failed", [("status", "feasible"), ("status", "failure")], [1]),
         ("a < 0.25", [("value", 0.2), ("value", 0.1), ("value", 0.3), ("value", 0.2)], [0, 3]),
         ("'a' success", [("node", ["R", ""]), ("node", ["S", ""])], [1]),
         ("a implicit configuration error", [("status", "configuration error")], []),

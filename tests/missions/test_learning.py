@@ -196,7 +196,7 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(
         "run.mcap",
     )
     assert called(capsys, monkeypatch, *run)[0] == 0
-    learned = ("learn", "run.mcap", "two", "--model", "suave_extended", "--apply", "better.tql")
+    learned = ("learn", "run.mcap", "two", "--model", "suave_extended", "--apply", "better.owl")
     code, out, _ = called(capsys, monkeypatch, *learned)
     assert code == 0
     said = "rate: battery_level, always [1/s]: -0.005 (-0.005 to -0.005, 2 observations)"
@@ -204,10 +204,10 @@ def test_recordings_and_campaigns_are_learned_from_on_the_command_line(
     home = "missions.suave_extended.model:suave_extended_model"
     assert said in called(capsys, monkeypatch, "learn", "run.mcap", "two", "--model", home)[1]
     assert [
-        rate.per_s for rate in Model.load("better.tql").attributes["battery_level"].rates
+        rate.per_s for rate in Model.load("better.owl").attributes["battery_level"].rates
     ] == pytest.approx([-0.005])
     for wrong, words in (
-        (learned, "better.tql is there already"),
+        (learned, "better.owl is there already"),
         (("learn", "nothing.mcap", "--model", "suave_extended"), "nothing.mcap"),
         (("learn", "run.mcap", "--model", "suave_extendet"), "suave_extended"),
         (

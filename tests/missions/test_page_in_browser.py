@@ -145,24 +145,6 @@ def test_slider_moves_every_view(shown):
     assert seen(shown) == before
 
 
-def test_views_show_what_the_run_knew_at_the_instant(shown):
-    rows = recorded("suave_extended").rows
-    battery = next(
-        key for _, track, key, one in rows if track == "element" and one["name"] == "battery_level"
-    )
-    for time in (50, 120, 200):
-        slide(shown, time)
-        value = [
-            one for t, track, key, one in rows if (track, key) == ("value", battery) and t <= time
-        ][-1]
-        told = (
-            shown.locator("#timelines .measured", has_text="battery_level")
-            .locator("b")
-            .first.inner_text()
-        )
-        assert float(told) == pytest.approx(value, rel=1e-3)
-
-
 def test_link_opens_the_same_instant_and_choice_again(shown, visits):
     shown.get_by_role("button", name=re.compile("battery_level is just below")).click()
     shown.locator("#knowledge").get_by_role("button", name="recharge", exact=False).first.click()
@@ -209,13 +191,6 @@ def test_steps_lead_to_the_next_change_and_the_next_adaptation(shown):
     assert shown.locator(".clock").inner_text().startswith("23.6 s")
     shown.keyboard.press("ArrowRight")
     assert float(shown.locator("#instant").input_value()) > 23.607
-
-
-def test_playing_goes_on_to_the_end_and_stops(shown):
-    slide(shown, 299)
-    shown.keyboard.press("Space")
-    sync_api.expect(shown.locator(".clock")).to_have_text(re.compile("^300.0 s"))
-    shown.get_by_role("button", name="play").wait_for()
 
 
 def test_moving_a_measurement_tells_what_would_be_chosen_and_of_which_instant_that_is(shown):

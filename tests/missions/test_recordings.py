@@ -639,5 +639,5 @@ def test_disk_that_hangs_at_the_end_is_told(tmp_path, monkeypatch):
 def test_recording_that_does_not_say_how_it_was_run_is_refused(tmp_path):
     with McapFile(tmp_path / "torn.mcap") as file:
         file.write(RUN, ros.STRING, 0.0, ros.json_text, {"rosa": VERSION, "model": "rover"})
-    with pytest.raises(MissionError, match="lacks page, typeql"):
+    with pytest.raises(MissionError, match="lacks elements, page"):
         read_page(tmp_path / "torn.mcap")

@@ -164,7 +164,7 @@ class KnowledgeBaseOf:
 
 
 def test_migration_tells_what_changed_and_takes_over_the_rest(path, tmp_path):
-    model = tmp_path / "rover.tql"
+    model = tmp_path / "rover.owl"
     rover(changed=True).save(model)
     before = path.read_bytes()
     status, said = store("migrate", path, model, "--dry-run")

@@ -1,4 +1,4 @@
-"""The view in a terminal at 80 by 24: beside a run, and of a live view elsewhere."""
+"""The view in a terminal at 80 by 24, beside a run."""
 
 import asyncio
 import time
@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 
 from missions import cli
 from missions.baselines import open_run
-from missions.engine.mission import MissionError, find_mission
-from missions.views.live import LiveView
+from missions.engine.mission import find_mission
 from missions.views.recorder import RunRecorder
-from missions.views.terminal import Fold, RecorderFeed, SocketFeed, TerminalView
+from missions.views.terminal import Fold, TerminalView
 
 
 @pytest.fixture(scope="module")
@@ -24,11 +23,11 @@ def recorder():
     return page.recorder
 
 
-def shown(feed):
+def shown(recorder):
     """Return what the panes show at the end of the run, the line at the top, and how wide that is."""
 
     async def look():
-        app = TerminalView(feed)
+        app = TerminalView(recorder)
         async with app.run_test(size=(80, 24)) as pilot:
 
             async def until(holds):
@@ -54,7 +53,7 @@ def shown(feed):
 
 
 def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
-    panes, title, right = shown(RecorderFeed(recorder))
+    panes, title, right = shown(recorder)
     assert "recharge if feasible" in panes["tree"]
     assert "✕ inspect_pipeline" in panes["known"]
     assert "battery_level" in panes["known"], "the reason"
@@ -67,26 +66,6 @@ def test_tree_statuses_adaptations_and_measurements_are_shown(recorder):
     assert "█" in panes["measurements"]
     assert "aborted: " in title
     assert right <= 80
-
-
-def test_live_view_elsewhere_is_watched(recorder):
-    with LiveView(recorder.kb, port=0, recorder=recorder, token="secret") as view:
-        address = view.url.removeprefix("http://").partition("/")[0]
-        with pytest.raises(MissionError, match="no live view at"):
-            SocketFeed(address)
-        panes, *_ = shown(SocketFeed(address, "secret"))
-        assert shown(SocketFeed(view.url))[0]["tree"] == panes["tree"]
-
-
-@pytest.mark.parametrize("address", ["", "robot", "robot:port", "http://", "127.0.0.1:99999"])
-def test_what_is_no_address_is_told(address):
-    with pytest.raises(MissionError, match="HOST:PORT"):
-        SocketFeed(address)
-
-
-def test_nobody_there_is_told():
-    with pytest.raises(MissionError, match=r"no live view at 127\.0\.0\.1:9"):
-        SocketFeed("127.0.0.1:9")
 
 
 def test_what_is_watched_for_days_is_forgotten_from_the_oldest_on():

@@ -1,5 +1,7 @@
 """Nodes that die, freeze, restart or refuse, noticed by every wire."""
 
+import time
+
 import pytest
 from ros_rig import WIRES, rig
 
@@ -139,3 +141,13 @@ def test_late_events_of_own_commands_mislead_nobody(wire):
         robot.turn(lambda: robot.now > end, 1)
         assert not has_failed(robot)
         assert robot.bridge.managed.is_active("camera")
+
+
+def test_last_nodes_that_leave_are_failed_too(wire):
+    with rig(wire) as robot:
+        robot.explore()
+        robot.turn(lambda: robot.now > 1.0, 3)
+        for node in (robot.camera, robot.radar):
+            node.vanish()
+        robot.host.unadvertise("/battery_state")
+        robot.turn(lambda: has_failed(robot), 60, also=lambda: time.sleep(0.01))

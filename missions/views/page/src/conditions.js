@@ -20,7 +20,7 @@ const named = computed(() => {
 function read(text) {
   const [, subject, sign, number] = text.trim().match(/^(.+?)\s*(<=|>=|<|>)\s*(\S+)$/) ?? [];
   const status = STATUSES.find((one) => text.trim().endsWith(` ${one}`));
-  const name = (subject ?? text.trim().slice(0, -(status?.length ?? 0))).trim().replaceAll(/^["']|["']$/g, "");
+  const name = (subject ?? text.trim().slice(0, -(status?.length ?? 0))).trim().replace(/ (is|has)$/, "").replaceAll(/^["']|["']$/g, "");
   const tracks = named.value.filter(([one, track]) => one === name && (track === "value") === Boolean(sign));
   if (!tracks.length || (!status && !Number.isFinite(Number(number)))) return null;
   const fits = (track, value) => {

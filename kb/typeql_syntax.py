@@ -1,4 +1,4 @@
-"""Parses TypeQL files into queries, statements and clauses, by the grammar in `grammar.lark`.
+"""Parses TypeQL files into queries, statements and clauses, by the grammar in `typeql.lark`.
 
 A `Word` is a piece of the text with its `line` and `column`; its `type` is its terminal in the grammar.
 """
@@ -20,14 +20,12 @@ Word = Token
 Literal = bool | int | float | str | datetime
 
 MAX_DEPTH: Final = 100
-"""How deep brackets, and types below one another, may nest; no model needs more."""
+"""How deep brackets may nest; no model needs more."""
 
 _ESCAPE: Final = re.compile(r"\\(u[0-9a-fA-F]{4}|[\s\S])")
 _ESCAPED: Final = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", "\\": "\\", '"': '"', "'": "'"}
 
-_KEYWORDS: Final = (
-    "sub owns relates plays abstract value regex as isa has when then rule define insert match"
-)
+_KEYWORDS: Final = "isa has define insert match"
 _EXPECTED: Final = {
     "VARIABLE": "a variable such as `$x`",
     "LABEL": "a name",
@@ -69,12 +67,6 @@ class Statement(NamedTuple):
     players: tuple[Player, ...]
 
 
-class Define(NamedTuple):
-    """`define ...`: each type and its parents; other clauses are ignored."""
-
-    definitions: tuple[tuple[Word, tuple[Word, ...]], ...]
-
-
 class Insert(NamedTuple):
     """`insert ...` or `match ... insert ...`."""
 
@@ -86,7 +78,7 @@ def place_of(file: str, word: Word) -> Place:
     return Place(file, word.line or 1, word.column or 1)
 
 
-def parse(text: str, file: str) -> list[Define | Insert]:
+def parse(text: str, file: str) -> list[Insert]:
     """Read the queries of a file.
 
     Raises:
@@ -179,12 +171,8 @@ def _unescaped(found: re.Match[str]) -> str:
 
 
 _SHAPES: Final[Mapping[str, Callable[..., object]]] = {
-    "start": lambda *queries: list(queries),
-    "define": lambda *parts: Define(tuple(filter(None, parts))),
-    "type_definition": lambda label, *clauses: (label, tuple(filter(None, clauses))),
-    "sub": lambda _, label: label,
-    "plain": lambda *_: None,
-    "rule": lambda *_: None,
+    "start": lambda *queries: [query for query in queries if query is not None],
+    "define": lambda *_: None,
     "insert": lambda *statements: Insert(_stated(statements)),
     "patterns": lambda *patterns: patterns,
     "match": lambda patterns, insert: Insert(insert.statements, _stated(patterns)),
@@ -205,7 +193,7 @@ def _parser() -> Lark:
         **{rule: lambda parts, make=make: make(*parts) for rule, make in _SHAPES.items()}
     )
     how = {"parser": "lalr", "lexer": "contextual", "postlex": _Refusal(), "transformer": shapes}
-    return Lark.open("grammar.lark", rel_to=__file__, **how)
+    return Lark.open("typeql.lark", rel_to=__file__, **how)
 
 
 def _error(text: str, file: str, error: UnexpectedToken | UnexpectedCharacters) -> ModelFileError:

@@ -80,7 +80,7 @@ def rules() -> Mapping[str, Rule]:
     """Return all rules by code, errors first."""
     import tomllib  # slow to import
 
-    read = tomllib.loads(Path(__file__).with_name("rules.toml").read_text(encoding="utf-8"))
+    read = tomllib.loads(Path(__file__).with_name("checks.toml").read_text(encoding="utf-8"))
     made = {
         code: Rule(Severity(one["severity"]), one["meaning"], one["advice"])
         for code, one in read.items()

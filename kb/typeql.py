@@ -1,47 +1,373 @@
-"""Reads and writes models as TypeQL 2 files, in the words of ROSA; imported late, for it needs lark.
+"""Reads models from TypeQL 2 files, in the words of ROSA; imported late, for it needs lark.
 
-A file is read in steps: `syntax` (text to statements, by `grammar.lark`), `things` (statements to things of types that
-play roles), and here things to a model: first the elements, in order, then the facts from the start. A model is written
-as one `insert`, after a `define` of the attributes that ROSA's schema does not have.
+A file is read in steps: `kb.typeql_syntax` (text to statements), here statements to things, which
+are entities and relations with attributes and players, and things to a model: first the elements,
+in order, then the facts from the start. Types, roles and attributes are ROSA's, in all spellings
+of `typeql.toml`. `match ... insert` finds things of earlier files by type and name.
 """
 
 import ast
-import json
+import math
 import re
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+import tomllib
+from collections import defaultdict
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from importlib.resources import files
 from itertools import count
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 
 from kb import elements, facts
 from kb.elements import Attribute, Component, Configuration, Constraint, Element, finite_number
-from kb.exceptions import ModelError, UnknownName
-from kb.facts import Contents, Fact
-from kb.files import Place, read_text
+from kb.exceptions import UnknownName
+from kb.facts import Fact
+from kb.files import DuplicateInFile, Place, read_text
 from kb.status import STATUSES, Status
-from kb.typeql.syntax import Define, Literal, parse
-from kb.typeql.things import (
-    ATTRIBUTES,
-    CLASSES,
-    EXTENSIONS,
-    ROLES,
-    SPECIAL,
-    Field,
-    Own,
-    Store,
-    Thing,
-    seconds,
-    shown,
+from kb.typeql_syntax import Insert, Literal, Statement, Word, parse, place_of
+
+if TYPE_CHECKING:
+    from kb.model import Model
+
+ModelT = TypeVar("ModelT", bound="Model")
+
+# ---------------------------------------------------------------- words
+
+_WORDS: Final[dict[str, Any]] = tomllib.loads(
+    files("kb").joinpath("typeql.toml").read_text(encoding="utf-8")
 )
+_QUALIFIERS: Final = frozenset(_WORDS["qualifiers"].split())
+_KINDS: Final[Mapping[str, str]] = {
+    "QualityAttribute": elements.AttributeKind.QUALITY,
+    "EnvironmentalAttribute": elements.AttributeKind.ENVIRONMENTAL,
+    "Component": elements.ComponentKind.PLAIN,
+    "ROSNode": elements.ComponentKind.PROCESS,
+    "LifeCycleNode": elements.ComponentKind.LIFECYCLE,
+}
+"""The kind of attribute or component for each type of things."""
+_VALUES: Final[Mapping[str, tuple[str, tuple[type, ...]]]] = {
+    "text": ("a text in quotes", (str,)),
+    "flag": ("true or false", (bool,)),
+    "whole": ("a whole number", (int,)),
+    "number": ("a number", (int, float)),
+    "time": ("a date and time such as 2024-05-01T12:30:00", (datetime,)),
+    "any": ("a text, a number or true or false", (str, bool, int, float)),
+}
+"""The sorts of values of attributes: their words in messages, and their Python types."""
 
-ModelT = TypeVar("ModelT", bound=Contents)
-Stated = tuple[int, Fact, Place]
-"""The number of a statement, its fact, and its place."""
 
-_KINDS: Final = {label: kind for kind, label in SPECIAL.items()}
+class Field(NamedTuple):
+    """An attribute of a kind of thing: the field of an element, the sort of value, its spellings."""
+
+    name: str
+    value: str
+    words: tuple[str, ...]
+
+
+class Role(NamedTuple):
+    """A role in a relation: the field that it fills, the kinds of its players, its spellings.
+
+    A `most` of 0 means any number of players.
+    """
+
+    name: str
+    field: str
+    kinds: tuple[str, ...]
+    words: tuple[str, ...]
+    least: int
+    most: int
+
+
+def _role(
+    name: str, words: str, by: list[str], field: str = "", least: int = 1, most: int = 0
+) -> Role:
+    for group, members in _WORDS["groups"].items():
+        words = words.replace(f"@{group}", members)
+    return Role(name, field, tuple(by), tuple(words.split()), least, most)
+
+
+ROLES: Final[Mapping[str, tuple[Role, ...]]] = {
+    kind: tuple(_role(name, **given) for name, given in roles.items())
+    for kind, roles in _WORDS["roles"].items()
+}
+ATTRIBUTES: Final[Mapping[str, tuple[Field, ...]]] = {
+    kind: tuple(Field(name, value, tuple(words.split())) for name, value, words in own.values())
+    for kind, own in _WORDS["attributes"].items()
+}
+_CLASSES: Final[Mapping[type, str]] = {
+    cls: kind
+    for cls, words in facts.ROSA.items()
+    if (kind := words.replace(" ", "-")) in {*ROLES, *ATTRIBUTES}
+}
+"""The kind of each class of elements and facts; each comes after those that it refers to."""
+
+
+class Type(NamedTuple):
+    """A type of thing, and the kind of things that it is."""
+
+    label: str
+    kind: str
+
+
+@cache
+def _types() -> dict[str, Type]:
+    """Return ROSA's types by their labels without capitals, `-` and `_`."""
+    types = {_plain(kind): Type(kind, kind) for kind in ROLES}
+    for label, above in _WORDS["entities"].items():
+        is_type = above[0].isupper()
+        types[_plain(label)] = Type(label, types[_plain(above)].kind if is_type else above)
+    for alias, label in _WORDS["aliases"].items():
+        types[_plain(alias)] = types[_plain(label)]
+    return types
+
+
+def type_of(label: Word | str, place: Place) -> Type:
+    types = _types()
+    found = types.get(_plain(label))
+    if found is None:
+        known = dict.fromkeys(each.label for each in types.values())
+        raise place.error(str(UnknownName("type", str(label), known)))
+    return found
+
+
+def roles_of(of: Type, word: Word, place: Place) -> tuple[Role, ...]:
+    """Return the roles that a word can mean."""
+    every = ROLES.get(of.kind, ())
+    name = _dashed(word)
+    while name:
+        names = {name, name.removesuffix("s")}
+        roles = tuple(role for role in every if names & {*role.words})
+        if roles:
+            return roles
+        first, _, rest = name.partition("-")
+        name = rest if first in _QUALIFIERS else ""
+    known = [role.name for role in every]
+    error = UnknownName(f"role of {of.label}", str(word), known)
+    raise place.error(f"{error} (roles: {', '.join(known)})")
+
+
+def _role_of(of: Type, word: Word | None, player: Type, place: Place) -> Role:
+    """Return the role of a player in a relation, by the word for the role, or else by its type."""
+    every = ROLES.get(of.kind, ())
+    if not every:
+        raise place.error(f"{of.label} is no relation; nothing plays a role in it")
+    candidates = every if word is None else roles_of(of, word, place)
+    fitting = [role for role in candidates if player.kind in role.kinds]
+    if len(fitting) == 1 or (fitting and word is not None):
+        return fitting[0]
+    if fitting:
+        names = ", ".join(role.name for role in fitting)
+        unclear = f"what this {player.label} is in {of.label} is not clear"
+        raise place.error(f"{unclear}; write one of the roles {names}")
+    needed = ", ".join(dict.fromkeys(kind for role in candidates for kind in role.kinds))
+    what = f"role `{word}`" if word else "a player"
+    other = f"not a thing of type {player.label}, as here"
+    raise place.error(f"{what} of {of.label} can be: {needed}; {other}")
+
+
+@cache
+def field_of(kind: str, label: str) -> Field | None:
+    """Return the attribute of a kind of thing that a label means, by its ending; None for none."""
+    name = f"-{_dashed(label)}"
+    best: tuple[int, Field | None] = (0, None)
+    for each in ATTRIBUTES.get(kind, ()):
+        for word in each.words:
+            if name.endswith(f"-{word}") and len(word) > best[0]:
+                best = (len(word), each)
+    return best[1]
+
+
+def _plain(label: Word | str) -> str:
+    return str(label).replace("-", "").replace("_", "").lower()
+
+
+def _dashed(label: Word | str) -> str:
+    return str(label).replace("_", "-").lower()
+
+
+# ---------------------------------------------------------------- things
+
+_REPEATABLE: Final = frozenset({"status", "required", "selected", "active"})
+"""The attributes that may be stated again: they are facts, and the last statement counts."""
+
+
+class Own(NamedTuple):
+    """An attribute of a thing, in the order of its statement; nameless if ROSA does not have it."""
+
+    name: str
+    label: str
+    value: Literal
+    place: Place
+    order: int
+
+
+class Part(NamedTuple):
+    """A role that a thing plays in a relation; None in a relation that ROSA does not know."""
+
+    role: Role | None
+    thing: "Thing"
+
+
+@dataclass(slots=True, eq=False)
+class Thing:
+    """An entity or relation that a file inserts."""
+
+    type: Type
+    place: Place
+    order: int = 0
+    owns: list[Own] = field(default_factory=list)
+    parts: list[Part] = field(default_factory=list)
+
+    @property
+    def kind(self) -> str:
+        return self.type.kind
+
+    @property
+    def name(self) -> str:
+        own = self.own("name")
+        if own is None:
+            write = f"write `has {self.kind}-name '...'`"
+            raise self.place.error(f"this {self.type.label} has no name; {write}")
+        return str(own.value)
+
+    def own(self, name: str) -> Own | None:
+        """Return the attribute of a name that was stated last."""
+        return next((own for own in reversed(self.owns) if own.name == name), None)
+
+    def value(self, name: str) -> Literal | None:
+        own = self.own(name)
+        return own.value if own else None
+
+    def players(self, role: str) -> "list[Thing]":
+        return [part.thing for part in self.parts if part.role and part.role.name == role]
+
+
+class Store:
+    """All things so far, by kind in order and by name; and notes of what was ignored."""
+
+    def __init__(self) -> None:
+        self.things: dict[str, list[Thing]] = defaultdict(list)
+        self.named: dict[str, dict[str, Thing]] = defaultdict(dict)
+        self.notes: list[str] = []
+        self._order = 0
+        self._file = ""
+
+    def note(self, place: Place, text: str) -> None:
+        self.notes.append(f"{place}: {text}")
+
+    def read(self, query: Insert, file: str) -> None:
+        """Insert what a query says; its statements may use a variable before its declaration."""
+        self._file = file
+        things = {str(one.variable): self._matched(one) for one in query.patterns}
+        subjects = [self._declared(things, statement) for statement in query.statements]
+        for statement, declared in zip(query.statements, subjects, strict=True):
+            self._order += 1
+            thing = declared or self._thing(things, statement.word)
+            thing.order = thing.order or self._order
+            for has in statement.has:
+                self.give(thing, str(has.label), has.value, self._place(has.label))
+            for role, variable in statement.players:
+                player = self._thing(things, variable)
+                self._play(thing, role, player, self._place(role or variable))
+
+    def give(self, thing: Thing, label: str, value: Literal, place: Place) -> None:
+        meant = field_of(thing.kind, label)
+        if meant is None:
+            known = [each.words[0] for each in ATTRIBUTES.get(thing.kind, ())]
+            error = UnknownName(f"attribute of {thing.type.label}", label, known)
+            self.note(place, f"{error}; ignored")
+            return
+        own = Own(meant.name, label, _checked(meant, value, label, place), place, self._order)
+        before = thing.own(meant.name)
+        if before is not None and meant.name not in _REPEATABLE:
+            if before.value != own.value and before.label == label:
+                was = f"{before.value!r} at {before.place}"
+                raise place.error(f"{label} is {own.value!r} here, and {was}")
+            if before.value != own.value:
+                said = f"{before.label} at {before.place} has said it"
+                self.note(place, f"{label} is ignored: {said}")
+            return
+        thing.owns.append(own)
+        if meant.name == "name":
+            first = self.named[thing.kind].setdefault(str(own.value), thing)
+            if first is not thing:
+                what = f"{thing.kind} {own.value!r} is declared already at {first.place}"
+                raise DuplicateInFile(f"{what}; a name is unique", *place)
+
+    def _matched(self, pattern: Statement) -> Thing:
+        """Return the thing of a pattern `$x isa TYPE, has NAME 'name'`."""
+        place = self._place(pattern.word)
+        wanted = None if pattern.isa is None else type_of(pattern.isa, self._place(pattern.isa))
+        names = [
+            has.value
+            for has in pattern.has
+            if wanted and (meant := field_of(wanted.kind, str(has.label))) and meant.name == "name"
+        ]
+        is_plain = pattern.variable is not None and len(names) == len(pattern.has) == 1
+        if wanted is None or not is_plain:
+            what = "`match` finds things by type and name"
+            raise place.error(f"{what}; write `$x isa Action, has action-name 'explore';`")
+        known = self.named[wanted.kind]
+        if str(names[0]) not in known:
+            error = UnknownName(wanted.kind, names[0], known)
+            raise place.error(f"`match` finds nothing: {error}")
+        return known[str(names[0])]
+
+    def _declared(self, things: dict[str, Thing], statement: Statement) -> Thing | None:
+        """Return the thing that a statement declares; None if it declares none."""
+        if statement.isa is None:
+            return None
+        name = statement.variable
+        if name in things:
+            before = f"{name} already has the type {things[name].type.label}"
+            why = f"{before}, at {things[name].place}; a thing has one"
+            raise self._place(statement.word).error(why)
+        place = self._place(statement.isa)
+        thing = Thing(type_of(statement.isa, place), place)
+        self.things[thing.kind].append(thing)
+        if name:
+            things[name] = thing
+        return thing
+
+    def _play(self, thing: Thing, word: Word | None, player: Thing, place: Place) -> None:
+        role = _role_of(thing.type, word, player.type, place)
+        if role.most and len(thing.players(role.name)) >= role.most:
+            raise place.error(f"a second {role.name}; a {thing.type.label} has one")
+        thing.parts.append(Part(role, player))
+
+    def _thing(self, things: dict[str, Thing], word: Word) -> Thing:
+        if str(word) not in things:
+            unknown = f"unknown variable '{word}'"
+            what = str(UnknownName("variable", str(word), things)) if things else unknown
+            raise self._place(word).error(f"{what}; a type is given by `{word} isa ...`")
+        return things[str(word)]
+
+    def _place(self, word: Word) -> Place:
+        return place_of(self._file, word)
+
+
+def shown(value: Literal) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"the date {value.isoformat()}" if isinstance(value, datetime) else f"{value!r:.60}"
+
+
+def _checked(meant: Field, value: Literal, label: str, place: Place) -> Literal:
+    words, allowed = _VALUES[meant.value]
+    if isinstance(value, float) and allowed == (int,) and value.is_integer():
+        return int(value)
+    if not isinstance(value, allowed) or (isinstance(value, bool) and bool not in allowed):
+        raise place.error(f"{label} is {words}, not {shown(value)}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise place.error(f"{label} is a finite number, not {value!r}")
+    return value
+
+
+# ---------------------------------------------------------------- a model
+
 _STATED: Final = frozenset(
     {"", "name", "status", "required", "selected", "active", "pid", "value", "time", "latest"}
 )
@@ -67,13 +393,14 @@ _RESULTS: Final[Mapping[str, str]] = {
 }
 
 
-def load_typeql(cls: Callable[[str], ModelT], files: Sequence[Path], name: str | None) -> ModelT:
+def load_typeql(
+    cls: "Callable[[str], ModelT]", files: Sequence[Path], name: str | None
+) -> "ModelT":
     """Read one model from files; each may add to those before it. See `Model.load`."""
-    parsed = [(str(file), query) for file in files for query in parse(read_text(file), str(file))]
-    store = Store((file, query) for file, query in parsed if isinstance(query, Define))
-    for file, query in parsed:
-        if not isinstance(query, Define):
-            store.read(query, file)
+    store = Store()
+    for file in files:
+        for query in parse(read_text(file), str(file)):
+            store.read(query, str(file))
     _complete(store)
     said = (one.name for one in store.things["robot-model"])
     model = cls(name if name is not None else next(said, files[0].stem))
@@ -111,16 +438,20 @@ def _only_states(thing: Thing) -> bool:
     )
 
 
+Stated = tuple[int, Fact, Place]
+"""The number of a statement, its fact, and its place."""
+
+
 class _Reading:
     """Builds a model from the things of a store."""
 
-    def __init__(self, model: Contents, store: Store) -> None:
+    def __init__(self, model: "Model", store: Store) -> None:
         self.model, self.store = model, store
         self.elements: dict[Thing, Element | Constraint] = {}
 
     def run(self) -> None:
         required = self._required_functions()
-        for cls, kind in CLASSES.items():
+        for cls, kind in _CLASSES.items():
             for thing in self.store.things[kind] if issubclass(cls, Element) else ():
                 with thing.place.blamed():
                     is_action = cls is elements.Action
@@ -156,13 +487,12 @@ class _Reading:
         given: dict[str, Any] = {
             own.name: own.value for own in thing.owns if own.name not in _STATED
         }
-        for role in ROLES.get(CLASSES[cls], ()):
+        for role in ROLES.get(_CLASSES[cls], ()):
             if role.field:
                 names = _names(thing, role.name)
                 given[role.field] = names[0] if role.most == 1 else names
         if cls in (Attribute, Component):
-            kinds = [_KINDS[label] for label in thing.type.lineage if label in _KINDS]
-            given |= {"kind": kinds[0]} if kinds else {}
+            given |= {"kind": _KINDS[thing.type.label]} if thing.type.label in _KINDS else {}
         if cls is Configuration:
             given["parameters"] = _parameters(thing)
         return given
@@ -320,10 +650,11 @@ def _order(measured: Thing) -> int:
 
 
 def _time(thing: Thing, name: str) -> float | None:
+    """Return a time in seconds since 1970-01-01 UTC."""
     value = thing.value(name)
-    if isinstance(value, datetime):
-        return seconds(value)
-    return value if isinstance(value, int | float) else None
+    if not isinstance(value, datetime):
+        return None
+    return (value - datetime(1970, 1, 1, tzinfo=UTC)) / timedelta(seconds=1)
 
 
 def _period(thing: Thing) -> dict[str, Any]:
@@ -331,20 +662,11 @@ def _period(thing: Thing) -> dict[str, Any]:
 
 
 def _preference(thing: Thing) -> dict[str, float] | None:
-    """Return the weight of each preferred attribute, 1 by default; an estimation means its attribute."""
+    """Return the weight of each preferred attribute, 1; an estimation means its attribute."""
     names: list[str] = []
-    for one in thing.players("preferred-attribute"):
-        names += _names(one, "affected") if one.kind == "estimation" else [one.name]
-    own = thing.own("weights")
-    if own is None:
-        return dict.fromkeys(names, 1.0) or None
-    try:
-        weights = map(finite_number, json.loads(str(own.value)))
-        return dict(zip(names, weights, strict=True))
-    except (ValueError, TypeError, RecursionError) as error:
-        raise own.place.error(
-            f"{own.value!r:.60} is no list of weights for {len(names)} attributes: {error}"
-        ) from None
+    for player in thing.players("preferred-attribute"):
+        names += _names(player, "affected") if player.kind == "estimation" else [player.name]
+    return dict.fromkeys(names, 1.0) or None
 
 
 def _parameters(configuration: Thing) -> dict[str, elements.Parameter]:
@@ -424,162 +746,3 @@ def _items(value: Literal, word: str) -> list[object]:
 
 def _unused(stem: str, taken: Container[str]) -> str:
     return next(name for number in count(1) if (name := f"{stem} {number}") not in taken)
-
-
-# -------------------------------------------------------------------- and back
-
-_ELEMENTS: Final = {kind: cls for cls, kind in CLASSES.items()}
-_DEFAULTS: Final = {cls: {field.name: field.default for field in fields(cls)} for cls in CLASSES}
-_FIELDS: Final = {
-    cls: [field for field in ATTRIBUTES[kind] if field.name in ("weights", *_DEFAULTS[cls])]
-    for cls, kind in CLASSES.items()
-}
-_UNSAFE: Final = re.compile(r'[\\"\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]')
-_ESCAPES: Final = {"\n": "\\n", "\t": "\\t", "\r": "\\r", "\\": "\\\\", '"': '\\"'}
-
-
-def typeql_text(model: Contents) -> str:
-    """Write a model so that reading gives the same model; see `Model.save`."""
-    statements = "\n".join(_Writer(model).lines())
-    own = []
-    for label, (value, *owners) in EXTENSIONS.items():
-        if f"has {label} " in statements:
-            own += [f"{label} sub attribute, value {value};", *(f"{owner};" for owner in owners)]
-    return "\n".join(["define", "# beyond ROSA's schema", *own, "", "insert", statements, ""])
-
-
-class _Writer:
-    """Writes the statements of a model; each element has a variable that later statements use."""
-
-    def __init__(self, model: Contents) -> None:
-        self.model = model
-        self.variables: dict[object, str] = {}
-        self.taken: dict[str, int] = {}
-
-    def lines(self) -> Iterator[str]:
-        """Yield all statements; each uses only variables of earlier ones."""
-        yield f"$model isa RobotModel, has model-name {quoted(self.model.name)};"
-        for cls, table in self.model.tables.items():
-            statements = [line for one in table.values() for line in self._element(one)]
-            yield from ["", f"# {facts.ROSA[cls]}s", *statements] if statements else []
-        statements = [line for fact in self.model.facts for line in self._fact(fact)]
-        yield from ["", "# what is so from the start", *statements] if statements else []
-
-    def _element(self, one: elements.Changeable) -> Iterator[str]:
-        players = []
-        for key, value in one.parameters.items() if isinstance(one, Configuration) else ():
-            text = value if isinstance(value, str) else json.dumps(value, ensure_ascii=False)
-            sort = elements.parameter_type(value)
-            variable = self._fresh("parameter", key)
-            players.append(("parameter", variable))
-            given = {
-                "parameter-key": quoted(key),
-                "parameter-value": quoted(text),
-                "parameter-type": quoted(sort),
-            }
-            yield _statement(variable, (), "ComponentParameter", given)
-        variable = self.variables[one] = self._fresh(
-            facts.ROSA[type(one)].split()[-1], elements.called(one)
-        )
-        yield self._described(
-            one, "" if isinstance(one, elements.Estimation) else variable, players
-        )
-        if isinstance(one, elements.Action) and one.functions:
-            needs = [
-                ("required-function", self._of(elements.Function, name)) for name in one.functions
-            ]
-            yield _statement("", [("action", variable), *needs], "functional-requirement", {})
-
-    def _fact(self, fact: Fact) -> Iterator[str]:
-        if isinstance(fact, facts.ActiveFact):
-            yield f"{self._of(Component, fact.component)} has is-active true;"
-        elif isinstance(fact, facts.RequiredFact | facts.SelectedFact):
-            flag = "is-required" if isinstance(fact, facts.RequiredFact) else "is-selected"
-            yield f"{self.variables[fact.element]} has {flag} true;"
-        elif isinstance(fact, facts.StatusFact):
-            yield f"{self.variables[fact.element]} has status {quoted(fact.status)};"
-        elif isinstance(fact, facts.PlanFact):
-            players = []
-            for relation, (role, field, cls) in _STEPS.items():
-                parts = [(role, self._of(cls, name)) for name in getattr(fact, field)]
-                if parts:
-                    players.append((relation, self._fresh("step", relation)))
-                    yield _statement(players[-1][1], parts, relation, {})
-            yield self._described(fact, self._fresh("plan", ""), players)
-        else:
-            yield self._described(fact, "", [])
-
-    def _described(
-        self, one: elements.Changeable | Fact, variable: str, players: Iterable[tuple[str, str]]
-    ) -> str:
-        kind = CLASSES[type(one)]
-        named = []
-        for role in ROLES.get(kind, ()):
-            value = getattr(one, role.field, None) or ()
-            for player in value if isinstance(value, Mapping | tuple) else (value,):
-                known = self.variables.get(player)
-                named.append((role.name, known or self._of(_ELEMENTS[role.kinds[0]], player)))
-        label = kind if kind in ROLES else SPECIAL.get(str(getattr(one, "kind", "")), kind.title())
-        given = {field.label: _written(field, one) for field in _FIELDS[type(one)]}
-        return _statement(variable, [*named, *players], label, given)
-
-    def _of(self, cls: type[Element], name: str) -> str:
-        return self.variables[self.model.tables[cls][name]]
-
-    def _fresh(self, prefix: str, name: str) -> str:
-        """Return a new variable that resembles the name."""
-        stem = re.sub(r"[^A-Za-z0-9]+", "_", f"{prefix}_{name}").strip("_")[:60]
-        number = self.taken[stem] = self.taken.get(stem, 0) + 1
-        return f"${stem}" if number == 1 else f"${stem}-{number}"
-
-
-def quoted(text: str) -> str:
-    """Write a text in quotes so that reading gives the same text."""
-    return f'"{_UNSAFE.sub(_escaped, text)}"'
-
-
-def _escaped(found: re.Match[str]) -> str:
-    return _ESCAPES.get(found[0]) or f"\\u{ord(found[0]):04x}"
-
-
-def written_time(time: float) -> str | None:
-    """Write a time [s since 1970-01-01 UTC] as a date; None if a date is not exact enough or does not reach so far."""
-    try:
-        moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(milliseconds=round(time * 1000))
-    except (OverflowError, ValueError):
-        return None
-    text = moment.replace(tzinfo=None).isoformat(timespec="milliseconds")
-    return text if seconds(datetime.fromisoformat(text).replace(tzinfo=UTC)) == time else None
-
-
-def _statement(
-    variable: str, players: Iterable[tuple[str, str]], label: str, given: Mapping[str, str | None]
-) -> str:
-    relation = ", ".join(f"{role}: {player}" for role, player in players)
-    head = [variable, f"({relation})" if relation else "", f"isa {label}"]
-    owns = [f"has {label} {value}" for label, value in given.items() if value is not None]
-    return ", ".join([" ".join(part for part in head if part), *owns]) + ";"
-
-
-def _written(field: Field, one: object) -> str | None:
-    """Write an attribute of an element or fact; None if it has no value or the default."""
-    if field.name == "weights":
-        preference = getattr(one, "preference", None)
-        return None if preference is None else quoted(json.dumps(list(preference.values())))
-    value = getattr(one, field.name)
-    if value is None or (value == _DEFAULTS[type(one)][field.name] and field.name != "latest"):
-        return None
-    if field.name == "agreement":
-        return quoted("{} of {}".format(*value))
-    if field.name == "rates":
-        return quoted(json.dumps(value))
-    if field.value == "time":
-        return written_time(value)
-    if field.name in ("time", "start", "end") and written_time(value):
-        return None
-    if field.value == "text":
-        return quoted(value)
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    if text.lstrip("-") in ("inf", "nan"):
-        raise ModelError(f"{text} cannot be written to a file; a finite number is needed")
-    return text
