@@ -55,10 +55,10 @@ _TOLD: Final = ("failed", "active", "selected", "requested", "asserted", "assert
 def info(file: File) -> None:
     """Say what is in a store, also while it is written to; exit with 1 if it is damaged."""
     with surveyed(file) as (connection, found):
-        names = [one for one in json.loads(found.declared or "[]") if one[0] == "RobotModel"]
+        rows = json.loads(found.declared or "[]")
         shown: dict[str, object] = {
             "store": str(file),
-            "model": names[0][2]["name"][0] if names else None,
+            "model": rows[0][1]["name"] if rows else None,
             "last sound event": found.last,
             "last acknowledged event": found.acknowledged,
             "state": "in use, or not closed" if found.is_open else "closed",

@@ -234,9 +234,9 @@ def test_store_of_another_model_is_refused_with_what_differs(tmp_path):
     with pytest.raises(StoreError) as caught:
         KnowledgeBase(other, store=path)
     said = str(caught.value)
-    assert re.search(r"ComponentConfiguration.night \([^)]*priority 7\) is not in the store", said)
-    assert re.search(r"ComponentConfiguration.night \([^)]*priority 2\) is in the store only", said)
-    assert "Action.sing (name 'sing') is not in the store" in said
+    assert re.search(r"component configuration night \([^)]*priority 7\) is not in the store", said)
+    assert re.search(r"component configuration night \([^)]*priority 2\) is in the store only", said)
+    assert "action sing () is not in the store" in said
     with pytest.raises(StoreError, match="is in the store only"):
         KnowledgeBase(Model("robot"), store=path)
     assert path.read_bytes() == content
