@@ -139,7 +139,7 @@ class _Facts(_Elements, Protocol):
     def measure(self, attribute: str, value: float) -> None: ...
     def component_failed(self, component: str, reason: str = "") -> None: ...
     def component_recovered(self, component: str) -> None: ...
-    def tell(self, event: Event) -> None: ...
+    def replay(self, event: Event) -> None: ...
 
 
 class DiagnosticRules:
@@ -251,7 +251,7 @@ def _record(kb: _Facts, fact: DiagnosticFact) -> None:
     if fact.verb == "measure":
         kb.measure(fact.name, fact.value)
     elif fact.verb == "stale":
-        kb.tell(Event(0, kb.now, "stale", (kb.attributes[fact.name].name,)))
+        kb.replay(Event(0, kb.now, "stale", (kb.attributes[fact.name].name,)))
     elif fact.verb == "component_recovered":
         kb.component_recovered(fact.name)
     elif kb.components[fact.name].status is not Status.FAILURE:

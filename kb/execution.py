@@ -78,15 +78,15 @@ def _counts(
 ) -> bool:
     """Return whether an estimation counts: its design is selected, or its component is active and so configured."""
     if causer.kind == "function design":
-        return state.selected[causer.index]
-    component = causer if causer.kind == "component" else causer.wholes[0]
-    if component.name not in started and not state.active[component.index]:
+        return causer in state.selected
+    component = causer if causer.kind == "component" else causer.used_by[0]
+    if component.name not in started and component not in state.active:
         return False
     if causer is component:
         return True
-    is_configured = any(state.selected[part.index] for part in component.parts)
+    is_configured = any(part in state.selected for part in component.requires)
     if is_configured and component.name not in failed:
-        return state.selected[causer.index]
+        return causer in state.selected
     in_force = kb.components[component.name].parameters_in_force
     return dict(in_force) == dict(causer.element.parameters)
 
@@ -133,10 +133,10 @@ class Quarantine:
         with kb.reading() as state:
             for name, component in self.components.items():
                 node = state.network.configurations.get(name)
-                if node is None or state.asserted[node.index] is not Status.UNFEASIBLE:
+                if node is None or state.asserted.get(node) is not Status.UNFEASIBLE:
                     continue
                 asserted[name] = component
-                if state.status[node.wholes[0].index] is Status.FAILURE:
+                if state.status[node.used_by[0]] is Status.FAILURE:
                     failed.add(component)
         recovered = self._failed - failed
         for name, component in asserted.items():
@@ -391,8 +391,8 @@ class StagedExecutor:
         with kb.reading() as state:
             running = _running(state, configurations)
             for name, node in _in_model(state, [*running, *names]).items():
-                for part in node.parts:
-                    if state.selected[part.index] and name not in self._failed:
+                for part in node.requires:
+                    if part in state.selected and name not in self._failed:
                         selected[name] = part.element
         return [
             _Command(
@@ -424,12 +424,12 @@ class StagedExecutor:
         with kb.reading() as state:
             nodes = _in_model(state, started).values()
             designs = {
-                design for node in nodes for design in node.wholes if state.selected[design.index]
+                design for node in nodes for design in node.used_by if design in state.selected
             }
             in_vain = [
                 design
                 for design in sorted(designs, key=lambda design: design.index)
-                if state.status[design.wholes[0].index] is Status.UNFEASIBLE
+                if state.status[design.used_by[0]] is Status.UNFEASIBLE
             ]
         for design in in_vain:
             kb.assert_selected(design.element, False)
@@ -437,8 +437,8 @@ class StagedExecutor:
             idle = [
                 name
                 for name, node in _in_model(state, started).items()
-                if state.active[node.index]
-                and not any(state.selected[design.index] for design in node.wholes)
+                if node in state.active
+                and not any(design in state.selected for design in node.used_by)
             ]
         return self._switches(kb, plan, "deactivate", [*unsure, *idle])
 
@@ -461,11 +461,11 @@ class _Steps(NamedTuple):
         configurations = state.network.configurations
         for older in plans[:-1]:
             for name, node in _in_model(state, [*older.activate, *older.deactivate]).items():
-                is_active = state.active[node.index]
-                if state.required[node.index] != is_active:
+                is_active = node in state.active
+                if state.is_required(node) != is_active:
                     (steps.stop if is_active else steps.start).append(name)
             for name in older.parameters:
-                if name in configurations and state.selected[configurations[name].index]:
+                if name in configurations and configurations[name] in state.selected:
                     steps.configurations.append(name)
         return steps
 
@@ -478,8 +478,8 @@ def _in_model(state: State, names: Iterable[str]) -> dict[str, Node]:
 def _running(state: State, configurations: Iterable[str]) -> dict[str, Node]:
     """Return the components of configurations that are in the model and active."""
     nodes = state.network.configurations
-    components = [nodes[name].wholes[0] for name in configurations if name in nodes]
-    return {node.name: node for node in components if state.active[node.index]}
+    components = [nodes[name].used_by[0] for name in configurations if name in nodes]
+    return {node.name: node for node in components if node in state.active}
 
 
 # -------------------------------------------------------------------- a command

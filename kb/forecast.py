@@ -33,7 +33,7 @@ from kb.exceptions import InvalidValue
 from kb.explanation import shortest, why
 from kb.network import Node
 from kb.records import RequiredAction
-from kb.state import Overlay, State, propagate
+from kb.state import State
 from kb.status import OPERATORS, Status
 from kb.views import Readable
 
@@ -603,9 +603,9 @@ def feasible_until(
     ahead = _horizon(within)
     with base.reading() as state:
         node = state.network.actions[action]
-        if state.status[node.index] is Status.UNFEASIBLE:
+        if state.status[node] is Status.UNFEASIBLE:
             return FeasibleUntil(node.name, now, now, now, why(state, node, now), now, ahead)
-        if doing is None and not state.requested[node.index]:
+        if doing is None and node not in state.requested:
             doing = (node.name,)
         search = _Search(base, state, node, now, ahead, base.forecast.doing(doing))
         expected = search.first(_EXPECTED)
@@ -651,8 +651,8 @@ class _Search:
         self._is_unfeasible_with: dict[tuple[Node, ...], bool] = {(): False}
         self._expected: dict[Node, Callable[[float], Expectation | None]] = {}
         for constraint in dict.fromkeys(_constraints(action)):
-            forecast = base.forecast.series_forecast(constraint.parts[0].name, doing)
-            is_satisfied = state.status[constraint.index] is Status.SATISFIED
+            forecast = base.forecast.series_forecast(constraint.requires[0].name, doing)
+            is_satisfied = state.status[constraint] is Status.SATISFIED
             if is_satisfied and not isinstance(forecast, str):
                 self._expected[constraint] = cache(forecast.at)
 
@@ -692,11 +692,11 @@ class _Search:
     def _is_unfeasible(self, time: float, side: int) -> bool:
         nodes = self._violated(time, side)
         if nodes not in self._is_unfeasible_with:
-            layer = Overlay(self._state)
+            supposed = self._state.copy()
             for node in nodes:
-                layer.verdict[node.index] = Status.VIOLATED
-            propagate(layer, nodes)
-            status = layer.status[self._action.index]
+                supposed.hold(node, Status.VIOLATED)
+            supposed.infer()
+            status = supposed.status[self._action]
             self._is_unfeasible_with[nodes] = status is Status.UNFEASIBLE
         return self._is_unfeasible_with[nodes]
 
@@ -718,28 +718,27 @@ def is_violated_then(constraint: Constraint, forecast: Forecast) -> bool:
     return value is not None and not OPERATORS[constraint.operator](value, constraint.value)
 
 
-def suppose_forecast(state: State, node: Node, forecast: Forecast) -> Sequence[Node]:
-    """Enter what is forecast for an attribute in a layer; returns the constraints whose status it may change.
+def suppose_forecast(state: State, node: Node, forecast: Forecast) -> None:
+    """Enter what is forecast for an attribute in a copy of a state.
 
     A constraint is violated if it is now, or if the worse end of the interval violates it, and else stays as it is.
     """
     if forecast.value is None:
-        return ()
+        return
     for constraint in node.constraints:
         if is_violated_then(constraint.constraint, forecast):
-            state.verdict[constraint.index] = Status.VIOLATED
+            state.hold(constraint, Status.VIOLATED)
         else:
-            state.verdict[constraint.index] = state.status[constraint.index]
-    state.value[node.index] = forecast.value
-    state.time[node.index] = None
+            state.hold(constraint, state.status[constraint])
+    state.value[node] = forecast.value
+    state.time.pop(node, None)
     state.give_reason("forecast", node, forecast.reason)
-    return node.constraints
 
 
 def _constraints(node: Node) -> Iterator[Node]:
     """Yield the constraints on an element and on what it needs."""
     yield from node.constraints
-    for part in node.parts:
+    for part in node.requires:
         yield from _constraints(part)
 
 

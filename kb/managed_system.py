@@ -186,9 +186,9 @@ def _expected_activity(kb: KnowledgeBase) -> dict[str, bool]:
         for name, node in state.network.components.items():
             if node.element.kind is ComponentKind.PLAIN:
                 continue
-            if state.active[node.index]:
+            if node in state.active:
                 active[name] = True
-            elif state.failed[node.index]:
+            elif node in state.failed:
                 failed[name] = False
     return {**active, **failed}
 

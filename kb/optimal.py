@@ -157,11 +157,11 @@ def _choice(kb: KnowledgeBase, optimum: Optimum | None) -> Choice | None:
             return choice_by_priority(state)
         choice = optimum.choice
         if choice is None or not (choice.designs or choice.configurations):
-            return Choice({}, {}) if state.obsolete else None
+            return Choice({}, {}) if state.obsolete() else None
         network = state.network
         chosen = [network.designs[name] for name in choice.designs.values()]
         chosen += [network.configurations[name] for name in choice.configurations.values()]
-        if all(state.selected[node.index] for node in chosen):
+        if all(node in state.selected for node in chosen):
             return Choice({}, {})  # `kb.select` says why the plan is needed all the same
         return Choice(choice.designs, choice.configurations, optimum.reason)
 
@@ -206,30 +206,30 @@ class Problem:
     def __init__(self, state: State, criterion: Criterion) -> None:
         criterion.check(state.network)
         self._criterion = criterion
-        functions = [
-            node for node in state.network.functions.values() if state.required[node.index]
-        ]
+        functions = [node for node in state.network.functions.values() if state.is_required(node)]
         self._designs = {node: ranked(state, node) for node in functions}
         self._kept = [  # of functions that are stuck with what they have
             design
             for node, designs in self._designs.items()
-            for design in node.parts
-            if not designs and state.selected[design.index]
+            for design in node.requires
+            if not designs and design in state.selected
         ]
-        components = {part for node in functions for design in node.parts for part in design.parts}
+        components = {
+            part for node in functions for design in node.requires for part in design.requires
+        }
         in_order = sorted(components, key=lambda node: node.index)
         self._components = {node: ranked(state, node) for node in in_order}
-        self._obsolete = [node for node in state.obsolete.nodes() if node.kind == "component"]
-        choices = [part for node in (*functions, *in_order) for part in node.parts]
-        self._selected = {node for node in choices if state.selected[node.index]}
-        self._active = {node for node in components if state.active[node.index]}
-        self._asserted = {node for node in components if state.asserted_required[node.index]}
+        self._obsolete = [node for node in state.obsolete() if node.kind == "component"]
+        choices = [part for node in (*functions, *in_order) for part in node.requires]
+        self._selected = {node for node in choices if node in state.selected}
+        self._active = {node for node in components if node in state.active}
+        self._asserted = {node for node in components if node in state.asserted_required}
         self._replaceable = {  # a plan stops only what it replaces or what is obsolete
             node
             for node in components
             if any(
-                state.selected[design.index] and self._designs.get(design.wholes[0])
-                for design in node.wholes
+                design in state.selected and self._designs.get(design.used_by[0])
+                for design in node.used_by
             )
         }
         names = {name for name, weight in criterion.weights.items() if weight}
@@ -240,7 +240,7 @@ class Problem:
             if estimation.attribute in names
         }
         concerned = {*in_order, *self._kept}
-        for possible in (*self._designs.values(), *(node.parts for node in in_order)):
+        for possible in (*self._designs.values(), *(node.requires for node in in_order)):
             concerned.update(possible)
         is_estimated = not concerned.isdisjoint(self._causers.values())
         self.is_weighed = bool(criterion.budgets) or is_estimated
@@ -379,8 +379,8 @@ class Problem:
             design: self._literal(design, is_now=design in self._selected) for design in designs
         }
         self._model.add_exactly_one(options.values())
-        for part in dict.fromkeys(part for design in designs for part in design.parts):
-            users = [options[design] for design in designs if part in design.parts]
+        for part in dict.fromkeys(part for design in designs for part in design.requires):
+            users = [options[design] for design in designs if part in design.requires]
             self._users[part].append(users)
         return Slot(node, options)
 
@@ -390,7 +390,7 @@ class Problem:
         to_switch = self._cost_to_switch(node)
         is_active = node in self._active
         is_asserted = node in self._asserted
-        selected = [part for part in node.parts if part in self._selected]
+        selected = [part for part in node.requires if part in self._selected]
         stays = is_active and node not in self._replaceable
         to_start = 0 if is_active else to_switch
         options: dict[Node | None, Untyped] = {}
@@ -405,7 +405,7 @@ class Problem:
         users = self._users[node]
         for users_of_function in users:  # at most one of them is chosen
             self._model.add(self._sum(users_of_function) <= needed)
-        if (stays and is_asserted) or any(node in design.parts for design in self._kept):
+        if (stays and is_asserted) or any(node in design.requires for design in self._kept):
             self._model.add(needed == 1)
         else:
             every = [literal for users_of_function in users for literal in users_of_function]

@@ -6,11 +6,10 @@ from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from kb.elements import ComponentKind, Configuration, FunctionDesign, finite_number
-from kb.events import StatusChange
 from kb.exceptions import InvalidValue
 from kb.network import Network, Node
 from kb.records import ReconfigurationPlan
-from kb.state import Overlay, State, propagate
+from kb.state import State, in_order
 from kb.status import Status
 from kb.views import ConfigurationView, DesignView, Readable
 
@@ -152,7 +151,7 @@ def by_priority(
 
 def ranked(state: State, owner: Node) -> list[Node]:
     """Return the parts of a function or component that are not unfeasible, sorted by priority."""
-    possible = [part for part in owner.parts if state.status[part.index] is not Status.UNFEASIBLE]
+    possible = [part for part in owner.requires if state.status[part] is not Status.UNFEASIBLE]
     possible.sort(key=lambda part: by_priority(part.element))
     return possible
 
@@ -170,20 +169,20 @@ def choice_by_priority(state: State) -> Choice | None:
 
     Returns None if there is nothing to do; an empty choice means that only what is obsolete is given up.
     """
-    adaptable = state.adaptable.nodes()
+    adaptable = in_order(state.adaptable)
     functions = [node for node in adaptable if node.kind == "function"]
     designs = firsts_by_priority(state, functions)
     selection = decide(state, designs)
     if selection.flips:
-        following = Overlay(state)
+        following = state.copy()
         apply_selection(following, selection)
-        adaptable = following.adaptable.nodes()
+        adaptable = in_order(following.adaptable)
     given_up = selection.deactivate
     components = [
         node for node in adaptable if node.kind == "component" and node.name not in given_up
     ]
     configurations = firsts_by_priority(state, components)
-    if not (designs or configurations or state.obsolete):
+    if not (designs or configurations or state.obsolete()):
         return None
     return Choice(by_owner(designs), by_owner(configurations))
 
@@ -259,76 +258,73 @@ class Selection(NamedTuple):
 
 def obsolete(state: State) -> Obsolete:
     """Return what is obsolete: selected or active for no required function (an asserted `required` does not count)."""
-    nodes = state.obsolete.nodes()
+    nodes = state.obsolete()
     kinds = "component", "function design", "configuration"
     return Obsolete(*(_names(node for node in nodes if node.kind == kind) for kind in kinds))
 
 
 def decide(state: State, chosen: Sequence[Node]) -> Selection:
     """Decide what a choice of designs and configurations changes; what is obsolete is given up. Nothing changes yet."""
-    unneeded = state.obsolete.nodes()
+    unneeded = state.obsolete()
     flips = _flips(state, chosen)
     flips += [node for node in unneeded if node.kind != "component" and node not in flips]
     flipped = set(flips)
 
     def is_used(design: Node) -> bool:
-        is_selected = state.selected[design.index] != (design in flipped)
-        return is_selected and state.required[design.wholes[0].index]
+        is_selected = (design in state.selected) != (design in flipped)
+        return is_selected and state.is_required(design.used_by[0])
 
-    owners = {node.wholes[0] for node in chosen}
+    owners = {node.used_by[0] for node in chosen}
     replaced = [
         node
         for node in flips
-        if node.kind == "function design"
-        and state.selected[node.index]
-        and node.wholes[0] in owners
+        if node.kind == "function design" and node in state.selected and node.used_by[0] in owners
     ]
     stopped = [
-        part for design in replaced for part in design.parts if not any(map(is_used, part.wholes))
+        part
+        for design in replaced
+        for part in design.requires
+        if not any(map(is_used, part.used_by))
     ]
     stopped += [node for node in unneeded if node.kind == "component"]
-    waiting = {design for component in state.lacking.nodes() for design in component.wholes}
+    waiting = {design for component in state.inactive_required() for design in component.used_by}
     waiting.update(node for node in flips if node.kind == "function design")
     started = [
         part
         for design in sorted(filter(is_used, waiting), key=lambda design: design.index)
-        for part in design.parts
+        for part in design.requires
     ]
     return Selection(
         flips=tuple(flips),
-        activate=_names(part for part in started if not state.active[part.index]),
-        deactivate=_names(part for part in stopped if state.active[part.index]),
+        activate=_names(part for part in started if part not in state.active),
+        deactivate=_names(part for part in stopped if part in state.active),
         parameters=_names(
-            node
-            for node in flips
-            if node.kind == "configuration" and not state.selected[node.index]
+            node for node in flips if node.kind == "configuration" and node not in state.selected
         ),
     )
 
 
-def apply_selection(state: State, selection: Selection) -> tuple[StatusChange, ...]:
-    """Select and unselect, and return the statuses that changed."""
-    for node in selection.flips:
-        state.put(state.selected, node.index, not state.selected[node.index])
-    return tuple(propagate(state, selection.flips))
+def apply_selection(state: State, selection: Selection) -> None:
+    """Select and unselect in a copy of a state."""
+    state.touch(selection.flips)
+    state.selected = state.selected.symmetric_difference(selection.flips)
+    state.infer()
 
 
 def by_owner(chosen: Iterable[Node]) -> Mapping[str, str]:
     """Return the names of what is chosen by what it is chosen for."""
-    return MappingProxyType({node.wholes[0].name: node.name for node in chosen})
+    return MappingProxyType({node.used_by[0].name: node.name for node in chosen})
 
 
 def _flips(state: State, chosen: Sequence[Node]) -> list[Node]:
     """Return the parts of the owners whose selection changes; what would be obsolete is not selected."""
     flips = []
     for node in chosen:
-        owner = node.wholes[0]
-        is_needed = (
-            state.required[owner.index] if owner.kind == "function" else state.served[owner.index]
-        )
-        for part in owner.parts:
+        owner = node.used_by[0]
+        is_needed = state.is_required(owner) if owner.kind == "function" else state.serves(owner)
+        for part in owner.requires:
             is_wanted = part is node and bool(is_needed)
-            if bool(state.selected[part.index]) != is_wanted:
+            if (part in state.selected) != is_wanted:
                 flips.append(part)
     return flips
 

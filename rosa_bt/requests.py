@@ -108,7 +108,7 @@ def forget_progress(kb: KnowledgeBase) -> None:
 
 def store_progress(kb: KnowledgeBase, action: str, name: str, saved: str) -> None:
     """Record the progress of a behaviour, as JSON, for the next program; empty for none."""
-    kb.tell(Event(0, kb.now, "progress", (action, name, saved)))
+    kb.replay(Event(0, kb.now, "progress", (action, name, saved)))
 
 
 def why(kb: KnowledgeBase, action: str) -> str:

@@ -340,7 +340,7 @@ def test_same_events_give_the_same_times_to_plan_with(sailing):
     for then, number, forecasts in known:
         for event in events[last:number]:
             now = event.time
-            kb.tell(event)
+            kb.replay(event)
         now, last = then, number
         assert lasting.forecasts() == forecasts
     assert any(
