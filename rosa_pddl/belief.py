@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from kb import KnowledgeBase
 from kb.events import Log
-from kb.explanation import Explanation
+from kb.explain import Explanation
 from kb.forecast import FeasibleUntil
 from rosa_pddl.domain import (
     Domain,
