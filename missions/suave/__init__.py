@@ -1,11 +1,10 @@
 """SUAVE: an underwater vehicle searches for a pipeline and inspects it, through murky water and a thruster failure."""
 
-from pathlib import Path
-
 from missions import SUMMARIES
 from missions.engine.mission import Mission
+from missions.engine.task_layer import by_schema
 from missions.suave.model import suave_model
-from missions.suave.tree import InspectPipeline, SearchPipeline, facts, suave_tree
+from missions.suave.tree import PROBLEM, InspectPipeline, SearchPipeline, facts, suave_tree
 from missions.suave.world import SEA
 
 __all__ = ["MISSION"]
@@ -15,12 +14,8 @@ MISSION = Mission(
     summary=SUMMARIES["suave"],
     model=suave_model,
     tree=suave_tree,
-    domain=Path(__file__).with_name("domain.pddl"),
-    problem=Path(__file__).with_name("problem.pddl"),
-    actions={
-        "search_pipeline": SearchPipeline,
-        "inspect_pipeline": InspectPipeline,
-    },
+    problem=PROBLEM,
+    actions=by_schema(SearchPipeline, InspectPipeline),
     facts=facts,
     world=SEA,
     fixed={"battery": "false"},

@@ -4,7 +4,8 @@ from collections import deque
 from heapq import heappop, heappush
 from itertools import product
 
-from rosa_pddl.validate import ended, goal_holds, missing_at_start, started, step_costs
+from rosa_pddl.resource_usage import usage_of
+from rosa_pddl.validate import ended, goal_holds, missing_at_start, started
 
 
 def ground_steps(domain):
@@ -41,7 +42,7 @@ def fewest_steps(domain, state, most=None):
 
 def least_cost(domain, state, costs=None):
     """Return what the cheapest plan costs; None if there is none."""
-    steps = ground_steps(domain)
+    usage, steps = usage_of(domain), ground_steps(domain)
     queue, done, pushed = [(0, 0, state)], set(), 0
     while queue:
         cost, _, state = heappop(queue)
@@ -52,6 +53,12 @@ def least_cost(domain, state, costs=None):
         done.add(state)
         for step, after in following(domain, steps, state):
             pushed += 1
-            (more,) = step_costs(domain, [step], state, costs)
-            heappush(queue, (cost + more, pushed, after))
+            heappush(
+                queue,
+                (
+                    cost + usage.value(usage.cost_of(step), usage.numbers(costs or {}, state)),
+                    pushed,
+                    after,
+                ),
+            )
     return None
