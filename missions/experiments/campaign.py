@@ -16,7 +16,7 @@ from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from itertools import chain, count, product
+from itertools import count, product
 from pathlib import Path
 from time import monotonic
 from typing import Any, Final, NamedTuple, Self
@@ -552,13 +552,22 @@ def reaction_rows(kept: Kept) -> Iterator[dict[str, Any]]:
 def write_tables(kept: Kept, folder: Path) -> list[Path]:
     """Write the runs and the reactions, and return the files; raises MissionError if one cannot be written."""
     written = []
-    for name, rows in (("runs", run_rows(kept)), ("reactions", reaction_rows(kept))):
-        written.append(folder / f"{name}.csv")
+    for name, rows in (("runs.csv", run_rows), ("reactions.csv", reaction_rows)):
+        written.append(folder / name)
         with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
-            first = next(rows, None)
+            first = next(rows(kept), None)
             with part.open("w", encoding="utf-8", newline="") as file:
                 writer = csv.DictWriter(file, list(first or ["run"]), lineterminator="\n")
                 writer.writeheader()
-                writer.writerows(chain([first] if first else [], rows))
+                writer.writerows(rows(kept))
             put(part, written[-1].resolve())
+    written.append(folder / "runs.json")
+    with files_tried(f"write {written[-1]}"), draft(written[-1].resolve()) as part:
+        with part.open("w", encoding="utf-8") as file:
+            lines = (json.dumps(row, ensure_ascii=False) for row in run_rows(kept))
+            file.write("[\n")
+            for number, line in enumerate(lines):
+                file.write(f"{',' if number else ' '}{line}\n")
+            file.write("]\n")
+        put(part, written[-1].resolve())
     return written
