@@ -81,7 +81,12 @@ _CLOCK_SLACK_S: Final = 1.0
 P = ParamSpec("P")
 T = TypeVar("T")
 
-copyreg.pickle(MappingProxyType, lambda mapping: (MappingProxyType, (dict(mapping),)))
+
+def _read_only(values: dict[Any, Any]) -> MappingProxyType[Any, Any]:
+    return MappingProxyType(values)
+
+
+copyreg.pickle(MappingProxyType, lambda mapping: (_read_only, (dict(mapping),)))
 
 
 def _update(

@@ -1,7 +1,7 @@
 """The best joint choice of designs and configurations, proven by CP-SAT of OR-tools.
 
-One worker, a fixed seed and an effort that is counted in work instead of seconds make the answer the same
-on every machine. All numbers are whole, so that comparing two choices is exact.
+One worker, a fixed seed and an effort that is counted in work instead of seconds make the answer
+the same on every machine. All numbers are whole, so that comparing two choices is exact.
 """
 
 import logging
@@ -30,7 +30,7 @@ from kb.state import State
 _log = logging.getLogger(__name__)
 
 DIGITS: Final = 12
-"""The most digits of the sum of all amounts of a kind as whole numbers; beyond that they are rounded."""
+"""The most digits of a sum of whole amounts; beyond that they are rounded."""
 
 _SETTINGS: Final = {
     "num_workers": 1,
@@ -59,18 +59,21 @@ def load_cp_model() -> Untyped:
 
 
 class OptimalPlanner:
-    """Chooses the best joint configuration of all that is required, or says how far it may be from the best.
+    """Chooses the best joint configuration of all that is required.
 
-    It chooses again for all that is required when something is adaptable, or the preferences changed since
-    the last choice. Without budgets, and without estimations of a preferred attribute, it chooses as
-    `PriorityPlanner` does.
+    It chooses again for all that is required when something is adaptable, or the preferences
+    changed since the last choice. Without budgets, and without estimations of a preferred
+    attribute, it chooses as `PriorityPlanner` does.
 
     Args:
-        switching_cost: the cost of activating or deactivating a component or changing its configuration,
-            the same for all or by name of the component; for a smaller gain nothing is switched. Plain
-            components are activated and deactivated at no cost, because they are not switched.
-        budgets: the most that the estimations of what is chosen or active may sum up to, by attribute.
-        effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a second.
+        switching_cost: the cost of activating or deactivating a component or changing its
+            configuration, the same for all or by name of the component; for a smaller gain nothing
+            is switched. Plain components are activated and deactivated at no cost, because they
+            are not switched.
+        budgets: the most that the estimations of what is chosen or active may sum up to, by
+            attribute.
+        effort: the most work for one choice, in CP-SAT's deterministic time; 0.3 is about a
+            second.
 
     Attributes:
         latest: the latest result; None before the first, and after a choice by priority.
@@ -93,12 +96,12 @@ class OptimalPlanner:
         self._settings = Criterion({}, switching_cost, dict(budgets or {}))
         self._effort = effort
         self._last = WeakKeyDictionary[KnowledgeBase, tuple[Mapping[str, float], str]]()
-        """By knowledge base: the weights of the last choice, and why there was none; empty if there was one."""
+        """The weights of the last choice, and why there was none, by knowledge base."""
         self.latest: Optimum | None = None
 
     @property
     def budgets(self) -> Mapping[str, float]:
-        """The most that the estimations of what is chosen or active may sum up to, by name of attribute."""
+        """The most that estimations may sum up to, by name of attribute."""
         return self._settings.budgets
 
     def criterion(self, kb: KnowledgeBase) -> Criterion:
@@ -111,7 +114,7 @@ class OptimalPlanner:
         return _choice(kb, self.optimum(kb) if self._is_due(kb) else None)
 
     def plan(self, kb: KnowledgeBase) -> ReconfigurationPlan | None:
-        """Select for all that is required if something is adaptable or preferences changed; see `Planner`."""
+        """Select for all that is required if it is due; see `Planner`."""
         if kb not in self._last:  # a wrong name is an error at the first update
             with kb.reading() as state:
                 self._settings.check(state.network)
@@ -130,9 +133,10 @@ class OptimalPlanner:
         return plan
 
     def optimum(self, kb: KnowledgeBase) -> Optimum | None:
-        """Return the best choice for the present state of a knowledge base; None if priority is to decide.
+        """Return the best choice for the present state; None if priority is to decide.
 
-        Priority decides where nothing is estimated or limited, and where no choice was found within the effort.
+        Priority decides where nothing is estimated or limited, and where no choice was found
+        within the effort.
         """
         criterion = self.criterion(kb)
         with kb.reading() as state:
@@ -151,7 +155,7 @@ class OptimalPlanner:
 
 
 def _choice(kb: KnowledgeBase, optimum: Optimum | None) -> Choice | None:
-    """Return what to select; an empty choice, which gives up what is obsolete, if nothing else can be chosen."""
+    """Return what to select; an empty choice only gives up what is obsolete."""
     with kb.reading() as state:
         if optimum is None:
             return choice_by_priority(state)
@@ -192,9 +196,10 @@ class Slot:
 class Problem:
     """The problem of choosing for all that is required in a state; solved once.
 
-    A slot is a function, for which one design is chosen, or a component, for which one configuration is
-    chosen if a chosen design needs it. The estimations of what is chosen add up. The problem copies what it
-    needs from the state, so the state may change while the problem is solved.
+    A slot is a function, for which one design is chosen, or a component, for which one
+    configuration is chosen if a chosen design needs it. The estimations of what is chosen add up.
+    The problem copies what it needs from the state, so the state may change while the problem is
+    solved.
 
     Attributes:
         is_weighed: an estimation or a budget concerns what takes part; if not, priority decides.
@@ -246,10 +251,11 @@ class Problem:
         self.is_weighed = bool(criterion.budgets) or is_estimated
 
     def solve(self, effort: float = 0.3) -> Optimum:
-        """Return the best choice found within an effort [CP-SAT's deterministic time]; of equally good ones the first.
+        """Return the best choice found within an effort; of equally good ones the first.
 
-        The order of choices is by priority and name of the design of the function declared first, then of the
-        next function, and so on, and then by the configurations of the components in the same way.
+        The order of choices is by priority and name of the design of the function declared first,
+        then of the next function, and so on, and then by the configurations of the components in
+        the same way.
         """
         self._cp = load_cp_model()
         with localcontext(Context(prec=60)):
@@ -292,7 +298,7 @@ class Problem:
     # ---------------------------------------------------------------- amounts as whole numbers
 
     def _estimate(self) -> None:
-        """Find the units in which all amounts are whole, and the estimated amounts of each causer."""
+        """Find the units in which all amounts are whole, and the amounts of each causer."""
         criterion = self._criterion
         weights = {name: _decimal(weight) for name, weight in criterion.weights.items() if weight}
         values = {estimation: _decimal(estimation.adds) for estimation in self._causers}
@@ -353,7 +359,7 @@ class Problem:
         return 0 if component.element.kind is ComponentKind.PLAIN else self._costs[component]
 
     def _add(self, literal: Untyped, *nodes: Node, cost: int = 0) -> None:
-        """Add the estimations of nodes, less a switching cost, to the sums that count where a literal is true."""
+        """Add estimations, less a switching cost, to the sums where a literal is true."""
         gain = -cost
         loads = [0] * len(self._loads)
         for estimated in (one for node in nodes for one in self._estimated.get(node, ())):
@@ -385,7 +391,7 @@ class Problem:
         return Slot(node, options)
 
     def _component(self, node: Node, configurations: Sequence[Node]) -> Slot:
-        """Encode that one configuration is chosen if the component is needed, and none otherwise."""
+        """Encode that one configuration is chosen if the component is needed, else none."""
         cost = self._costs[node]
         to_switch = self._cost_to_switch(node)
         is_active = node in self._active
@@ -451,7 +457,7 @@ class Problem:
         return status in (self._cp.OPTIMAL, self._cp.FEASIBLE)
 
     def _run_for_first(self, gain: int) -> Untyped:
-        """Find the first choice of that gain; the search goes in the order of choices only without presolving."""
+        """Find the first choice of that gain; presolving would change the order."""
         self._model.add(self._gain >= gain)
         self._model.clear_objective()
         self._model.clear_hints()
@@ -502,7 +508,7 @@ class Problem:
         return f"this is {best}{within} that {effort} found{worth}; {gap}"
 
     def _why_nothing_fits(self, unlimited: Untyped) -> str:
-        """Say which budgets are too small for any choice, as far as this is found within the effort that is left."""
+        """Return which budgets are too small for any choice, as far as the effort allows."""
         reasons = []
         units = self._load_units.items()
         for load, limit, (name, unit) in zip(self._loads, self._limits, units, strict=True):

@@ -271,6 +271,7 @@ class Situation:
         self._now = now
         self.forecast = forecast
         network = state.network
+        self._revision = network.revision
         self.actions = views.Views(self, network.actions, views.ActionView)
         self.functions = views.Views(self, network.functions, views.FunctionView)
         self.components = views.Views(self, network.components, views.ComponentView)
@@ -301,7 +302,10 @@ class Situation:
         return self._now
 
     def reading(self) -> AbstractContextManager[State]:
-        """Give the facts and statuses, to be read only."""
+        """Give the facts and statuses, to be read only, of the model as it is now."""
+        revision = self._state.network.revision
+        self._state.follow_model(self._revision)
+        self._revision = revision
         return nullcontext(self._state)
 
     def __repr__(self) -> str:

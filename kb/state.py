@@ -32,6 +32,7 @@ from kb.status import (
 )
 
 _ATTRIBUTE: Final = LEVELS["attribute"]
+_CHOSEN: Final = ("configuration", "component", "function design")
 FLAGS: Final = ("stale", "failed", "active", "selected", "requested", "asserted_required")
 """The facts that are sets of nodes."""
 _VALUES: Final = ("value", "time", "asserted", "votes")
@@ -148,7 +149,11 @@ class State:
         self.histories: dict[Node, History] = {}
         self.status: dict[Node, Status] = {}
         self.adaptable: set[Node] = set()
+        self._required: set[Node] = set()  # functions
+        self._obsolete: set[Node] = set()
+        self._inactive_required: set[Node] = set()
         self._outdated: list[set[Node]] = [set() for _ in range(_ATTRIBUTE)]
+        self._unmarked: set[Node] = set()  # whether they are obsolete is to be found out again
         self._before: dict[Node, Status] = {}  # of the event that is being applied
         self.touch(network.present())
         self.infer()
@@ -156,10 +161,10 @@ class State:
 
     def copy(self) -> "State":
         """Return a copy to suppose other facts in."""
-        other = copy(self)
+        other = State.__new__(State)
         for name, content in vars(self).items():
-            if isinstance(content, dict | set):
-                vars(other)[name] = copy(content)
+            is_copied = isinstance(content, dict | set)
+            vars(other)[name] = copy(content) if is_copied else content
         other._outdated = [set() for _ in range(_ATTRIBUTE)]
         return other
 
@@ -183,12 +188,7 @@ class State:
 
     def inactive_required(self) -> list[Node]:
         """Return the required components that are not active, in order of declaration."""
-        required = {part for design in self.selected for part in design.requires}
-        required.update(self.asserted_required)
-        inactive = (
-            node for node in required if node.kind == "component" and node not in self.active
-        )
-        return in_order(inactive)
+        return in_order(self._inactive_required)
 
     def verdict(self, node: Node) -> Status | None:
         """Return the status of a debounced constraint by its measurements; None for another one."""
@@ -199,23 +199,13 @@ class State:
         """Return the reason that was given with a fact, such as "failed" or "selected"."""
         return self.reasons.get((fact, node), NO_REASON)
 
-    def obsolete(self, selected: set[Node] | None = None) -> list[Node]:
+    def obsolete(self) -> list[Node]:
         """Return what is active or selected for no required function, in order of declaration."""
-        if selected is None:
-            selected = self.selected
-        nodes = [node for node in self.active if not self.serves(node)]
-        for node in selected:
-            if node.kind == "function design":
-                is_used = self.is_required(node.used_by[0])
-            else:
-                is_used = self.serves(node.used_by[0])
-            if not is_used:
-                nodes.append(node)
-        return in_order(nodes)
+        return in_order(self._obsolete)
 
     def serves(self, component: Node) -> bool:
         """Return whether a design of a required function, selected or not, has this component."""
-        return any(self.is_required(design.used_by[0]) for design in component.used_by)
+        return any(design.used_by[0] in self._required for design in component.used_by)
 
     # ---------------------------------------------------------------- events
 
@@ -453,7 +443,37 @@ class State:
                         )
                         mark(node)
                     self.status[node] = new
+                self._note_requirement(node)
                 level.discard(node)
+        self._mark_obsolete()
+
+    def _note_requirement(self, node: Node) -> None:
+        """Note whether a node is required, and what may be obsolete by that or is no longer."""
+        if node.kind == "function":
+            is_required = self.is_required(node)
+            if is_required is not (node in self._required):
+                self._unmarked.update(_serving(node))
+                (self._required.add if is_required else self._required.discard)(node)
+        elif node.kind == "component":
+            is_lacking = node not in self.active and self.is_required(node)
+            note = self._inactive_required.add if is_lacking else self._inactive_required.discard
+            note(node)
+        if node.kind in _CHOSEN:
+            self._unmarked.add(node)
+
+    def _mark_obsolete(self) -> None:
+        while self._unmarked:
+            node = next(iter(self._unmarked))
+            if node.kind == "component":
+                is_obsolete = node in self.active and not self.serves(node)
+            elif node not in self.selected:
+                is_obsolete = False
+            elif node.kind == "function design":
+                is_obsolete = node.used_by[0] not in self._required
+            else:
+                is_obsolete = not self.serves(node.used_by[0])
+            (self._obsolete.add if is_obsolete else self._obsolete.discard)(node)
+            self._unmarked.discard(node)
 
     def _infer(self, node: Node) -> Status:
         if node in self.asserted:
@@ -507,6 +527,17 @@ class State:
             if is_adaptable(node, self.status[node])
         }
 
+    def follow_model(self, revision: int) -> None:
+        """Forget what is no longer in the network, and infer all again, unless it is of this revision."""
+        if revision == self.network.revision:
+            return
+        present = set(self.network.present())
+        for node in self.network.nodes:
+            if node not in present:
+                self._forget(node)
+        self.touch(present)
+        self.infer()
+
     def to_json(self, keep: int) -> dict[str, Any]:
         """Return the facts as values that JSON can hold, with the newest measurements."""
         present = set(self.network.present())
@@ -537,6 +568,10 @@ class State:
                 for packed, begins in [history.packed(keep)]
             ],
         }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and deep-copy a state by its facts; the statuses are inferred again."""
+        return _restored, (self.network.model, self.memory, self.to_json(self.memory.measurements))
 
     def from_json(self, written: Mapping[str, Any]) -> None:
         """Restore what `to_json` returned."""
@@ -595,6 +630,20 @@ class State:
             level.discard(node)
         if node.kind == "component":
             self.parameters.pop(node.name, None)
+
+
+def _serving(function: Node) -> set[Node]:
+    """Return the designs of a function, their components, and the configurations of these."""
+    designs = function.requires
+    components = [component for design in designs for component in design.requires]
+    configurations = [part for component in components for part in component.requires]
+    return {*designs, *components, *configurations}
+
+
+def _restored(model: Any, memory: Memory, written: Mapping[str, Any]) -> State:  # noqa: ANN401  # a `Model`
+    state = State(Network(model), memory)
+    state.from_json(written)
+    return state
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401  # a field of what is debounced

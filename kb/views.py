@@ -12,7 +12,7 @@ from types import MappingProxyType
 from typing import Any, Generic, Protocol, TypeVar
 
 from kb.elements import AttributeKind, ComponentKind, Constraint, Element, Parameters, finite_number
-from kb.network import Node
+from kb.network import Node, Ref
 from kb.state import History, State
 from kb.status import Status
 
@@ -64,10 +64,15 @@ class ElementView:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle a view as that of the present situation; a knowledge base cannot be pickled."""
-        return type(self), (self.base.situation(), self.node)
+        return _restored, (type(self), self.base.situation(), self.node.ref)
 
     def __repr__(self) -> str:
         return f"<{self.node.kind} {self.name!r}>"
+
+
+def _restored(view: type[ElementView], base: Readable, ref: Ref) -> ElementView:
+    with base.reading() as state:
+        return view(base, state.network.referred(ref))
 
 
 class Known(Generic[T]):

@@ -5,7 +5,7 @@ import copy
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import NUMBERS, RANDOMS, Clock, Twins, some_of, stories
+from models import NUMBERS, RANDOMS, Clock, Twins, events, some_of, stories
 
 from kb import InvalidValue, KnowledgeBase, KnowledgeBaseError, Model, Status, UnknownName
 
@@ -60,6 +60,7 @@ def supposed(naive, assumed):
         "designs",
         "configurations",
         "active",
+        "asserted_required",
     ):
         setattr(twin, facts, copy.copy(getattr(naive, facts)))
     for name, value in assumed["measured"].items():
@@ -95,6 +96,33 @@ def test_a_situation_answers_as_if_its_assumptions_were_facts(story, data):
     twins.agree(nested, supposed(supposed(twins.naive, first), second))
     assert twins.statuses() == before
     twins.agree()
+
+
+@settings(suppress_health_check=SLOW, max_examples=60)
+@given(stories(max_size=8), st.data())
+def test_situation_stays_what_it_was_when_its_base_learns(story, data):
+    model, happenings = story
+    twins = Twins(model)
+    for event in happenings:
+        twins.happen(event)
+    assumed = data.draw(assumptions(model))
+    situation = suppose(twins.kb, assumed)
+    naive = supposed(twins.naive, assumed)
+    for event in data.draw(st.lists(events(model), max_size=5)):
+        twins.happen(event)
+        twins.agree(situation, naive)
+
+
+def test_situation_follows_its_model():
+    model = Model("rover")
+    light = model.quality_attribute("light")
+    model.action("look", constraints=[light >= 0.5])
+    situation = KnowledgeBase(model, clock=Clock()).situation(light=0.3)
+    model.action("film", constraints=[light >= 0.2])
+    model.remove("look")
+    assert situation.selectable_actions() == ("film",)
+    with pytest.raises(UnknownName, match="look"):
+        situation.is_feasible("look")
 
 
 def test_what_the_robot_can_do_in_a_situation_and_how_it_is_best_configured_for_it(kb):
