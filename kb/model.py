@@ -819,7 +819,7 @@ def _key_of(element: Changeable, number: int) -> tuple[str, int]:
 
 
 def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
-    """Return the model of a declaration (in `plain_json`) and later amendments, and the numbers of its elements."""
+    """Return the model of a declaration and later amendments, and its serials."""
     then = Model.from_plain(declared)
     numbers = Serials.of(then)
     for one in amendments:
