@@ -718,7 +718,7 @@ class Serials(dict[Changeable, int]):
     @classmethod
     def of(cls, model: Contents) -> Self:
         """Number the constraints of a model, and its estimations, from 0."""
-        tables = (model.constraints, model.estimations)
+        tables: tuple[tuple[Changeable, ...], ...] = (model.constraints, model.estimations)
         return cls((each, number) for table in tables for number, each in enumerate(table))
 
     def __missing__(self, element: Changeable) -> int:
@@ -771,7 +771,8 @@ def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable |
     if issubclass(cls, Element):
         declared: Element = model.declare(cls, values.pop("name"), **values)
         return declared
-    model.add_fact(cls(**values))
+    fact: Any = cls(**values)
+    model.add_fact(fact)
     return None
 
 
@@ -787,9 +788,9 @@ def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amen
 
 def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # plain
     """Change a model as it was changed before; see `Amendment`."""
-    unnamed = {_key_of(each, number): each for each, number in serials.items()}
+    unnamed = {(facts.ROSA[type(each)], number): each for each, number in serials.items()}
 
-    def element_of(words: str, name: str | int) -> Any:  # noqa: ANN401
+    def element_of(words: str, name: Any) -> Any:  # noqa: ANN401  # a name or a number
         cls = _CLASSES[words]
         return unnamed[words, name] if cls in (Constraint, Estimation) else model.tables[cls][name]
 
@@ -812,10 +813,6 @@ def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # no
                 if checks[each.name].can_change
             }
             model.change(element, **new)
-
-
-def _key_of(element: Changeable, number: int) -> tuple[str, int]:
-    return facts.ROSA[type(element)], number
 
 
 def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
