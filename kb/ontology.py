@@ -594,7 +594,8 @@ class _Reader:
         """Return the element that a value stands for, or its name if the field holds names."""
         cls: type = elements.REFERENCES.get(field, object)
         element: Any = self._elements.get(value.id) if isinstance(value, Ref) else None
-        if element is None or not isinstance(element, cls):
+        is_of_class = isinstance(element, cls)
+        if element is None or not is_of_class:
             known = [own for own, each in self._elements.items() if isinstance(each, cls)]
             given = value.id if isinstance(value, Ref) else value
             raise UnknownName(CLASSES.get(cls, "individual"), given, known)
