@@ -632,8 +632,7 @@ class Action(_Constrainable):
 
     Attributes:
         functions: the names of the functions that it requires.
-        restores: the attributes and components that it can make right again, e.g. the battery
-            level by recharging.
+        restores: the attributes and components that it can make right again.
     """
 
     functions: tuple[str, ...] = ()

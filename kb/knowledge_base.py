@@ -108,7 +108,7 @@ def _update(
             self._check_open()
             self._prepare(now)
             with self._updating:
-                result = method(self, *arguments, **keywords)  # type: ignore[arg-type]  # copies
+                result = method(self, *arguments, **keywords)  # type: ignore[arg-type]  # both are copies
             last = self.log.last
         self._publish(last)
         return result

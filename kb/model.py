@@ -735,7 +735,7 @@ def _reference(element: Changeable, serials: Serials) -> list[Any]:
 def _row(described: Any, serials: Serials) -> list[Any]:  # noqa: ANN401  # an element or a fact
     """Return what something is and its fields that have not their defaults, as plain values."""
 
-    def plain(value: Any) -> Any:  # noqa: ANN401
+    def plain(value: Any) -> Any:  # noqa: ANN401  # of any field
         if isinstance(value, Changeable):
             return _reference(value, serials)
         if isinstance(value, tuple | list):
@@ -750,7 +750,7 @@ def _row(described: Any, serials: Serials) -> list[Any]:  # noqa: ANN401  # an e
     return [facts.ROSA[type(described)], values]
 
 
-def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401
+def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401  # an element
     """Return the element of a reference whose constraints are numbered by their places."""
     words, name = reference
     return model.constraints[name] if words == "constraint" else model.tables[_CLASSES[words]][name]
@@ -786,7 +786,7 @@ def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amen
     return how, [[_reference(each, serials), *_row(each, serials)] for each in changed]
 
 
-def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # plain
+def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # as amendment writes it
     """Change a model as it was changed before; see `Amendment`."""
     unnamed = {(facts.ROSA[type(each)], number): each for each, number in serials.items()}
 

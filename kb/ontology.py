@@ -220,7 +220,7 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
 
     namespace = ontology.get_namespace(ROSA)
 
-    def declare(name: str, *bases: type) -> Any:  # noqa: ANN401
+    def declare(name: str, *bases: type) -> Any:  # noqa: ANN401  # of owlready2
         python_name = (
             {} if name != "name" else {"python_name": "rosa_name"}
         )  # else it is owlready's
@@ -303,7 +303,7 @@ class _Describer:
             values[name] = tuple(self._values(field, name, value))
         yield Individual(word, own, {name: each for name, each in values.items() if each})
 
-    def _values(self, field: str, name: str, value: Any) -> Iterator[Value]:  # noqa: ANN401
+    def _values(self, field: str, name: str, value: Any) -> Iterator[Value]:  # noqa: ANN401  # of any field
         if isinstance(value, Element | elements.Constraint):
             yield Ref(self.id(value))
         elif isinstance(value, records.ReconfigurationPlan):
@@ -590,7 +590,7 @@ class _Reader:
                 raise ModelError(f"it has no {name}")
         return found
 
-    def _referred(self, field: str, value: Value) -> Any:  # noqa: ANN401
+    def _referred(self, field: str, value: Value) -> Any:  # noqa: ANN401  # as the field has it
         """Return the element that a value stands for, or its name if the field holds names."""
         cls: type = elements.REFERENCES.get(field, object)
         element: Any = self._elements.get(value.id) if isinstance(value, Ref) else None
@@ -905,7 +905,7 @@ class Ontology:
         return individual
 
 
-def _about(reference: Any) -> str:  # noqa: ANN401
+def _about(reference: Any) -> str:  # noqa: ANN401  # as events write it
     """Return the id of what an event is about: a component by name, or anything by kind and name."""
     kind, name, *position = ("component", reference) if isinstance(reference, str) else reference
     own = f"{_WORD_OF_KIND[kind]}.{_escaped(name)}"
@@ -1097,7 +1097,7 @@ def _row(world: World, types: Sequence[str], row: Sequence[Any]) -> tuple[Answer
     return tuple(values)
 
 
-def _term(term: Any) -> Answer:  # noqa: ANN401
+def _term(term: Any) -> Answer:  # noqa: ANN401  # of rdflib
     """Return a term of rdflib as a plain value."""
     value = term.toPython() if hasattr(term, "datatype") else term
     if isinstance(value, Decimal):
