@@ -312,7 +312,7 @@ def test_certified_plan_for_what_is_forecast_to_become_unfeasible_is_used_at_onc
     certified = certificate(
         domain,
         lambda out: Problem(domain, state.difference(map(domain.feasible_atom, out))),
-        Planner("label-setting"),
+        Planner(),
     )
 
     def steps(until):
