@@ -14,7 +14,7 @@ from kb.exceptions import (
     UnknownName,
 )
 from kb.execution import StagedExecutor
-from kb.explanation import ChoiceExplanation, Explanation
+from kb.explain import ChoiceExplanation, Explanation
 from kb.files import ModelFileError
 from kb.forecast import FeasibleUntil, Forecast
 from kb.knowledge_base import KnowledgeBase

@@ -13,9 +13,9 @@ from typing import Final
 from kb.debounce import turning_point
 from kb.elements import KINDS, Constraint, Element, listed, text
 from kb.exceptions import UnknownName
-from kb.explanation.requirements import NOTHING, Box, Interval, Requirements, bounds
 from kb.facts import Contents, RequiredActionFact
 from kb.network import Network, Node
+from kb.remedies import FALSE, Conjunction, Interval, Requirements, bounds
 from kb.status import Status
 
 QUICK: Final = 4
@@ -233,7 +233,7 @@ def _contradictions(network: Network) -> Iterator[Finding]:
     for node in network.nodes:
         if node.kind not in ("attribute", "constraint"):
             ways = quick.of(node)
-            if (ways if ways.boxes or ways.complete else thorough.of(node)) == NOTHING:
+            if (ways if ways.conjunctions or ways.complete else thorough.of(node)) == FALSE:
                 impossible[node] = None
     for node in impossible:
         for code, message in _roots(node, impossible, thorough):
@@ -293,26 +293,29 @@ def _consequence(node: Node, impossible: Collection[Node]) -> str:
 def _conflict(node: Node, requirements: Requirements) -> str:
     """Name two needs that exclude one another, with their intervals if there is only one way; else all needs."""
     needs = {
-        f"its own constraint {one.name}": requirements.of(one).boxes for one in node.constraints
+        f"its own constraint {one.name}": requirements.of(one).conjunctions
+        for one in node.constraints
     }
     if node.kind == "component":
         needs["each of its configurations"] = tuple(
-            box for part in node.requires for box in requirements.of(part).boxes
+            conjunction
+            for part in node.requires
+            for conjunction in requirements.of(part).conjunctions
         )
     else:
         for part in node.requires:
-            boxes = requirements.of(part).boxes
-            needs[_needing(part, boxes)] = boxes
+            conjunctions = requirements.of(part).conjunctions
+            needs[_needing(part, conjunctions)] = conjunctions
     for (one, mine), (other, theirs) in combinations(needs.items(), 2):
-        if not any(box.meet(their) for box in mine for their in theirs):
+        if not any(conjunction.meet(their) for conjunction in mine for their in theirs):
             return f"{one} and {other} exclude one another, whatever is measured"
     return f"{listing(needs, 8)} cannot be met together, whatever is measured"
 
 
-def _needing(part: Node, boxes: tuple[Box, ...]) -> str:
+def _needing(part: Node, conjunctions: tuple[Conjunction, ...]) -> str:
     asked = (
-        " and ".join(one.text(name) for name, one in boxes[0].intervals.items())
-        if len(boxes) == 1
+        " and ".join(one.text(name) for name, one in conjunctions[0].intervals.items())
+        if len(conjunctions) == 1
         else ""
     )
     return f"{part}" + (f" ({asked})" if asked else "")

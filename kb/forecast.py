@@ -30,7 +30,7 @@ from kb.elements import (
     listed,
 )
 from kb.exceptions import InvalidValue
-from kb.explanation import shortest, why
+from kb.explain import shortest, why
 from kb.network import Node
 from kb.records import RequiredAction
 from kb.state import State

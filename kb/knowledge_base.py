@@ -39,13 +39,12 @@ from kb.elements import (
 from kb.elements import parameters as checked_parameters
 from kb.events import RECORDS, Event, Log, Publisher
 from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
-from kb.explanation import reading as reading_in_words
-from kb.explanation import staleness, why, why_selected
+from kb.explain import reading as reading_in_words
+from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
-from kb.model import Model, amend, amendment
+from kb.model import Model, Serials, amend, amendment
 from kb.network import Network, Node, Ref
 from kb.ontology import Answer, Ontology
-from kb.owl import Serials
 from kb.planning import by_owner, decide
 from kb.questions import ELEMENTS, ElementLike, outline, resolve
 from kb.records import (

@@ -22,7 +22,7 @@ from types import MappingProxyType, UnionType
 from typing import Any, Final, Protocol, Self, TypedDict, TypeVar, Unpack, get_args
 from weakref import ref
 
-from kb import facts, owl
+from kb import facts
 from kb.checks import Finding, check_model
 from kb.elements import (
     CHECKS,
@@ -330,31 +330,10 @@ class Model:
 
     def plain(self) -> list[Any]:
         """Return all that the model says as values that JSON can hold; `from_plain` reads it back."""
-        positions = {constraint: place for place, constraint in enumerate(self.constraints)}
-
-        def reference(element: Element | Constraint) -> list[Any]:
-            name = positions[element] if isinstance(element, Constraint) else element.name
-            return [KINDS[type(element)], name]
-
-        def value_of(value: Any) -> Any:  # noqa: ANN401
-            if isinstance(value, Element | Constraint):
-                return reference(value)
-            if isinstance(value, tuple | list):
-                return [value_of(each) for each in value]
-            return dict(value) if isinstance(value, Mapping) else value
-
-        rows: list[Any] = [["model", {"name": self.name}]]
-        for each in (
-            *(each for table in self.tables.values() for each in table.values()),
-            *self.facts,
-        ):
-            values = {
-                field.name: value_of(getattr(each, field.name))
-                for field in fields(each)
-                if field.name != "model" and getattr(each, field.name) != field.default
-            }
-            rows.append([facts.ROSA[type(each)], values])
-        return rows
+        positions = Serials.of(self)
+        elements = (each for table in self.tables.values() for each in table.values())
+        rows = [_row(each, positions) for each in (*elements, *self.facts)]
+        return [["model", {"name": self.name}], *rows]
 
     @classmethod
     def from_plain(cls, rows: Sequence[Any]) -> Self:
@@ -365,30 +344,8 @@ class Model:
         """
         (_, own), *others = rows
         model = cls(own["name"])
-        classes = {words: each for each, words in facts.ROSA.items()}
-        kinds = {kind: each for each, kind in KINDS.items()}
-
-        def element_of(reference: Sequence[Any]) -> Any:  # noqa: ANN401
-            kind, name = reference
-            return (
-                model.constraints[name] if kind == "constraint" else model.tables[kinds[kind]][name]
-            )
-
-        for kind, given in others:
-            values = dict(given)
-            for name in {"constrained", "restores"} & values.keys():
-                values[name] = [element_of(each) for each in values[name]]
-            for name in {"causer", "element"} & values.keys():
-                values[name] = element_of(values[name])
-            declared = classes[kind]
-            if declared is Constraint:
-                model.constrain(values.pop("constrained"), Expression(**values))
-            elif declared is Estimation:
-                model.add_estimation(**values)
-            elif issubclass(declared, Element):
-                model.declare(declared, values.pop("name"), **values)
-            else:
-                model.add_fact(declared(**values))
+        for row in others:
+            _declare(model, *row)
         return model
 
     def __reduce__(self) -> tuple[Callable[[list[Any]], "Model"], tuple[list[Any]]]:
@@ -750,72 +707,129 @@ def _facts(element: Element) -> str:
     return "; ".join(said)
 
 
-# -------------------------------------------------------------------- amendments, as they are written in events
+# ---------------------------------------------------------------- plain values
+
+_CLASSES: Final = {words: cls for cls, words in facts.ROSA.items()}
+
+
+class Serials(dict[Changeable, int]):
+    """Numbers of the elements without a name; one stays the same when others are removed."""
+
+    @classmethod
+    def of(cls, model: Contents) -> Self:
+        """Number the constraints of a model, and its estimations, from 0."""
+        tables: tuple[tuple[Changeable, ...], ...] = (model.constraints, model.estimations)
+        return cls((each, number) for table in tables for number, each in enumerate(table))
+
+    def __missing__(self, element: Changeable) -> int:
+        alike = [number for each, number in self.items() if type(each) is type(element)]
+        self[element] = number = max(alike, default=-1) + 1
+        return number
+
+
+def _reference(element: Changeable, serials: Serials) -> list[Any]:
+    name = element.name if isinstance(element, Element) else serials[element]
+    return [facts.ROSA[type(element)], name]
+
+
+def _row(described: Any, serials: Serials) -> list[Any]:  # noqa: ANN401  # an element or a fact
+    """Return what something is and its fields that have not their defaults, as plain values."""
+
+    def plain(value: Any) -> Any:  # noqa: ANN401
+        if isinstance(value, Changeable):
+            return _reference(value, serials)
+        if isinstance(value, tuple | list):
+            return [plain(each) for each in value]
+        return dict(value) if isinstance(value, Mapping) else value
+
+    values = {}
+    for field in fields(described):
+        value = getattr(described, field.name)
+        if field.name != "model" and value != field.default:
+            values[field.name] = plain(value)
+    return [facts.ROSA[type(described)], values]
+
+
+def _referred(model: Model, reference: Sequence[Any]) -> Any:  # noqa: ANN401
+    """Return the element of a reference whose constraints are numbered by their places."""
+    words, name = reference
+    return model.constraints[name] if words == "constraint" else model.tables[_CLASSES[words]][name]
+
+
+def _declare(model: Model, words: str, plain: Mapping[str, Any]) -> Changeable | None:
+    """Declare what a row describes; a fact is no element."""
+    cls = _CLASSES[words]
+    values = dict(plain)
+    for name in {"constrained", "restores"} & values.keys():
+        values[name] = [_referred(model, each) for each in values[name]]
+    for name in {"causer", "element"} & values.keys():
+        values[name] = _referred(model, values[name])
+    if cls is Constraint:
+        return model.constrain(values.pop("constrained"), Expression(**values))
+    if cls is Estimation:
+        return model.add_estimation(**values)
+    if issubclass(cls, Element):
+        declared: Element = model.declare(cls, values.pop("name"), **values)
+        return declared
+    fact: Any = cls(**values)
+    model.add_fact(fact)
+    return None
+
 
 Amendment = Sequence[Any]
-"""How elements were amended and which: "declared" or "changed" as `plain_json` writes them, "removed" by id."""
+"""How elements were amended, and which: rows of what was declared or changed, or a reference."""
 
 
-def amendment(how: str, changed: Sequence[Changeable], serials: owl.Serials) -> Amendment:
+def amendment(how: str, changed: Sequence[Changeable], serials: Serials) -> Amendment:
     if how == "removed":
-        return how, owl.element_id(changed[0], serials)
-    return how, owl.plain_json(made for one in changed for made in owl.individual(one, serials))
+        return how, _reference(changed[0], serials)
+    return how, [[_reference(each, serials), *_row(each, serials)] for each in changed]
 
 
-def amend(model: Model, serials: owl.Serials, how: str, written: Any) -> None:  # noqa: ANN401  # what JSON holds
+def amend(model: Model, serials: Serials, how: str, written: Any) -> None:  # noqa: ANN401  # plain
     """Change a model as it was changed before; see `Amendment`."""
-    is_id = how == "removed"
-    if isinstance(written, str) is not is_id or isinstance(written, list | tuple) is is_id:
-        raise TypeError(f"{how} {written!r} is no amendment of a model")
-    known = {
-        owl.element_id(one, serials): one
-        for table in model.tables.values()
-        for one in table.values()
-    }
-    if is_id:
-        model.remove(known[written])
-        return
-    given = owl.from_json(written)
-    declarer = owl.Declarer(model, known)
-    if how == "declared":
+    unnamed = {(facts.ROSA[type(each)], number): each for each, number in serials.items()}
+
+    def element_of(words: str, name: Any) -> Any:  # noqa: ANN401  # a name or a number
+        cls = _CLASSES[words]
+        return unnamed[words, name] if cls in (Constraint, Estimation) else model.tables[cls][name]
+
+    if how == "removed":
+        model.remove(element_of(*written))
+    elif how == "declared":
         with model.at_once():
-            declarer.declare(given)
-        for one in given:
-            if isinstance(made := declarer.known.get(one.id), Constraint | Estimation):
-                serials[made] = int(one.id.rpartition(".")[2])
-        return
-    declarer.nested = {one.id: one for one in given}
-    element = known[given[-1].id]
-    values = declarer.values(type(element), given[-1])
-    can_change = {one for one, field in CHECKS[type(element)].items() if field.can_change}
-    model.change(
-        element,
-        **{
-            one.name: values.get(one.name, one.default)
-            for one in fields(element)
-            if one.name in can_change
-        },
-    )
+            declared = [(reference, _declare(model, *row)) for reference, *row in written]
+        for (_, name), element in declared:
+            if isinstance(element, Constraint | Estimation):
+                serials[element] = name
+    else:
+        for reference, _, values in written:
+            element = element_of(*reference)
+            checks = CHECKS[type(element)]
+            changeable = [each for each in fields(element) if each.name in checks]
+            new = {
+                each.name: values.get(each.name, each.default)
+                for each in changeable
+                if checks[each.name].can_change
+            }
+            model.change(element, **new)
 
 
-def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, owl.Serials]:
-    """Return the model of a declaration (in `plain_json`) and later amendments, and the numbers of its elements."""
-    given = owl.from_json(declared)
-    names = [str(value) for one in given if one.kind == owl.MODEL for value in one.values["name"]]
-    then = Model(names[0])
-    owl.Declarer(then).declare(given)
-    numbers = owl.Serials.of(then)
+def rebuilt(declared: Sequence[Any], amendments: Iterable[Amendment]) -> tuple[Model, Serials]:
+    """Return the model of a declaration and later amendments, and its serials."""
+    then = Model.from_plain(declared)
+    numbers = Serials.of(then)
     for one in amendments:
         amend(then, numbers, *one)
     return then, numbers
 
 
-def amended_alike(then: Model, numbers: owl.Serials, model: Model) -> owl.Serials | None:
+def amended_alike(then: Model, numbers: Serials, model: Model) -> Serials | None:
     """Return the numbers of a model's elements for those of an equal model; None if the models differ."""
     if then != model:
         return None
-    pairs = zip(owl.unnamed(then), owl.unnamed(model), strict=True)
-    return owl.Serials((now, numbers[before]) for before, now in pairs)
+    pairs = zip(Serials.of(then), Serials.of(model), strict=True)
+    return Serials((now, numbers[before]) for before, now in pairs)
 
 
 def differences(then: Model, now: Model, kept_in: str = "store") -> list[str]:
@@ -830,11 +844,10 @@ def differences(then: Model, now: Model, kept_in: str = "store") -> list[str]:
 
 
 def _statements(model: Model) -> dict[str, None]:
-    """Return all that a model says; what has no name is known by what is said of it alone."""
+    """Return all that a model says, in words."""
     statements: dict[str, None] = {}
-    for one in owl.individuals(model):
-        given = {name: " and ".join(map(owl.shown, each)) for name, each in one.values.items()}
-        said = (f"{name} {shown}" for name, shown in given.items() if name != "position")
-        own = one.kind if one.id.rpartition(".")[2].isdigit() else one.id
-        statements[f"{own} ({', '.join(said)})"] = None
+    for words, values in model.plain():
+        name = f" {values['name']}" if "name" in values else ""
+        stated = [f"{field} {value}" for field, value in values.items() if field != "name"]
+        statements[f"{words}{name} ({', '.join(stated)})"] = None
     return statements

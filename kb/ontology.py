@@ -20,6 +20,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from decimal import Decimal
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from threading import RLock
@@ -33,6 +34,7 @@ from kb.elements import Element
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError, ModelError, UnknownName
 from kb.files import ModelFileError, read_text
+from kb.records import Attempt
 from kb.state import State
 from kb.status import Status
 
@@ -223,7 +225,7 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
             {} if name != "name" else {"python_name": "rosa_name"}
         )  # else it is owlready's
         body = {"namespace": namespace, **python_name}
-        declared = new_class(name, bases, {}, lambda content: content.update(body))
+        declared: Any = new_class(name, bases, {}, lambda content: content.update(body))
         declared.label = [re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower()]
         return declared
 
@@ -391,8 +393,8 @@ class _Graph:
                 order.append(" ".join([name, *(value.id for value in values)]))  # type: ignore[union-attr]  # only individuals are many
         if order:
             self._state(subject, f"{ROSA}order", "; ".join(order))
-        for name in individual.values.get("name", ()):
-            self._state(subject, f"{_RDFS}label", name)
+        for label in individual.values.get("name", ()):
+            self._state(subject, f"{_RDFS}label", label)
 
     def drop(self, own: str) -> None:
         """Remove what is written of an individual."""
@@ -508,16 +510,15 @@ def _ordered(stated: Mapping[str, Iterable[Answer]]) -> Values:
     values: dict[str, tuple[Value, ...]] = {}
     for name, each in ours.items():
         order = places.get(name, [])
-        ids = {str(value): str(value).rpartition("#")[2] for value in each}
-        each.sort(
-            key=lambda value, ids=ids, order=order: (_place(ids[str(value)], order), str(value))
-        )
+        each.sort(key=partial(_place, order))
         values[name] = tuple(Ref(str(value)) if name in _RANGES else value for value in each)  # type: ignore[misc]  # none is None
     return values
 
 
-def _place(own: str, order: Sequence[str]) -> int:
-    return order.index(own) if own in order else len(order)
+def _place(order: Sequence[str], value: Answer) -> tuple[int, str]:
+    """Return the place of a value in a stated order; those that are not in it come last."""
+    own = str(value).rpartition("#")[2]
+    return (order.index(own) if own in order else len(order)), str(value)
 
 
 class _Reader:
@@ -565,7 +566,8 @@ class _Reader:
             return model.declare(cls, values.pop("name"), **values)
         if cls is facts.StatusFact:
             values["status"] = elements.choice("status", Status, values["status"])
-        model.add_fact(cls(**values))
+        fact: Any = cls(**values)
+        model.add_fact(fact)
         return None
 
     def _stated(self, cls: type, word: str, individual: Individual) -> dict[str, Any]:
@@ -592,8 +594,8 @@ class _Reader:
 
     def _referred(self, field: str, value: Value) -> Any:  # noqa: ANN401
         """Return the element that a value stands for, or its name if the field holds names."""
-        cls = elements.REFERENCES.get(field, object)
-        element = self._elements.get(value.id) if isinstance(value, Ref) else None
+        cls: type = elements.REFERENCES.get(field, object)
+        element: Any = self._elements.get(value.id) if isinstance(value, Ref) else None
         if element is None or not isinstance(element, cls):
             known = [own for own, each in self._elements.items() if isinstance(each, cls)]
             given = value.id if isinstance(value, Ref) else value
@@ -696,7 +698,7 @@ class _Copy:
     present: list[Period]
     measured: list[tuple[str, float, float]]
     records: list[Individual]
-    attempts: Mapping[int, records.Attempt]
+    attempts: Mapping[int, Attempt]
 
 
 class Ontology:
@@ -830,12 +832,13 @@ class Ontology:
             self._now.put(individual)
         for name, moment, value in copied.measured:
             about = (Ref(named_id("Attribute", name)),)
-            values: Values = {"measures": about, "value": (float(value),), "time": (moment,)}
-            self._measured.append(self._next("Measurement", values).id)
+            stated: Values = {"measures": about, "value": (float(value),), "time": (moment,)}
+            self._measured.append(self._next("Measurement", stated).id)
         for past in (self._measured, self._ended):
             while len(past) > HISTORY:
-                oldest = self._now.held[past[0]]
-                self._begins = max(self._begins, *oldest.values.get("time", oldest.values["end"]))
+                values = self._now.held[past[0]].values
+                (then,) = values.get("time") or values["end"]
+                self._begins = max(self._begins, float(str(then)))
                 self._now.drop(past.popleft())
         own = f"RobotModel.{_escaped(self._kb.model.name)}"
         begins = (self._begins,) if self._begins > -math.inf else ()

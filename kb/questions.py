@@ -9,7 +9,8 @@ from contextlib import AbstractContextManager, nullcontext
 from types import MappingProxyType
 from typing import Any, Final
 
-from kb import explanation, views
+from kb import explain as explanation
+from kb import views
 from kb.debounce import Debounced, voted_status
 from kb.elements import Constraint, Element, finite_number, listed, meant_by, shown
 from kb.exceptions import InvalidValue

@@ -20,8 +20,7 @@ from weakref import WeakKeyDictionary
 
 from kb.events import Event
 from kb.exceptions import InvalidValue, KnowledgeBaseError
-from kb.model import Model, amend, amended_alike, differences, rebuilt
-from kb.owl import Serials, individuals, plain_json
+from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
 from kb.records import ReconfigurationPlan, plain
 
 if TYPE_CHECKING:
@@ -421,7 +420,7 @@ def store_info(path: Path) -> dict[str, object]:
             raise damaged(path, error) from None
         connection.execute("PRAGMA journal_mode=DELETE")
     model = json.loads(about.get("model", "[]"))
-    titles = [one[2]["name"][0] for one in model if one[0] == "RobotModel"]
+    titles = [values["name"] for words, values in model if words == "model"]
     return {
         "store": str(path),
         "model": titles[0] if titles else None,
@@ -479,7 +478,7 @@ def _event(number: int, at: float, verb: str, text: str) -> Event:
 
 
 def _declared(model: Model) -> str:
-    return json.dumps(plain_json(individuals(model)))
+    return json.dumps(model.plain())
 
 
 # -------------------------------------------------------------------- forks

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, compare, stories
 
 from kb import Explanation, KnowledgeBase, Model, Status, UnknownName
-from kb.explanation import shortest
+from kb.explain import shortest
 
 SPELLED_OUT = re.compile(
     r"(?P<shown>\S+) (?P<word>violates|satisfies) (?P<operator>[<>]=?) (?P<bound>\S+)"

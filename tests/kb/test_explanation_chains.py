@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation import Comparison, explain, why
+from kb.explain import Comparison, explain, why
 from kb.status import STATUSES
 
 SLOW = settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])

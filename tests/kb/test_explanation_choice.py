@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from models import Clock, Twins, state_of, stories
 
 from kb import KnowledgeBase, Model, PriorityPlanner, Status
-from kb.explanation import explain_choice
+from kb.explain import explain_choice
 from kb.planning import by_priority
 from kb.views import FunctionView
 

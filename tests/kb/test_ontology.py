@@ -269,6 +269,21 @@ def test_what_goes_on_is_told_though_its_events_are_forgotten():
     assert kb.query("SELECT ?t { ?m :historyBegins ?t }") == [(2.0,)]
 
 
+def test_world_forgets_the_oldest_and_says_since_when(monkeypatch):
+    monkeypatch.setattr("kb.ontology.HISTORY", 3)
+    clock = Clock(0.0)
+    kb = KnowledgeBase(robot(), clock=clock)
+    count = "SELECT (COUNT(?m) AS ?n) (MIN(?t) AS ?first) { ?m a :Measurement ; :time ?t }"
+    for _ in range(5):
+        clock.now += 1.0
+        kb.measure("load", clock.now)
+        kb.component_failed("camera")
+        kb.component_recovered("camera")
+    assert kb.query(count) == [(3, 3.0)]
+    assert kb.query("SELECT (COUNT(?f) AS ?n) { ?f a :Failure }") == [(3,)]
+    assert kb.query("SELECT ?t { ?m :historyBegins ?t }") == [(2.0,)]
+
+
 def test_status_that_lapses_is_no_longer_answered():
     model = robot()
     model.add_fact(StatusFact(model.components["camera"], Status.FAILURE))

@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, assume, given, settings
 from models import NUMBERS, OPERATORS, RANDOMS, Clock, amount, compare, some_of
 
 from kb import KnowledgeBase, Model, Status
-from kb.explanation.requirements import Measured, Repair, remedies
 from kb.network import Network
+from kb.remedies import Measured, Repair, remedies
 from kb.state import State
 from kb.status import STATUSES
 

@@ -1,4 +1,4 @@
-"""What elements need: the boxes are exactly the measurements under which an element is possible."""
+"""What elements need: the conjunctions are exactly the measurements under which an element is possible."""
 
 from itertools import product
 
@@ -9,8 +9,8 @@ from models import OPERATORS, models
 
 from kb import Model, Status
 from kb.elements import Constraint
-from kb.explanation.requirements import Interval, Requirements
 from kb.network import Network
+from kb.remedies import Interval, Requirements
 from kb.state import State
 
 GRID = (-0.25, 0.0, 0.25, 0.5, 0.75, 1.0, 1.25)
@@ -31,9 +31,9 @@ def measured(network, values):
     return state
 
 
-def inside(box, values):
-    return not box.repairs and all(
-        values[name] in interval for name, interval in box.intervals.items()
+def inside(conjunction, values):
+    return not conjunction.repairs and all(
+        values[name] in interval for name, interval in conjunction.intervals.items()
     )
 
 
@@ -49,7 +49,7 @@ def test_an_element_is_possible_exactly_within_its_boxes(model):
                 continue
             found = requirements.of(node)
             assert found.complete
-            possible = any(inside(box, values) for box in found.boxes)
+            possible = any(inside(conjunction, values) for conjunction in found.conjunctions)
             assert possible is (state.status[node] not in IMPOSSIBLE)
 
 
@@ -57,9 +57,9 @@ def test_an_element_is_possible_exactly_within_its_boxes(model):
 def test_no_box_lies_within_another(model):
     for node in Network(model).nodes:
         if node.kind != "attribute":
-            boxes = alternatives(node).boxes
-            for one in boxes:
-                assert [other for other in boxes if other.covers(one)] == [one]
+            conjunctions = alternatives(node).conjunctions
+            for one in conjunctions:
+                assert [other for other in conjunctions if other.covers(one)] == [one]
 
 
 @given(models(), st.integers(1, 3))
@@ -69,10 +69,13 @@ def test_a_limit_leaves_boxes_that_are_right_and_says_that_there_are_more(model,
         if node.kind == "attribute":
             continue
         every, some = alternatives(node), alternatives(node, limit=limit)
-        assert len(some.boxes) <= limit
-        assert all(any(one.covers(box) for one in every.boxes) for box in some.boxes)
+        assert len(some.conjunctions) <= limit
+        assert all(
+            any(one.covers(conjunction) for one in every.conjunctions)
+            for conjunction in some.conjunctions
+        )
         if some.complete:
-            assert set(map(str, some.boxes)) == set(map(str, every.boxes))
+            assert set(map(str, some.conjunctions)) == set(map(str, every.conjunctions))
 
 
 BOUNDS = (st.tuples(st.sampled_from(GRID), st.sampled_from(beside)) for beside in ((0, 1), (0, -1)))
@@ -112,7 +115,7 @@ def test_what_contradicts_itself_across_a_chain_has_no_way():
     look = model.action("look", requires=["see"], constraints=[light < 0.5])
     network = Network(model)
     assert alternatives(network.find(look)) == ((), True)
-    assert alternatives(network.functions["see"]).boxes[0].intervals == {
+    assert alternatives(network.functions["see"]).conjunctions[0].intervals == {
         "light": Interval(low=(0.5, 0))
     }
 
@@ -136,6 +139,6 @@ def many_ways(functions, share):
 def test_more_ways_than_can_be_looked_at_are_cut_off_and_said_to_be(share):
     found = alternatives(many_ways(40, share))
     assert not found.complete
-    assert 0 < len(found.boxes) <= 64
+    assert 0 < len(found.conjunctions) <= 64
     few = alternatives(many_ways(3, share))
-    assert (len(few.boxes), few.complete) == (8, True)
+    assert (len(few.conjunctions), few.complete) == (8, True)

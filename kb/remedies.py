@@ -2,7 +2,7 @@
 
 By the status tables a model is an and/or structure: an action needs all its functions, a function one of its designs,
 a design all its components, a component one of its configurations, and each of them its own constraints. Each way
-through this structure is a box: an interval for every attribute that matters, and the repairs that are needed.
+through this structure is a conjunction: an interval for every attribute that matters, and the repairs that are needed.
 """
 
 import math
@@ -27,9 +27,9 @@ from kb.state import State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
 LIMIT: Final = 64
-"""The most boxes that are kept for one element."""
+"""The most conjunctions that are kept for one element."""
 WORK: Final = 20_000
-"""The most pairs of boxes to combine for one element; for more, fewer boxes are kept in between."""
+"""The most pairs of conjunctions to combine for one element; for more, fewer conjunctions are kept in between."""
 MOST_REMEDIES: Final = 16
 """The most remedies that are given."""
 
@@ -115,13 +115,13 @@ class Repair(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class Conjunction:
     """One way to make an element feasible: an interval for each attribute that matters, and the repairs."""
 
     intervals: Mapping[str, Interval] = field(default_factory=dict)
     repairs: frozenset[Repair] = frozenset()
 
-    def covers(self, other: "Box") -> bool:
+    def covers(self, other: "Conjunction") -> bool:
         theirs = other.intervals
         if len(self.intervals) > len(theirs) or not self.repairs <= other.repairs:
             return False
@@ -129,7 +129,7 @@ class Box:
             name in theirs and mine.covers(theirs[name]) for name, mine in self.intervals.items()
         )
 
-    def meet(self, other: "Box") -> "Box | None":
+    def meet(self, other: "Conjunction") -> "Conjunction | None":
         intervals = dict(self.intervals)
         for name, interval in other.intervals.items():
             if name in intervals:
@@ -137,18 +137,18 @@ class Box:
                 if interval.is_empty:
                     return None
             intervals[name] = interval
-        return Box(intervals, self.repairs | other.repairs)
+        return Conjunction(intervals, self.repairs | other.repairs)
 
 
 class Alternatives(NamedTuple):
-    """The boxes of an element, none of which covers another one, and whether these are all."""
+    """The conjunctions of an element, none of which covers another one, and whether these are all."""
 
-    boxes: tuple[Box, ...]
+    conjunctions: tuple[Conjunction, ...]
     complete: bool
 
 
-FREE: Final = Alternatives((Box(),), True)
-NOTHING: Final = Alternatives((), True)
+TRUE: Final = Alternatives((Conjunction(),), True)
+FALSE: Final = Alternatives((), True)
 
 
 class Requirements:
@@ -158,7 +158,7 @@ class Requirements:
         state: the present facts; an attribute that is not measured or violates nothing puts no restriction, and repairs
             are counted. With None, the question is what is possible at all: every constraint counts, nothing has
             failed, and a function without a design is impossible.
-        limit: the most boxes that are kept for each element.
+        limit: the most conjunctions that are kept for each element.
     """
 
     def __init__(self, state: State | None = None, limit: int = LIMIT) -> None:
@@ -176,7 +176,7 @@ class Requirements:
         if asserted is None:
             return self._needs(node)
         if asserted not in IMPOSSIBLE:
-            return FREE
+            return TRUE
         repair = Repair("recovered" if asserted is Status.FAILURE else "retracted", node.element)
         return self._all_of([_repaired(repair), self._needs(node)])
 
@@ -187,7 +187,7 @@ class Requirements:
         if isinstance(element, Function):
             if node.requires:
                 return self._any_of(self.of(part) for part in node.requires)
-            return NOTHING if self._state is None else _repaired(Repair("designed", element))
+            return FALSE if self._state is None else _repaired(Repair("designed", element))
         needed = [self.of(constraint) for constraint in node.constraints]
         if not isinstance(element, Component):
             return self._all_of([*needed, *(self.of(part) for part in node.requires)])
@@ -202,71 +202,78 @@ class Requirements:
         if state is not None:
             is_known = state.value.get(attribute) is not None and attribute not in state.stale
             if not is_known and not _is_counted_violated(state, attribute):
-                return FREE
+                return TRUE
             if attribute.index not in self._holding:
                 self._holding[attribute.index] = all(
                     _holds(state, attribute, one) for one in attribute.constraints
                 )
             if self._holding[attribute.index]:
-                return FREE
+                return TRUE
         interval = _wanted(node, None if state is None else state.verdict(node))
         possible = interval
         if state is not None:  # no measurement will ever be outside the range
             of = attribute.attribute
             possible = interval.meet(Interval((of.low, 0), (of.high, 0)))
         if possible.is_empty:
-            return NOTHING
-        return Alternatives((Box({attribute.name: interval}),), True)
+            return FALSE
+        return Alternatives((Conjunction({attribute.name: interval}),), True)
 
     def _any_of(self, choices: Iterable[Alternatives]) -> Alternatives:
-        boxes: list[Box] = []
+        conjunctions: list[Conjunction] = []
         complete = True
         for choice in choices:
-            if choice is FREE:
-                return FREE
-            boxes += choice.boxes
+            if choice is TRUE:
+                return TRUE
+            conjunctions += choice.conjunctions
             complete = complete and choice.complete
-        return self._kept(boxes, complete, self._limit)
+        return self._kept(conjunctions, complete, self._limit)
 
     def _all_of(self, needed: Iterable[Alternatives]) -> Alternatives:
         restricting = sorted(
-            (one for one in needed if one is not FREE), key=lambda one: len(one.boxes)
+            (one for one in needed if one is not TRUE), key=lambda one: len(one.conjunctions)
         )
-        if any(one == NOTHING for one in restricting):
-            return NOTHING
-        limit = min(self._limit, max(2, WORK // max(1, sum(len(one.boxes) for one in restricting))))
-        together = restricting[0] if restricting else FREE
+        if any(one == FALSE for one in restricting):
+            return FALSE
+        limit = min(
+            self._limit, max(2, WORK // max(1, sum(len(one.conjunctions) for one in restricting)))
+        )
+        together = restricting[0] if restricting else TRUE
         for one in restricting[1:]:
             together = self._kept(
-                _meetings(together.boxes, one.boxes), together.complete and one.complete, limit
+                _meetings(together.conjunctions, one.conjunctions),
+                together.complete and one.complete,
+                limit,
             )
         return together
 
-    def _kept(self, boxes: Iterable[Box], complete: bool, limit: int) -> Alternatives:
-        """Keep the boxes that no other covers, up to the limit; those with the fewest changes come first."""
-        kept: list[Box] = []
-        for box in sorted(boxes, key=self._changes):
-            if any(other.covers(box) for other in kept):
+    def _kept(
+        self, conjunctions: Iterable[Conjunction], complete: bool, limit: int
+    ) -> Alternatives:
+        """Keep the conjunctions that no other covers, up to the limit; those with the fewest changes come first."""
+        kept: list[Conjunction] = []
+        for conjunction in sorted(conjunctions, key=self._changes):
+            if any(other.covers(conjunction) for other in kept):
                 continue
-            kept = [other for other in kept if not box.covers(other)]
+            kept = [other for other in kept if not conjunction.covers(other)]
             if len(kept) == limit:
                 return Alternatives(tuple(kept), False)
-            kept.append(box)
+            kept.append(conjunction)
         return Alternatives(tuple(kept), complete)
 
-    def _changes(self, box: Box) -> tuple[int, int]:
+    def _changes(self, conjunction: Conjunction) -> tuple[int, int]:
         state = self._state
         if state is None:
-            return 0, len(box.intervals)
+            return 0, len(conjunction.intervals)
         table = state.network.attributes
         changed = sum(
-            _is_outside(state, table[name], interval) for name, interval in box.intervals.items()
+            _is_outside(state, table[name], interval)
+            for name, interval in conjunction.intervals.items()
         )
-        return changed + len(box.repairs), len(box.intervals)
+        return changed + len(conjunction.repairs), len(conjunction.intervals)
 
 
 def _repaired(repair: Repair) -> Alternatives:
-    return Alternatives((Box(repairs=frozenset((repair,))),), True)
+    return Alternatives((Conjunction(repairs=frozenset((repair,))),), True)
 
 
 def _is_counted_violated(state: State, attribute: Node) -> bool:
@@ -297,7 +304,9 @@ def _holds(state: State, attribute: Node, node: Node) -> bool:
     return OPERATORS[constraint.operator](value, constraint.value)
 
 
-def _meetings(ones: tuple[Box, ...], others: tuple[Box, ...]) -> Iterator[Box]:
+def _meetings(
+    ones: tuple[Conjunction, ...], others: tuple[Conjunction, ...]
+) -> Iterator[Conjunction]:
     for one in ones:
         if any(other.covers(one) for other in others):
             yield one
@@ -380,20 +389,20 @@ def remedies(state: State, node: Node) -> tuple[tuple[Remedy, ...], bool]:
     if node.kind == "constraint" or state.status[node] not in IMPOSSIBLE:
         return (), True
     ways = Requirements(state).of(node)
-    found = _smallest(_remedy(state, box) for box in ways.boxes)
+    found = _smallest(_remedy(state, conjunction) for conjunction in ways.conjunctions)
     return tuple(found[:MOST_REMEDIES]), ways.complete and len(found) <= MOST_REMEDIES
 
 
-def _remedy(state: State, box: Box) -> Remedy:
-    """Return the part of a box that does not hold yet."""
+def _remedy(state: State, conjunction: Conjunction) -> Remedy:
+    """Return the part of a conjunction that does not hold yet."""
     measured = []
-    for name, interval in sorted(box.intervals.items(), key=lambda one: one[0]):
+    for name, interval in sorted(conjunction.intervals.items(), key=lambda one: one[0]):
         attribute = state.network.attributes[name]
         if _is_outside(state, attribute, interval):
             value, again = state.value.get(attribute), _is_counted_violated(state, attribute)
             longer = not again and value is not None and value in interval
             measured.append(Measured(name, interval, again, longer, attribute.attribute.unit))
-    return Remedy((*measured, *sorted(box.repairs, key=str)))
+    return Remedy((*measured, *sorted(conjunction.repairs, key=str)))
 
 
 def _smallest(candidates: Iterable[Remedy]) -> list[Remedy]:

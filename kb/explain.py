@@ -11,9 +11,9 @@ from typing import Final, NamedTuple
 
 from kb.debounce import turning_point
 from kb.elements import Action, Attribute, exact, table
-from kb.explanation.requirements import Remedy, remedies
 from kb.network import Node
 from kb.planning import choice_by_priority, ranked
+from kb.remedies import Remedy, remedies
 from kb.state import Reason, State
 from kb.status import IMPOSSIBLE, OPERATORS, Status
 
@@ -224,9 +224,9 @@ class _Explainer:
                     else forecast
                 )
         elif possible_only or status is Status.FEASIBLE:
-            fact, reasons = _POSSIBLE[node.kind], _together(self._witnesses(node))
+            fact, reasons = _POSSIBLE[node.kind], _together(self._support(node))
         else:
-            fact, reasons = self._grounds(node, status)
+            fact, reasons = self._causes(node, status)
             reason = state.reason("failed", node).text if status is Status.FAILURE else ""
         choice = state.reason("selected", node).text if node in state.selected else ""
         possible_only = possible_only and state.asserted.get(node) is None
@@ -246,13 +246,13 @@ class _Explainer:
         )
         return Explanation(node.kind, node.name, None, fact, self._each(node.constraints))
 
-    def _grounds(self, node: Node, status: Status) -> tuple[str, Reasons]:
+    def _causes(self, node: Node, status: Status) -> tuple[str, Reasons]:
         """Return the fact and the reasons of a status that is inferred and not "feasible"."""
         selected = [part for part in node.requires if part in self._state.selected]
         if status is Status.UNFEASIBLE:
             return (
                 "" if node.requires or node.kind != "function" else "it has no design",
-                self._faults(node),
+                self._violations(node),
             )
         if status is Status.CONFIGURATION_ERROR:
             return "", self._each(part for part in selected if self._is(part, Status.UNFEASIBLE))
@@ -282,14 +282,14 @@ class _Explainer:
         taken_back = self._state.reason("unselected", node)
         return taken_back if taken_back.text else self._state.reason("selected", node)
 
-    def _faults(self, node: Node) -> Reasons:
+    def _violations(self, node: Node) -> Reasons:
         violated = self._each(one for one in node.constraints if self._is(one, Status.VIOLATED))
         impossible = [part for part in node.requires if self._is(part, *IMPOSSIBLE)]
         if node.kind in ("action", "function design"):
             return *violated, *self._each(impossible)
         return *violated, *(self._all(impossible) if len(impossible) == len(node.requires) else ())
 
-    def _witnesses(self, node: Node) -> list[Explanation]:
+    def _support(self, node: Node) -> list[Explanation]:
         parts = node.requires
         if node.kind in ("function", "component"):
             possible = [part for part in parts if not self._is(part, *IMPOSSIBLE)]
