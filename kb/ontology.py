@@ -537,6 +537,8 @@ class _Reader:
             """Return a key that sorts elements by class and place, and facts by place only."""
             word = _GENERAL.get(individual.kind, individual.kind)
             place = next(iter(individual.values.get("position", ())), 0)
+            if not isinstance(place, int):
+                raise ModelError(f"{individual.id}: a position is a whole number, not {place!r}")
             return min(ranks.get(word, 0), ranks["Measurement"]), place, individual.id
 
         for individual in sorted(self._individuals.values(), key=rank):

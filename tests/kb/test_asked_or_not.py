@@ -98,27 +98,6 @@ SETTINGS = st.tuples(
 )
 
 
-@settings(max_examples=60)
-@given(SETTINGS, STORIES)
-def test_what_is_known_does_not_depend_on_who_asked_in_between(given_settings, story):
-    asked, silent = [
-        (clock := Clock(0.0), KnowledgeBase(robot(*given_settings), clock=clock)) for _ in range(2)
-    ]
-    now = 0.0
-    for pause, fact, questions in story:
-        for wait, question in questions:
-            now += wait
-            asked[0].now = now
-            question(asked[1])
-        now += pause
-        for clock, kb in (asked, silent):
-            clock.now = now
-            tell(kb, clock, fact)
-    for clock, _ in (asked, silent):
-        clock.now = now + 3.0
-    assert known(asked[1]) == known(silent[1])
-
-
 @settings(max_examples=40)
 @given(SETTINGS, STORIES)
 def test_a_log_told_again_with_its_amendments_makes_the_same_known(given_settings, story):

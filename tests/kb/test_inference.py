@@ -4,24 +4,13 @@ import collections
 
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from models import KINDS, Twins, events, models, stories, subsets
+from models import Twins, events, models, stories, subsets
 
 from kb import KnowledgeBase, Model, Status
 
 slow_to_generate = settings(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large], max_examples=60
 )
-
-
-@settings(slow_to_generate, max_examples=100)
-@given(stories(max_size=25))
-def test_after_every_event_the_quick_engine_answers_as_the_naive_twin_does(story):
-    model, happenings = story
-    twins = Twins(model)
-    twins.agree()
-    for event in happenings:
-        twins.happen(event)
-        twins.agree()
 
 
 @slow_to_generate
@@ -82,41 +71,6 @@ def test_statuses_do_not_depend_on_the_order_of_facts(model, data):
 
 
 @slow_to_generate
-@given(stories(selecting=False), st.data())
-def test_a_fact_that_is_taken_back_leaves_nothing_behind(story, data):
-    model, happenings = story
-    twins = Twins(model)
-    for attribute in model.attributes:
-        twins.happen(("measure", attribute, 0.5))
-    for event in happenings:
-        twins.happen(event)
-    before = twins.statuses()
-    attribute = data.draw(st.sampled_from(list(model.attributes)))
-    value = twins.kb.attributes[attribute].value
-    twins.happen(("measure", attribute, value + 7.0))
-    twins.happen(("measure", attribute, value - 7.0))
-    twins.happen(("measure", attribute, value))
-    assert twins.statuses() == before
-    for component in model.components:
-        active = twins.kb.components[component].is_active
-        twins.happen(("active", component, not active))
-        twins.happen(("active", component, active))
-    assert twins.statuses() == before
-
-
-@slow_to_generate
-@given(stories())
-def test_every_element_has_exactly_one_status_and_it_is_one_of_its_kind(story):
-    model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
-        for (kind, name), status in twins.statuses().items():
-            assert isinstance(status, Status), name
-            assert status in KINDS[kind], name
-
-
-@slow_to_generate
 @given(stories(), st.data())
 def test_a_change_of_one_fact_is_told_exactly_as_the_statuses_that_changed(story, data):
     model, happenings = story
@@ -162,23 +116,6 @@ def chain(levels):
     for number in range(levels):
         model.action(f"look {number}", requires=[function])
     return model
-
-
-def test_what_became_unfeasible_becomes_feasible_again_by_itself_through_every_level():
-    kb = KnowledgeBase(chain(3))
-    whole = [
-        kb.configurations["only"],
-        kb.components["part"],
-        kb.designs["by part"],
-        kb.functions["see"],
-        *kb.actions.values(),
-    ]
-    assert [view.status for view in whole] == [Status.FEASIBLE] * 7
-    for _ in range(3):
-        kb.measure("light", 0.4)
-        assert [view.status for view in whole] == [Status.UNFEASIBLE] * 7
-        kb.measure("light", 0.5)
-        assert [view.status for view in whole] == [Status.FEASIBLE] * 7
 
 
 def test_ten_thousand_elements_are_inferred_without_recursion_trouble():

@@ -362,29 +362,6 @@ def test_what_makes_no_sense_is_refused_and_nothing_is_changed(tell):
 # the end
 
 
-def test_a_closed_base_can_be_asked_but_not_told(tmp_path):
-    lives = Lives(tmp_path / "mission.sqlite3")
-    kb = lives.kb
-    kb.measure("light", 0.7)
-    kb.assert_status("night", "unfeasible", until=310.0)
-    kb.close()
-    kb.close()
-    for tell in (
-        lambda: kb.measure("light", 0.1),
-        lambda: kb.component_failed("lidar"),
-        lambda: kb.request_action("explore"),
-        lambda: kb.select({"see": "by camera"}),
-        lambda: kb.component_started("lidar", 4),
-        lambda: kb.assert_selected("day", True),
-    ):
-        with pytest.raises(KnowledgeBaseError, match="closed"):
-            tell()
-    lives.clock.now = 310.0
-    assert kb.configurations["night"].status is Status.FEASIBLE
-    assert (kb.attributes["light"].value, kb.is_feasible("explore")) == (0.7, True)
-    assert kb.query("SELECT ?v { ?m a :Measurement ; :value ?v }") == [(0.7,)]
-
-
 def test_a_subscriber_may_wait_until_what_it_hears_is_on_disk(tmp_path):
     kb, told = KnowledgeBase(rover(), store=tmp_path / "mission.sqlite3"), []
 

@@ -3,10 +3,10 @@
 import math
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from models import Clock, Twins, stories
+from hypothesis import HealthCheck
+from models import Clock
 
-from kb import Event, KnowledgeBase, Model, ModelError, Status, UnknownName
+from kb import Event, KnowledgeBase, Model, ModelError, UnknownName
 
 SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
 
@@ -24,31 +24,6 @@ def kb(clock):
     model.action("look", constraints=[light >= 0.5])
     model.action("enter", constraints=[gas <= 0.1])
     return KnowledgeBase(model, clock=clock)
-
-
-@settings(suppress_health_check=SLOW)
-@given(stories(aging=True))
-def test_as_time_passes_the_quick_engine_answers_as_the_naive_twin_does(story):
-    model, happenings = story
-    twins = Twins(model)
-    for event in happenings:
-        twins.happen(event)
-        twins.agree()
-        twins.pass_time(0.5)
-        twins.agree()
-    twins.pass_time(10.0)
-    twins.agree()
-
-
-def test_a_stale_measurement_counts_as_not_measured(kb, clock):
-    kb.measure("light", 0.1)
-    clock.now += 5.0
-    assert not kb.is_feasible("look")
-    clock.now += 0.1
-    assert kb.is_feasible("look")
-    assert kb.actions["look"].constraints[0].status is Status.NOT_EVALUATED
-    light = kb.attributes["light"]
-    assert (light.value, light.time, light.is_stale, light.max_age) == (0.1, 100.0, True, 5.0)
 
 
 def test_a_stale_measurement_counts_as_violated_where_the_model_says_so(kb, clock):
@@ -89,13 +64,6 @@ def test_a_maximum_age_may_change_while_the_base_is_at_work(kb, clock):
     assert kb.is_feasible("look")
     kb.model.change(light, when_stale="violated")
     assert not kb.is_feasible("look")
-
-
-def test_a_situation_supposes_a_fresh_measurement(kb, clock):
-    kb.measure("gas", 0.0)
-    clock.now += 3.0
-    assert kb.situation(gas=0.05).is_feasible("enter")
-    assert not kb.is_feasible("enter")
 
 
 @pytest.mark.parametrize("age", [0, -1.0, float("nan"), "long", True, None])

@@ -7,7 +7,7 @@ import threading
 import pytest
 from models import Clock
 
-from kb import KnowledgeBase, KnowledgeBaseError, Model
+from kb import KnowledgeBase, Model
 
 
 def base(**given):
@@ -53,15 +53,6 @@ def test_one_that_answers_without_end_is_cut_and_named_and_others_hear_all(caplo
     assert heard == list(range(1, count + 1))
     kb.measure("light", 0.6)
     assert heard[-1] == kb.log.last == count + 1
-
-
-def test_two_that_answer_each_other_without_end_are_cut(caplog):
-    one, other = base(), base()
-    one.subscribe(lambda event: other.measure("light", event.number / 1e6))
-    other.subscribe(lambda event: one.measure("light", event.number / 1e6))
-    with caplog.at_level(logging.ERROR, logger="kb"):
-        one.measure("light", 0.5)
-    assert "is called no more" in caplog.text
 
 
 def test_one_that_answers_each_of_many_facts_once_is_never_cut(caplog):
@@ -143,27 +134,6 @@ def in_a_fork(child):
         except BaseException:
             os._exit(2)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-
-
-def test_child_of_fork_is_told_to_open_a_store_of_its_own(tmp_path):
-    kb = base(store=tmp_path / "rover.sqlite3")
-    kb.measure("light", 0.7)
-
-    def child():
-        for call in (
-            lambda: kb.measure("light", 0.1),
-            lambda: kb.component_failed("camera"),
-            kb.flush,
-        ):
-            with pytest.raises(KnowledgeBaseError, match="forked"):
-                call()
-        kb.close()
-        return kb.is_feasible("explore")
-
-    assert in_a_fork(child) == 0
-    kb.measure("light", 0.8)
-    assert kb.flush(120.0)
-    kb.close()
 
 
 def test_child_of_fork_never_waits_for_a_thread_that_it_does_not_have():

@@ -3,7 +3,7 @@
 import contextlib
 import sys
 import threading
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 
 import pytest
@@ -11,7 +11,6 @@ from interrupting import interrupted_at, is_free
 from models import Clock
 
 from kb import EventKind, InvalidValue, KnowledgeBase, Model, PriorityPlanner, Status, UnknownName
-from kb.elements import ByName
 
 
 @contextmanager
@@ -164,41 +163,6 @@ def test_a_model_may_grow_on_one_thread_while_others_tell_and_ask(kb):
     assert len(kb.selectable_actions()) == 151
 
 
-def test_an_action_that_is_never_possible_is_never_answered_to_be_possible_while_it_comes_and_goes():
-    model = Model("growing")
-    model.function("never")  # without a design
-    kb = KnowledgeBase(model, clock=Clock(1.0))
-    done = threading.Event()
-
-    def author():
-        for _ in range(400):
-            model.action("try", requires=["never"])
-            assert len(list(kb.actions.values())) == 1
-            model.remove(model.actions["try"])
-        done.set()
-
-    def tree():
-        while not done.is_set():
-            with suppress(UnknownName):  # it is not there at the moment
-                assert not kb.is_feasible("try")
-            assert kb.selectable_actions() == ()
-            assert all(view.status is Status.UNFEASIBLE for view in kb.actions.values())
-            assert sorted(kb.actions) in ([], ["try"])
-
-    run_together(author, tree, tree)
-
-
-def test_a_name_is_said_to_be_unknown_though_the_model_grows_meanwhile():
-    class Growing(str):
-        def __str__(self):
-            table["another"] = 2  # as another thread may
-            return "first"
-
-    table = ByName("action", {Growing("first"): 1})
-    with pytest.raises(UnknownName, match="known: 'first'"):
-        table["nothing like it"]
-
-
 def test_what_became_due_while_the_clock_was_read_is_told_before_the_fact():
     model, clock = Model("old"), Clock(1.0)
     light = model.environmental_attribute("light", max_age=100.0)
@@ -297,28 +261,3 @@ def test_what_another_thread_tells_while_the_clock_is_read_does_not_make_it_go_b
     kb._clock = read_slowly
     kb.measure("light 2", 1.0)
     assert [event.time for event in kb.log] == [6.0, 6.0]
-
-
-def test_a_measurement_grows_old_for_all_threads_at_once():
-    model, clock = Model("old"), Clock(0.0)
-    gas = model.environmental_attribute("gas", max_age=1.0, when_stale="violated")
-    model.action("enter", constraints=[gas <= 0.1])
-    kb = KnowledgeBase(model, clock=clock)
-    heard = []
-    kb.subscribe(heard.append)
-    rounds = 50
-
-    def ask():
-        for _ in range(rounds * 10):
-            assert kb.actions["enter"].constraints[0].status is not Status.NOT_EVALUATED
-
-    def age():
-        for _ in range(rounds):
-            kb.measure("gas", 0.0)
-            clock.now += 2.0
-            assert not kb.is_feasible("enter")
-
-    kb.measure("gas", 0.0)
-    run_together(age, ask, ask)
-    stale = [event for event in heard if "stale" in event.text]
-    assert len(stale) == rounds
