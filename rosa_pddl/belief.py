@@ -437,12 +437,14 @@ def hopeless_promises(domain: Domain, kb: Feasibility) -> frozenset[tuple[str, s
     if model is None or not isinstance(kb, Explaining):
         return frozenset()
     hopeless = set[tuple[str, str]]()
-    promises = domain.cache.setdefault("promises", tuple(_promises(domain)))
-    for curing, action in promises:
-        restores = model.actions[curing].restores
-        if restores and not kb.is_feasible(action):
-            if not kb.explain(action).is_restored_by(model.actions[curing]):
-                hopeless.add((curing, action))
+    if "promises" not in domain.cache:
+        domain.cache["promises"] = tuple(_promises(domain))
+    for curing, action in domain.cache["promises"]:
+        cure = model.actions[curing]
+        if not cure.restores or kb.is_feasible(action):
+            continue
+        if not kb.explain(action).is_restored_by(cure):
+            hopeless.add((curing, action))
     return frozenset(hopeless)
 
 

@@ -613,5 +613,3 @@ def missing_package(engine: str) -> str | None:
     if is_there:
         return None
     return f"the planning engine {engine!r} is not installed; try 'pip install {package}'"
-
-

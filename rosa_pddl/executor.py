@@ -513,10 +513,10 @@ class PlanExecutor(Behaviour):
         now = (state, self._belief.numbers)
         valid = self._found_valid
         if valid is None or valid[0] is not plan or valid[1] != now:
+            replanning = self._replanning
             planned_from = self._belief.unstarted(self._running, state)
-            if self._replanning.had_no_plan:
-                if self._replanning.why_no_plan(planned_from) is None:
-                    return "the state changed"
+            if replanning.had_no_plan and replanning.why_no_plan(planned_from) is None:
+                return "the state changed"
             flaw = plan.prediction(self._effects.domain, state).flaw
             self._found_valid = (plan, now) if flaw is None else None
             if flaw is not None:

@@ -151,9 +151,17 @@ class Join:
     Args:
         program: the clauses.
         accept: called with a clause and its complete row; whether the heads follow.
+        go_on: called now and then; may raise to stop the work.
     """
 
-    def __init__(self, program: Program, accept: Callable[[Clause, Row], bool]) -> None:
+    def __init__(
+        self,
+        program: Program,
+        accept: Callable[[Clause, Row], bool],
+        go_on: GoOn = lambda count: None,
+    ) -> None:
+        self._go_on = go_on
+        self._joins = 0
         self._program = program
         self._accept = accept
         self.rows: Rows = {}
@@ -186,6 +194,9 @@ class Join:
         if not looks:
             self._complete(clause, binding)
             return
+        self._joins += 1
+        if self._joins % _BETWEEN_LOOKS == 0:
+            self._go_on(0)
         look = looks[0]
         words = [look.words[place] for place in look.places]
         key: Any = tuple([word if isinstance(word, str) else binding[word] for word in words])
@@ -629,6 +640,7 @@ class Grounded:
         self._operations = list[_Ready]()
         for pattern in self._patterns:
             for row in self._sorted(pattern):
+                go_on(0)
                 self._add_operation(pattern, row)
         self._rules = self._ground_rules()
         self._frozen = self._possible - self._changing
@@ -711,7 +723,7 @@ class Grounded:
         changed = [effect.name for each in self._patterns for _, effect, _ in each.effects]
         self._names = frozenset(program.names.union(changed))
         facts = [row_of(atom) for atom in sorted(base) if not atom.startswith("(= ")]
-        rows = Join(program, accept).close(facts)
+        rows = Join(program, accept, go_on).close(facts)
         possible = [atom_text(name, row) for name, each in rows.items() for row in each]
         self._possible = frozenset(possible)
 

@@ -268,9 +268,9 @@ def _in_turn(
         needed = set(mentioned_atoms(domain, over_all, (), binding_of(domain, step)))
         for other in left:
             provides = not other.is_end or timed[other.number].duration_s == 0.0
-            if other.number != event.number and provides:
-                if needed & _touched(domain, timed[other.number].step, [other.is_end])[1]:
-                    return True
+            changed = _touched(domain, timed[other.number].step, [other.is_end])[1]
+            if other.number != event.number and provides and needed & changed:
+                return True
         return False
 
     while left:

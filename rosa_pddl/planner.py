@@ -523,8 +523,10 @@ class _Portfolio:
     def ground(self, deadline: float, changing: Iterable[str] = ()) -> Grounded:
         """Return the grounded task, made now if need be."""
 
-        def go_on(_: int) -> None:
+        def go_on(instances: int) -> None:
             self.process.check()
+            if instances > self._planner.moves:
+                raise TooManyInstances  # an engine is quicker
             if time.monotonic() > deadline:
                 message = f"the task of {self._domain.name} was not grounded in time"
                 raise PlanningFailed(Outcome.OUT_OF_TIME, f"{message}; allow more or ask for less")

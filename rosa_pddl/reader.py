@@ -25,13 +25,10 @@ from rosa_pddl.domain import (
     Signature,
     TimedFact,
     Variables,
-    arguments_of,
     conjuncts,
     exact,
-    head_of,
     is_name,
     names_in,
-    parts_of,
     text_of,
 )
 from rosa_pddl.exceptions import PddlError, UnknownNameError, UnsupportedPddlError, nearest
@@ -1010,13 +1007,13 @@ class _ActionReader:
             bounds = {part.head[:1]: part for part in node.children[1:]}
             if bounds.keys() == {"<", ">"}:
                 return self._duration(bounds[">"])[0], self._duration(bounds["<"])[0]
-        elif node.head in ("=", *_COMPARISONS) and len(node.children) == 3:
-            if node.children[1].lower == DURATION:
-                value = formulas.number(node.children[2], self._scope)
-                if isinstance(value, tuple) or value >= 0:
-                    return value, value
-                message = f"found {start_of(node)!r}, expected a duration of 0 s or more"
-                raise source.error(node, message)
+        is_bound = node.head in ("=", *_COMPARISONS) and len(node.children) == 3
+        if is_bound and node.children[1].lower == DURATION:
+            value = formulas.number(node.children[2], self._scope)
+            if isinstance(value, tuple) or value >= 0:
+                return value, value
+            message = f"found {start_of(node)!r}, expected a duration of 0 s or more"
+            raise source.error(node, message)
         expected = "a duration such as '(= ?duration 5)', or a least and a greatest one"
         raise source.error(node, f"found {start_of(node)!r}, expected {expected}")
 
@@ -1187,21 +1184,3 @@ def _substituted(number: Number, duration: Number) -> Number:
     if number[0] == "n":
         return duration if number[1] == DURATION else number
     return number[0], *(_substituted(part, duration) for part in number[1:])
-
-
-__all__ = [
-    "Formulas",
-    "Goal",
-    "Node",
-    "Source",
-    "arguments_of",
-    "conditions",
-    "head_of",
-    "load_domain",
-    "parse",
-    "parse_domain",
-    "parts_of",
-    "read_source",
-    "section",
-    "typed",
-]
