@@ -270,18 +270,17 @@ class Situation:
         self._state = state
         self._now = now
         self.forecast = forecast
-        network = state.network
-        self._revision = network.revision
-        self.actions = views.Views(self, network.actions, views.ActionView)
-        self.functions = views.Views(self, network.functions, views.FunctionView)
-        self.components = views.Views(self, network.components, views.ComponentView)
-        self.designs = views.Views(self, network.designs, views.DesignView)
-        self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
-        self.attributes = views.Views(self, network.attributes, views.AttributeView)
+        self._revision = state.network.revision
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Situation, (self._state, self._now, None)
 
+    actions = views.ViewsOf(views.ActionView)
+    functions = views.ViewsOf(views.FunctionView)
+    components = views.ViewsOf(views.ComponentView)
+    designs = views.ViewsOf(views.DesignView)
+    configurations = views.ViewsOf(views.ConfigurationView)
+    attributes = views.ViewsOf(views.AttributeView)
     is_feasible = is_feasible
     selectable_actions = selectable_actions
     selectable_designs = selectable_designs

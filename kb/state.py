@@ -125,7 +125,7 @@ class State:
         votes: the newest measurements that count, of each attribute with debounced constraints:
             (number of the event, value).
         parameters: those last set on each component, by its name.
-        histories: the measurements of each attribute; shared by all copies.
+        histories: the measurements of each attribute; shared with all copies.
         status: the status of every node but attributes.
         adaptable: functions and components that need a choice, or may get a better one.
     """
@@ -163,7 +163,7 @@ class State:
         """Return a copy to suppose other facts in."""
         other = State.__new__(State)
         for name, content in vars(self).items():
-            is_copied = isinstance(content, dict | set)
+            is_copied = isinstance(content, dict | set) and name != "histories"
             vars(other)[name] = copy(content) if is_copied else content
         other._outdated = [set() for _ in range(_ATTRIBUTE)]
         return other

@@ -283,3 +283,20 @@ class Views(Mapping[str, ViewT]):
     def _now(self) -> dict[str, ViewT]:
         with self._base.reading():
             return {name: self._view(self._base, node) for name, node in self._table.items()}
+
+
+class ViewsOf(Generic[ViewT]):
+    """A property of a situation: the views of one kind, made anew so that nothing refers to itself.
+
+    So a situation is freed at once when nobody needs it.
+    """
+
+    def __init__(self, view: type[ViewT]) -> None:
+        self._view = view
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._kind = name
+
+    def __get__(self, base: Readable, owner: type) -> Views[ViewT]:
+        with base.reading() as state:
+            return Views(base, getattr(state.network, self._kind), self._view)
