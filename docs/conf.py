@@ -77,7 +77,9 @@ def section(title: str, command: Any) -> list[str]:  # noqa: ANN401  # typer's o
     for parameter in command.params:
         if parameter.name == "help":
             continue
-        name = ", ".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name
+        name = (
+            ", ".join(parameter.opts) if parameter.param_type_name == "option" else parameter.name
+        )
         words = (getattr(parameter, "help", None) or "").replace("|", "\\|")
         default = parameter.default
         if isinstance(default, str | int | float) and not isinstance(default, bool):

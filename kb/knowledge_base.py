@@ -42,6 +42,7 @@ from kb.exceptions import InvalidValue, KnowledgeBaseError, Unselectable
 from kb.explain import reading as reading_in_words
 from kb.explain import staleness, why, why_selected
 from kb.forecast import Forecaster, feasible_until
+from kb.history import HistoryView, Records
 from kb.model import Model, Serials, amend, amendment
 from kb.network import Network, Node, Ref
 from kb.ontology import Answer, Ontology
@@ -50,11 +51,9 @@ from kb.questions import ELEMENTS, ElementLike, outline, resolve
 from kb.records import (
     RESULTS,
     Attempt,
-    HistoryView,
     Memory,
     Process,
     ReconfigurationPlan,
-    Records,
     Reply,
     RequiredAction,
     VetoAnswer,
@@ -145,19 +144,17 @@ class Reading:
 
 
 class _ModelObserver:
-    """Passes changes of the model on to a knowledge base."""
+    """Passes changes of the model on to a knowledge base, which its methods stand for."""
 
-    def __init__(self, kb: "KnowledgeBase") -> None:
-        self._kb = kb
-
-    def prepare(self) -> None:
-        self._kb._catch_up_with_time()
-
-    def amended(self, change: facts.Amended) -> None:
-        self._kb._record_amendment(change)
-
-    def heard(self) -> None:
-        self._kb._publish()
+    def __init__(
+        self,
+        prepare: Callable[[], None],
+        amended: Callable[[facts.Amended], None],
+        heard: Callable[[], None],
+    ) -> None:
+        self.prepare = prepare
+        self.amended = amended
+        self.heard = heard
 
 
 class KnowledgeBase:
@@ -247,7 +244,9 @@ class KnowledgeBase:
         elif model.facts:
             self._begin(model.facts, self._now)
         self._ontology = Ontology(self)
-        self._observer = _ModelObserver(self)
+        self._observer = _ModelObserver(
+            self._catch_up_with_time, self._record_amendment, self._publish
+        )
         model.watch(self._observer)
         LOCKS_HELD_OVER_FORKS[self._lock] = -1.0
         if self.store is not None:

@@ -25,7 +25,7 @@ from io import BytesIO
 from pathlib import Path
 from threading import RLock
 from types import new_class
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 from urllib.parse import quote
 from weakref import finalize
 from xml.parsers import expat
@@ -39,11 +39,7 @@ from kb.records import Attempt
 from kb.state import State
 from kb.status import Status
 
-if TYPE_CHECKING:
-    from kb.knowledge_base import KnowledgeBase
-    from kb.model import Model
-
-ModelT = TypeVar("ModelT", bound="Model")
+ModelT = TypeVar("ModelT", bound=facts.Contents)
 Answer = str | bool | int | float | None
 World = Any  # of owlready2, which has no types
 
@@ -261,7 +257,7 @@ def declare_words(ontology: Any) -> None:  # noqa: ANN401  # of owlready2
 # ---------------------------------------------------------------- a model as individuals
 
 
-def individuals(model: "Model") -> Iterator[Individual]:
+def individuals(model: facts.Contents) -> Iterator[Individual]:
     """Describe all that is in a model; the facts of the model come last."""
     yield Individual("RobotModel", f"RobotModel.{_escaped(model.name)}", {"name": (model.name,)})
     describer = _Describer(model)
@@ -275,7 +271,7 @@ def individuals(model: "Model") -> Iterator[Individual]:
 class _Describer:
     """Describes elements, facts and records of a model as individuals."""
 
-    def __init__(self, model: "Model") -> None:
+    def __init__(self, model: facts.Contents) -> None:
         unnamed = (model.constraints, model.estimations)
         self._positions = {each: place for table in unnamed for place, each in enumerate(table)}
 
@@ -428,7 +424,7 @@ class _Graph:
 # ---------------------------------------------------------------- files
 
 
-def owl_text(model: "Model") -> str:
+def owl_text(model: facts.Contents) -> str:
     """Write a model with ROSA's words as RDF/XML; see `Model.save`."""
     import owlready2
 
@@ -525,7 +521,7 @@ def _place(order: Sequence[str], value: Answer) -> tuple[int, str]:
 class _Reader:
     """Declares individuals in a model, each after those that it refers to."""
 
-    def __init__(self, model: "Model", read: Iterable[Individual]) -> None:
+    def __init__(self, model: facts.Contents, read: Iterable[Individual]) -> None:
         self._model = model
         self._individuals = {one.id: one for one in read}
         self._elements: dict[str, Any] = {}
@@ -710,7 +706,7 @@ class Ontology:
     is held only while it is copied; the copy is written outside its lock.
     """
 
-    def __init__(self, kb: "KnowledgeBase") -> None:
+    def __init__(self, kb: Any) -> None:  # noqa: ANN401  # a knowledge base, which imports this module
         self._kb = kb
         self._lock = RLock()
         self._world: World = None

@@ -11,20 +11,35 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, Protocol
 from weakref import WeakKeyDictionary
 
-from kb.events import Event
+from kb.events import Event, Log
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
 from kb.records import ReconfigurationPlan, plain
 
-if TYPE_CHECKING:
-    from kb.knowledge_base import KnowledgeBase
+
+class Source(Protocol):
+    """A knowledge base, as far as its store needs it."""
+
+    log: Log
+
+    def snapshot(self, keep: int) -> dict[str, Any]: ...
+    def restore_log(
+        self,
+        snapshot: Mapping[str, Any] | None,
+        events: Iterable[Event],
+        last: int,
+        serials: Serials,
+    ) -> None: ...
+    def abandon_what_was_under_way(self, now: float) -> tuple[str, ...]: ...
+    def record_store_message(self, words: str) -> None: ...
+
 
 KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
@@ -87,7 +102,7 @@ class Store:
         self._is_stopping = self._is_closed = self._is_given_up = False
         self._owner = os.getpid()
         self._thread: threading.Thread | None = None
-        self._kb: KnowledgeBase
+        self._kb: Source
         self._lock: Any = None
         self._connection = connect(self.path, is_new_allowed=model is not None)
         try:
@@ -146,7 +161,7 @@ class Store:
 
     # ---------------------------------------------------------------- read
 
-    def restore(self, kb: "KnowledgeBase", now: float) -> None:
+    def restore(self, kb: Source, now: float) -> None:
         """Restore what is in the file; open plans and attempts end now [s] as "abandoned"."""
         snapshot = None if self._snapshot is None else json.loads(self._snapshot)
         self._snapshot = None
@@ -176,7 +191,7 @@ class Store:
 
     # ---------------------------------------------------------------- write
 
-    def start(self, kb: "KnowledgeBase", lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
+    def start(self, kb: Source, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
         """Write events from now on."""
         self._kb = kb
         self._lock = lock

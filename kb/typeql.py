@@ -19,7 +19,7 @@ from functools import cache
 from importlib.resources import files
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from kb import elements, facts
 from kb.elements import Attribute, Component, Configuration, Constraint, Element, finite_number
@@ -29,10 +29,7 @@ from kb.files import DuplicateInFile, Place, read_text
 from kb.status import STATUSES, Status
 from kb.typeql_syntax import Insert, Literal, Statement, Word, parse, place_of
 
-if TYPE_CHECKING:
-    from kb.model import Model
-
-ModelT = TypeVar("ModelT", bound="Model")
+ModelT = TypeVar("ModelT", bound=facts.Contents)
 
 # ---------------------------------------------------------------- words
 
@@ -445,7 +442,7 @@ Stated = tuple[int, Fact, Place]
 class _Reading:
     """Builds a model from the things of a store."""
 
-    def __init__(self, model: "Model", store: Store) -> None:
+    def __init__(self, model: facts.Contents, store: Store) -> None:
         self.model, self.store = model, store
         self.elements: dict[Thing, Element | Constraint] = {}
 

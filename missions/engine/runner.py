@@ -2,12 +2,12 @@
 
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
 from math import isfinite, nan
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 from py_trees.common import Status
 from py_trees.trees import BehaviourTree
@@ -44,9 +44,6 @@ from missions.engine.settings import RunSettings
 from missions.engine.task_layer import build_task
 from rosa_bt import TreeRunner
 from rosa_pddl import PlanRecord
-
-if TYPE_CHECKING:
-    from missions.engine.faults import FaultInjector
 
 OURS: Final = "ours"
 """The manager name of our own: the knowledge base, its configuration manager, and the task layer asked for."""
@@ -136,6 +133,17 @@ class Listener:
         """Called with what can be seen of the world, at most twice a second."""
 
 
+class Injector(Protocol):
+    """Replaces messages by what injected faults say; see `missions.engine.faults`."""
+
+    planned: tuple[Any, ...]
+    injected: list[Any]
+    held: dict[str, float]
+
+    def add(self, faults: Iterable[Any]) -> None: ...
+    def alter(self, messages: Sequence[Message], now: float) -> Sequence[Message]: ...
+
+
 class MissionRun(ABC):
     """One run of a mission, to its end: by our knowledge base, manager and task layer, or by a baseline.
 
@@ -172,7 +180,7 @@ class MissionRun(ABC):
         self.tree: BehaviourTree | None = None
         self.problems: list[tuple[float, DiagnosticProblem]] = []
         self.alter: Callable[[Sequence[Message], float], Sequence[Message]] | None = None
-        self.faults: FaultInjector | None = None
+        self.faults: Injector | None = None
         self.inputs: Mapping[str, float] = {}
         self.compute_s = defaultdict[str, float](float, world=0.0)
         self.listeners: Sequence[Listener] = ()

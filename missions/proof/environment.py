@@ -106,7 +106,7 @@ class Environment:
         failing: Iterable[str] | None = None,
         symmetric: bool = True,
     ) -> None:
-        self._kb = kb
+        self.kb = kb
         self.failures = failures
         self.at_once = at_once
         self._compared = _comparisons(kb)
@@ -136,6 +136,10 @@ class Environment:
         )
         self.alike = _alike(kb, names, named) if symmetric else [(name,) for name in names]
         self.ageing = {name for name in self.values if attributes[name].max_age != inf}
+
+    def is_read(self, name: str) -> bool:
+        """Return whether somebody reads the value of an attribute itself."""
+        return name in self._read
 
     def signature(self, name: str, value: Value) -> Signature:
         """Return what a value of an attribute violates; what is not measured violates nothing."""
@@ -218,9 +222,7 @@ def _apart(
     for name, options in every.items():
         signatures = frozenset(environment.signature(name, value) for value in options)
         is_one_bit = len(signatures) == 2 and frozenset() in signatures
-        is_alone = (
-            name in environment._read or environment._kb.model.attributes[name].max_age != inf
-        )
+        is_alone = environment.is_read(name) or environment.kb.model.attributes[name].max_age != inf
         if is_one_bit and not is_alone and signatures in seen:
             continue
         if is_one_bit and not is_alone:

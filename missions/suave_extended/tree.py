@@ -6,7 +6,6 @@ until inspected
     └── meanwhile: recharge if feasible
 """
 
-
 from py_trees.behaviour import Behaviour
 from py_trees.common import Status
 

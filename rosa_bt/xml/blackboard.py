@@ -186,7 +186,7 @@ class Blackboard(MutableMapping[str, Any]):
     ) -> None:
         self.parent: Final = parent
         self.root: Final[Blackboard] = self if parent is None else parent.root
-        self._clock = clock
+        self.read_clock = clock
         self.enums: Final[Mapping[str, int]] = (
             parent.enums if parent is not None else dict(enums or {})
         )
@@ -199,11 +199,11 @@ class Blackboard(MutableMapping[str, Any]):
 
     def clock(self) -> float:
         """Return the time by the clock of the whole tree [s]."""
-        return self.root._clock()
+        return self.root.read_clock()
 
     def follow(self, clock: Clock) -> None:
         """Take another clock for the whole tree."""
-        self.root._clock = clock
+        self.root.read_clock = clock
 
     def place(self, key: str) -> tuple[dict[str, Entry], str]:
         """Return where a key is kept: the entries of a blackboard, and the name of the key in it."""

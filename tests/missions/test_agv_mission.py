@@ -260,9 +260,7 @@ def test_plan_of_steps_costs_what_the_joint_plan_costs(seed, places, failed, dat
     kb.measure("driven", data.draw(st.floats(0.0, 20.0)))
     if data.draw(st.booleans()):
         kb.measure("energy", data.draw(st.floats(0.0, 6000.0)))
-    result, answer = planned_and_joint(
-        building, kb, told(*heard, **lights), Planner()
-    )
+    result, answer = planned_and_joint(building, kb, told(*heard, **lights), Planner())
     assert result.outcome.is_solved == answer.is_solved
     if answer.is_solved:
         assert result.cost == answer.cost
@@ -301,9 +299,7 @@ def test_names_of_a_map_never_clash_with_those_of_the_plan():
         {"start": "here", "goal": "leads", "places": places, "corridors": corridors}
     )
     kb = KnowledgeBase(building_model(building), clock=lambda: 0.0)
-    result, answer = planned_and_joint(
-        building, kb, told("at now", "in c"), Planner()
-    )
+    result, answer = planned_and_joint(building, kb, told("at now", "in c"), Planner())
     assert (result.outcome.is_solved, result.cost) == (True, answer.cost)
     assert [step.action for step in result.steps if step.schema == "cross"] == [
         f"cross_{leg.corridor}" for leg in answer.legs

@@ -155,7 +155,11 @@ def test_limits_are_told_as_the_reason_only_when_they_are_and_the_mission_adds_i
 
 
 def test_reason_of_a_mission_is_about_its_own_goal_only():
-    question = ask(mission=find_mission("agv"), situation=["energy=100"], goals=["(at d) (<= (energy_used_mj) (energy_left_mj))"])
+    question = ask(
+        mission=find_mission("agv"),
+        situation=["energy=100"],
+        goals=["(at d) (<= (energy_used_mj) (energy_left_mj))"],
+    )
     assert question.why_not() == ""
     found = answer(question, 60.0)
     assert found.obstacles[0] == "out of reach: (at d)"
