@@ -378,7 +378,10 @@ class KnowledgeBase:
 
     @property
     def ontology(self) -> Any:  # noqa: ANN401  # of owlready2, which has no types
-        """The model and what is known now as a `World` of owlready2, up to date; to be read only."""
+        """The model and what is known now as a `World` of owlready2, up to date; read it only.
+
+        It is closed when the knowledge base is gone.
+        """
         return self._ontology.world
 
     # ---------------------------------------------------------------- told: what is so

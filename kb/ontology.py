@@ -27,6 +27,7 @@ from threading import RLock
 from types import new_class
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeVar
 from urllib.parse import quote
+from weakref import finalize
 from xml.parsers import expat
 
 from kb import elements, facts, records
@@ -753,6 +754,7 @@ class Ontology:
         import owlready2
 
         self._world = owlready2.World()
+        finalize(self, self._world.close)  # owlready2 holds the classes of a world that is open
         base = f"{BASE}RobotModel.{_escaped(self._kb.model.name)}#"
         declare_words(self._world.get_ontology(ROSA))
         self._model = _Graph(self._world, base)

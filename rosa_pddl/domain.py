@@ -297,6 +297,13 @@ class Domain:
         """The names of the numeric facts, as the files spell them."""
         return frozenset(each.name for each in self.signatures.values() if each.is_number)
 
+    def duration_s(self, schema: str) -> float:
+        """Return an action's shortest duration [s]: 0 if instantaneous, infinite if not constant."""
+        duration = self.schema_of[schema].duration
+        if duration is None:
+            return 0.0
+        return inf if isinstance(duration[0], tuple) else float(duration[0])
+
     def feasible_atom(self, action: str) -> str:
         """Return the atom that says that a ROSA action is feasible."""
         signature = self.signatures.get(FEASIBLE)
@@ -579,11 +586,3 @@ def text_of(formula: Any, binding: Binding | None = None) -> str:  # noqa: ANN40
     if head == "or" and len(parts) == 2 and parts[0][0] == "not":
         return atom_text("imply", [text_of(parts[0][1], scope), texts[1]])
     return atom_text(head, texts)
-
-
-def duration_s(schema: Schema) -> float:
-    """Return the shortest declared duration [s]: 0 if instantaneous, infinite if not constant."""
-    if schema.duration is None:
-        return 0.0
-    shortest = schema.duration[0]
-    return inf if isinstance(shortest, tuple) else float(shortest)

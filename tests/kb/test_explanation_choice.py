@@ -190,18 +190,6 @@ def test_what_was_selected_and_became_unfeasible_is_replaced_next(kb, camera):
     assert reasons(explained)["dusk"] == "it is to be selected next"
 
 
-def test_the_only_one_is_told_to_be_that(kb, see, camera):
-    kb.component_failed("camera")
-    kb.request_action("look")
-    explained = choice_of(kb, see)
-    assert str(explained) == (
-        "by touch would be selected for function see because no other design is feasible; not by camera: it is "
-        "unfeasible because component camera has failed"
-    )
-    kb.select({"see": "by touch"})
-    assert str(choice_of(kb, see)).startswith("by touch is selected for function see because")
-
-
 def test_where_nothing_can_be_chosen_the_reason_is_told():
     model = Model("none")
     light = model.environmental_attribute("light")
