@@ -61,7 +61,7 @@ from kb.records import (
 )
 from kb.state import Reason, State
 from kb.status import Status
-from kb.store import KEPT, LOCKS_HELD_OVER_FORKS, Store
+from kb.store import KEPT, LOCKS_HELD_OVER_FORKS, Store, StoreClient
 
 INTERNAL: Final = frozenset({"begin", "store"})
 """The verbs of events that the model or the store causes; nobody records them again."""
@@ -239,8 +239,15 @@ class KnowledgeBase:
         self.designs = views.Views(self, network.designs, views.DesignView)
         self.configurations = views.Views(self, network.configurations, views.ConfigurationView)
         self.attributes = views.Views(self, network.attributes, views.AttributeView)
+        client = StoreClient(
+            self.log,
+            self._snapshot,
+            self._restore_log,
+            self._abandon_what_was_under_way,
+            self._record_store_message,
+        )
         if self.store is not None and not self.store.is_new:
-            self.store.restore(self, self._now)
+            self.store.restore(client, self._now)
         elif model.facts:
             self._begin(model.facts, self._now)
         self._ontology = Ontology(self)
@@ -250,7 +257,7 @@ class KnowledgeBase:
         model.watch(self._observer)
         LOCKS_HELD_OVER_FORKS[self._lock] = -1.0
         if self.store is not None:
-            self.store.start(self, self._lock)
+            self.store.start(client, self._lock)
             finalize(self, self.store.close)
             self._catch_up_with_time()  # with the events that came due meanwhile
 
@@ -1120,7 +1127,7 @@ class KnowledgeBase:
 
     # ---------------------------------------------------------------- snapshots
 
-    def snapshot(self, keep: int) -> dict[str, Any]:
+    def _snapshot(self, keep: int) -> dict[str, Any]:
         """Return all that is known as values that JSON can hold; for the store."""
         present = set(self._network.present())
         return {
@@ -1133,7 +1140,7 @@ class KnowledgeBase:
             "revision": self._revision,
         }
 
-    def restore_log(
+    def _restore_log(
         self,
         snapshot: Mapping[str, Any] | None,
         events: Iterable[Event],
@@ -1164,7 +1171,7 @@ class KnowledgeBase:
             if node.kind != "attribute":
                 self._set_lapse(node)
 
-    def abandon_what_was_under_way(self, now: float) -> tuple[str, ...]:
+    def _abandon_what_was_under_way(self, now: float) -> tuple[str, ...]:
         """End open plans and attempts of an earlier program; return the actions that it left."""
         self._now = now
         for number in list(self._records.open_plans):
@@ -1176,7 +1183,7 @@ class KnowledgeBase:
         self.log.time = -inf  # the clock may have started again at 0
         return tuple(self._records.required)
 
-    def record_store_message(self, words: str) -> None:
+    def _record_store_message(self, words: str) -> None:
         """Record how the store is; for the store."""
         with self._lock, self._updating:
             self._record("store", (words,))

@@ -11,35 +11,17 @@ import os
 import sqlite3
 import threading
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import closing, suppress
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple
 from weakref import WeakKeyDictionary
 
 from kb.events import Event, Log
 from kb.exceptions import InvalidValue, KnowledgeBaseError
 from kb.model import Model, Serials, amend, amended_alike, differences, rebuilt
 from kb.records import ReconfigurationPlan, plain
-
-
-class Source(Protocol):
-    """A knowledge base, as far as its store needs it."""
-
-    log: Log
-
-    def snapshot(self, keep: int) -> dict[str, Any]: ...
-    def restore_log(
-        self,
-        snapshot: Mapping[str, Any] | None,
-        events: Iterable[Event],
-        last: int,
-        serials: Serials,
-    ) -> None: ...
-    def abandon_what_was_under_way(self, now: float) -> tuple[str, ...]: ...
-    def record_store_message(self, words: str) -> None: ...
-
 
 KEPT: Final = 10_000
 """How many measurements of each attribute are kept: the newest ones."""
@@ -64,6 +46,24 @@ _RETRY_S: Final = 1.0
 _LONGEST_FORK_WAIT_S: Final = 5.0
 
 _log = logging.getLogger(__name__)
+
+
+class StoreClient(NamedTuple):
+    """The parts of a knowledge base that its store uses.
+
+    Attributes:
+        log: the events.
+        snapshot: returns all that is known, with so many measurements of each attribute.
+        restore: begins with a snapshot, the events after it, and the number of the last event.
+        abandon: ends what was under way at a time [s]; returns the actions that are left.
+        record_message: records how the store is.
+    """
+
+    log: Log
+    snapshot: Callable[[int], dict[str, Any]]
+    restore: Callable[..., None]
+    abandon: Callable[[float], tuple[str, ...]]
+    record_message: Callable[[str], None]
 
 
 class StoreError(KnowledgeBaseError):
@@ -102,7 +102,7 @@ class Store:
         self._is_stopping = self._is_closed = self._is_given_up = False
         self._owner = os.getpid()
         self._thread: threading.Thread | None = None
-        self._kb: Source
+        self._client: StoreClient
         self._lock: Any = None
         self._connection = connect(self.path, is_new_allowed=model is not None)
         try:
@@ -161,12 +161,12 @@ class Store:
 
     # ---------------------------------------------------------------- read
 
-    def restore(self, kb: Source, now: float) -> None:
+    def restore(self, client: StoreClient, now: float) -> None:
         """Restore what is in the file; open plans and attempts end now [s] as "abandoned"."""
         snapshot = None if self._snapshot is None else json.loads(self._snapshot)
         self._snapshot = None
-        kb.restore_log(snapshot, self.events(self._snapshot_number), self.saved, self.serials)
-        self.left = kb.abandon_what_was_under_way(now)
+        client.restore(snapshot, self.events(self._snapshot_number), self.saved, self.serials)
+        self.left = client.abandon(now)
 
     def events(self, after: int = 0, most: int = -1, *, measurements: bool = True) -> list[Event]:
         """Return at most `most` events of the file after a number, with or without measurements."""
@@ -191,16 +191,16 @@ class Store:
 
     # ---------------------------------------------------------------- write
 
-    def start(self, kb: Source, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
+    def start(self, client: StoreClient, lock: Any) -> None:  # noqa: ANN401  # an RLock has no type
         """Write events from now on."""
-        self._kb = kb
+        self._client = client
         self._lock = lock
-        self._most_waiting = max(1, min(_MOST_WAITING, kb.log.capacity // 2))
+        self._most_waiting = max(1, min(_MOST_WAITING, client.log.capacity // 2))
         try:
             self._write_about("is_open", "1")
         except sqlite3.Error as error:
             raise StoreError(f"{self.path}: it cannot be written: {error}") from None
-        kb.log.heard = self._wake.set
+        client.log.heard = self._wake.set
         self._begin()
 
     def _begin(self) -> None:
@@ -221,7 +221,7 @@ class Store:
     def flush(self, timeout: float | None = None) -> bool:
         """Wait, at most for a timeout [s], until all events so far are on disk."""
         self.check_owner()
-        wanted = self._kb.log.last
+        wanted = self._client.log.last
         self._wake.set()
         with self._progress:
             self._progress.wait_for(
@@ -244,7 +244,7 @@ class Store:
             return  # it dropped the last reference to the base, and ends by itself
         if self._thread is not None:
             self._thread.join()
-            unsaved = self._kb.log.last - self.saved
+            unsaved = self._client.log.last - self.saved
             if unsaved:
                 if not self._is_given_up:
                     self._is_stopping = False
@@ -274,7 +274,7 @@ class Store:
                 time.sleep(_BATCH_PAUSE_S)
             is_last = self._is_stopping  # there may be more if `close` is called during the write
             self._write()
-            if is_last and (self.error or self.saved == self._kb.log.last):
+            if is_last and (self.error or self.saved == self._client.log.last):
                 break
             if is_last:
                 self._wake.set()
@@ -284,9 +284,9 @@ class Store:
     def _write(self) -> None:
         """Write the new events; if that fails, the file is as before."""
         with self._lock:
-            self._kb.log.settle()
-            last = self._kb.log.last
-            batch = list(self._kb.log.since(self._written))
+            self._client.log.settle()
+            last = self._client.log.last
+            batch = list(self._client.log.since(self._written))
             snapshot = self._next_snapshot(batch, last)
         if last == self.saved and snapshot is None:
             return
@@ -314,8 +314,8 @@ class Store:
         is_long_ago = since >= (1000 if self._is_stopping else _SNAPSHOT_AFTER)
         if not (is_amended or is_long_ago):
             return None
-        data = json.dumps(self._kb.snapshot(self.keep), separators=(",", ":"))
-        return last, self._kb.log.time, data
+        data = json.dumps(self._client.snapshot(self.keep), separators=(",", ":"))
+        return last, self._client.log.time, data
 
     def _commit(self, batch: Iterable[Event], snapshot: tuple[int, float, str] | None) -> None:
         rows = [_row(event) for event in batch]
@@ -353,7 +353,7 @@ class Store:
 
     def _say(self, words: str, level: int) -> None:
         _log.log(level, words)
-        self._kb.record_store_message(words)
+        self._client.record_message(words)
 
 
 def connect(path: Path, *, is_new_allowed: bool) -> sqlite3.Connection:
