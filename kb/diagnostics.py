@@ -149,7 +149,7 @@ class DiagnosticRules:
 
         rules = DiagnosticRules({
             "camera: *": "camera",
-            "battery: *": {"attributes": {"Charge": "battery_level"}},
+            "power: *": {"attributes": {"Charge": "charge"}},
             "lidar: *": {"component": "lidar", "warn": "failed", "stale": "failed"},
         })
         kb.receive(array, rules=rules)

@@ -224,7 +224,7 @@ class ValueSelector(Selector):
 def _check(kb: KnowledgeBase, value: MissionValue) -> None:
     """Raise if the model does not have a name, or a number is not finite or out of its range."""
     finite_number(value.deadline)
-    parts: tuple[Gain | Detour, ...] = (*value.gains, *value.detours)
+    parts: list[Gain | Detour] = [*value.gains, *value.detours]
     for part in parts:
         kb.is_feasible(part.action)
         if not 0.0 <= finite_number(part.spread) < 1.0:

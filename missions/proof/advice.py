@@ -54,7 +54,7 @@ def _idioms(rig: Rig, place: int) -> Iterator[tuple[str, Mend]]:
     if isinstance(node, Selector):
         for first in range(1, len(node.children)):
             text = f"put {node.children[first].name} first in {node.name}"
-            yield text, lambda nodes, first=first: _first(nodes, place, first)  # type: ignore[misc]
+            yield text, lambda nodes, first=first: _first(nodes, place, first)  # type: ignore[misc]  # a class made for one behaviour
     if isinstance(node, Decorator) and type(node).__module__ == Decorator.__module__:
         yield f"drop {type(node).__name__} {node.name}", lambda nodes: _unwrapped(nodes, place)
 

@@ -196,3 +196,24 @@ def test_hysteresis_and_dwell_are_numbers_from_zero(what, wrong):
     light = Model("rover").quality_attribute("light")
     with pytest.raises(ValueError, match="number"):
         (light >= 0.5).steady(**{what: wrong})
+
+
+@pytest.mark.parametrize(
+    ("agreement", "steady"),
+    [((2, 3), {}), ((1, 1), {"dwell": 10.0}), ((1, 1), {"hysteresis": 0.2})],
+)
+def test_violation_after_silence_never_satisfies(agreement, steady):
+    clock = Clock(0.0)
+    model = Model("lamp")
+    light = model.quality_attribute(
+        "light", max_age=2.0, when_stale="violated", agreement=agreement
+    )
+    model.action("go", constraints=[(light >= 0.5).steady(**steady)])
+    kb = KnowledgeBase(model, clock=clock)
+    for clock.now in (0.0, 0.5):
+        kb.measure("light", 0.9)
+    clock.now = 4.0
+    assert not kb.is_feasible("go")
+    for clock.now in (5.0, 6.0, 7.0):
+        kb.measure("light", 0.1)
+        assert not kb.is_feasible("go")

@@ -484,3 +484,50 @@ def test_program_that_is_killed_leaves_a_trace_of_every_tick(tmp_path):
     for cut in range(whole.rindex(b"\n", 0, -1) + 1, len(whole)):
         path.write_bytes(whole[:cut])
         assert read_trace(path).ticks == trace.ticks[:2]
+
+
+class TakesTime(Running):
+    """A leaf during which the clock goes on; it decides nothing."""
+
+    def __init__(self, clock):
+        super().__init__("slow")
+        self.clock = clock
+
+    def update(self):
+        self.clock[0] += 0.003
+        return super().update()
+
+
+@pytest.mark.parametrize("declared", ["stale", "dwell"])
+def test_replay_has_what_time_does_within_a_tick_in_its_place(declared):
+    def model():
+        model = Model("lamp")
+        if declared == "stale":
+            light = model.quality_attribute("light", max_age=1.0, when_stale="violated")
+            bound = light >= 0.5
+        else:
+            light = model.quality_attribute("light")
+            bound = (light >= 0.5).steady(dwell=1.0)
+        model.action("inspect", constraints=[bound])
+        model.action("charge")
+        return model
+
+    def build(kb, clock):
+        first, later = (IsActionFeasible(name, kb, "inspect") for name in ("first", "later"))
+        policy = ParallelPolicy.SuccessOnAll(synchronise=False)
+        return Parallel("p", policy=policy, children=[first, TakesTime(clock), later])
+
+    now = [0.0]
+    kb = KnowledgeBase(model(), clock=lambda: now[0])
+    runner = TreeRunner(build(kb, now), clock=lambda: now[0])
+    visitor = TraceVisitor(kb)
+    runner.tree.add_visitor(visitor)
+    now[0] = 1.0
+    kb.measure("light", 0.9)
+    if declared == "dwell":
+        kb.measure("light", 0.1)
+    for now[0] in (1.1, 1.999, 2.1):
+        runner.tick()
+    asked = [visitor.trace.statuses(name)[1] for name in ("first", "later")]
+    assert asked == [Status.SUCCESS, Status.FAILURE]
+    assert replay_trace(visitor.trace, model(), lambda kb: build(kb, [0.0])) == visitor.trace
